@@ -1,9 +1,9 @@
-//! How well a robot's clock is known after two seconds of exchanges, against a single SNTP query on the same path.
+//! How accurately a robot's clock is known after two seconds of exchanges, compared with a single SNTP query on the same path.
 //!
-//! Paths are bad: each way has a least delay of its own from 1 to 5 ms and a heavy tail of its own kind (Pareto one way,
-//! lognormal the other) up to 40 ms. Ten thousand of them are walked in virtual time, some hundreds in real time through a
-//! UDP proxy on loopback that delays every datagram, in front of an SNTP responder whose clock is off by a known offset
-//! and drifts. Where `chronyd` is installed, `chronyd -Q` asks the same responders through the same proxies.
+//! The paths are bad: each direction has its own minimum delay of 1 to 5 ms and its own heavy tail (Pareto in one direction, lognormal in
+//! the other) up to 40 ms. Ten thousand paths are simulated in virtual time. Some hundreds run in real time through a UDP proxy on
+//! loopback that delays every datagram, in front of an SNTP responder whose clock has a known offset and drifts. If `chronyd` is
+//! installed, `chronyd -Q` queries the same responders through the same proxies.
 #![expect(
     clippy::unwrap_used,
     clippy::print_stdout,
@@ -26,15 +26,15 @@ use urrcp::{Robot, Server, Span, Timestamp};
 const VIRTUAL_TRIALS: u64 = 10_000;
 const REAL_TRIALS: u64 = 400;
 const CHRONY_TRIALS: u64 = 60;
-/// So many at once: they mostly sleep.
+/// Number of concurrent trials. They mostly sleep.
 const AT_ONCE: u64 = 100;
 const EXCHANGES_FOR: Span = Span::from_millis(2_000);
 const PAUSE: Span = Span::from_millis(30);
-/// How long after the last exchange the estimate is asked again.
+/// Time after the last exchange at which the estimate is read again.
 const LATER: Span = Span::from_millis(10_000);
 const DELAY_MAX_MS: f64 = 40.0;
 
-/// One way of a path.
+/// One direction of a path.
 #[derive(Clone, Copy, Debug)]
 struct Way {
     least_ms: f64,
@@ -43,7 +43,7 @@ struct Way {
 
 #[derive(Clone, Copy, Debug)]
 enum Tail {
-    /// Of infinite variance: shape 1.5, scale 2 ms.
+    /// Infinite variance: shape 1.5, scale 2 ms.
     Pareto,
     /// Median 5 ms, sigma 1.
     Lognormal,
@@ -51,7 +51,7 @@ enum Tail {
 
 impl Way {
     fn delay(self, rng: &mut Rng) -> Span {
-        // In (0, 1]: no logarithm of zero.
+        // In (0, 1], because zero has no logarithm.
         let mut uniform = || 1.0 - rng.f64();
         let tail = match self.tail {
             Tail::Pareto => 2.0 * (uniform().powf(-1.0 / 1.5) - 1.0),
@@ -64,7 +64,7 @@ impl Way {
     }
 }
 
-/// A robot's clock and the way to it.
+/// A robot's clock and the path to it.
 #[derive(Clone, Copy, Debug)]
 struct Path {
     there: Way,
@@ -95,7 +95,7 @@ impl Path {
     }
 }
 
-/// What one way of asking found over all trials.
+/// Results of one method over all trials.
 #[derive(Default)]
 struct Found {
     errors_ms: Vec<f64>,
@@ -135,7 +135,7 @@ impl Found {
     }
 }
 
-/// Nearest rank.
+/// Percentile by nearest rank.
 fn rank(values: &[f64], percent: usize) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -153,14 +153,14 @@ struct Trials {
 }
 
 impl Trials {
-    /// The figures of one trial's exchanges; without a query of its own, the first is the single one.
+    /// Adds the exchanges of one trial. Without a separate single query, the first exchange serves as one.
     fn take(&mut self, path: &Path, samples: &[ClockSample], single: Option<Span>) {
         let mut estimate = ClockEstimate::default();
         samples.iter().for_each(|&sample| estimate.add(sample));
         let (first, last) = (samples[0], samples[samples.len() - 1]);
         self.exchanges += samples.len();
         self.single.error(single.unwrap_or(first.offset - path.offset_at(first.at)));
-        // What Downbeat did before: RFC 5905's clock filter, of which the exchange of least delay remains.
+        // Downbeat's previous method: RFC 5905's clock filter, which keeps the exchange with the least delay.
         let least = samples.iter().min_by_key(|sample| sample.delay).unwrap();
         self.least_delay
             .reading(least.offset - path.offset_at(last.at), least.delay / 2 + Span::from_nanos(1));
@@ -233,7 +233,7 @@ fn host_now() -> Timestamp<Server> {
     Timestamp::from_nanos(i64::try_from(now.as_nanos()).unwrap())
 }
 
-/// RFC 5905, figure 3: seconds since 1900 and a fraction of 32 bits.
+/// RFC 5905, figure 3: seconds since 1900, and a fraction of 32 bits.
 fn to_ntp(nanos: i64) -> [u8; 8] {
     let nanos = u64::try_from(nanos).unwrap();
     let fraction = ((nanos % 1_000_000_000) << 32) / 1_000_000_000;
@@ -246,13 +246,13 @@ fn from_ntp(bytes: &[u8]) -> Timestamp<Robot> {
     Timestamp::from_nanos(i64::try_from(((ntp >> 32) - 2_208_988_800) * 1_000_000_000 + nanos).unwrap())
 }
 
-/// Answers SNTP (RFC 5905, figure 8) by the robot's clock.
+/// Answers SNTP (RFC 5905, figure 8) with the robot's clock.
 async fn respond(socket: UdpSocket, path: Path) {
     let mut question = [0; 512];
     while let Ok((_, peer)) = socket.recv_from(&mut question).await {
         let received = to_ntp(path.robot(host_now()).as_nanos());
         let mut answer = [0; 48];
-        // Version as asked, mode server, stratum 1, precision 2^-23 s.
+        // Version as in the query, mode server, stratum 1, precision 2^-23 s.
         answer[..4].copy_from_slice(&[question[0] & 0b00_111_000 | 0b100, 1, 0, 0xe9]);
         answer[12..16].copy_from_slice(b"LOCL");
         answer[16..24].copy_from_slice(&received);
@@ -263,7 +263,7 @@ async fn respond(socket: UdpSocket, path: Path) {
     }
 }
 
-/// Passes every datagram on after a delay, each with a port of its own towards the responder, as a NAT does.
+/// Forwards every datagram after a delay, each from its own port towards the responder, as a NAT does.
 async fn proxy(front: Arc<UdpSocket>, responder: SocketAddr, path: Path, mut rng: Rng) {
     let mut datagram = [0; 512];
     while let Ok((length, peer)) = front.recv_from(&mut datagram).await {
@@ -292,7 +292,7 @@ async fn exchange(socket: &UdpSocket) -> Option<ClockSample> {
         let answered = tokio::time::timeout(Duration::from_secs(1), socket.recv(&mut answer)).await;
         let received = host_now();
         answered.ok()?.unwrap();
-        // An answer to an earlier question would be a robot that lies.
+        // An answer to an earlier query would make the robot's clock look wrong.
         if answer[24..32] == question[40..] {
             let (robot_received, robot_sent) = (from_ntp(&answer[32..40]), from_ntp(&answer[40..48]));
             return Some(ClockSample::from_exchange(sent, robot_received, robot_sent, received));
@@ -302,7 +302,7 @@ async fn exchange(socket: &UdpSocket) -> Option<ClockSample> {
 
 async fn real_trial(seed: u64, chrony: bool) -> Trials {
     let mut rng = Rng::with_seed(1_000_000 + seed);
-    // chronyd's offset is of some instant within six seconds: a clock that drifts would be held against it.
+    // chronyd's offset refers to an unknown instant within six seconds, so a drifting clock would count as an error of chronyd.
     let path = Path::new(&mut rng, host_now(), if chrony { 0.0 } else { DRIFT_BOUND });
     let responder = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let front = Arc::new(UdpSocket::bind("127.0.0.1:0").await.unwrap());
@@ -335,7 +335,7 @@ async fn real_trial(seed: u64, chrony: bool) -> Trials {
     trials
 }
 
-/// The offset that `chronyd -Q` tells: it asks, sets nothing and ends.
+/// The offset that `chronyd -Q` reports: it queries, sets nothing and exits.
 fn ask_chronyd(port: u16) -> Result<Span, String> {
     let folder = tempfile::tempdir().unwrap();
     let (config, pid) = (folder.path().join("chrony.conf"), folder.path().join("pid"));
@@ -371,7 +371,7 @@ async fn in_real_time(count: u64, first_seed: u64, chrony: bool) -> Trials {
     }
 }
 
-/// Mean time that the estimate takes for an exchange and a reading, when one comes every `pause`.
+/// Mean time that the estimate takes per exchange and reading, if one exchange comes every `pause`.
 fn cost(pause: Span) -> Duration {
     const EXCHANGES: u32 = 100_000;
     let mut rng = Rng::with_seed(1);
@@ -409,7 +409,7 @@ fn main() {
             let beside = runtime.block_on(in_real_time(CHRONY_TRIALS, REAL_TRIALS, true));
             let version = String::from_utf8_lossy(&version.stdout);
             let version = version.split(" (+").next().unwrap();
-            beside.print(&format!("in real time beside {version}, clocks that do not drift"));
+            beside.print(&format!("in real time next to {version}, clocks that do not drift"));
         }
         Err(error) => println!("\nno comparison with chronyd, which cannot be started: {error}"),
     }

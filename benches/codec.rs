@@ -1,4 +1,4 @@
-//! How fast messages are read, next to the JSON library alone; how large and how fast compact encodings are.
+//! How fast messages are parsed, compared with the JSON library alone, and how large and fast compact encodings are.
 //!
 //! `cargo bench -p urrcp --bench codec`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -12,12 +12,12 @@ use urrcp::{
     Setpoint, Step, StopCondition, Timestamp, encode, encode_as,
 };
 
-/// Every measurement is the median of so many, taken in turn with its baseline.
+/// Every measurement is the median of this many rounds, alternating with its baseline.
 const ROUNDS: usize = 15;
-/// A measurement repeats its work until it has taken so many seconds.
+/// A measurement repeats its work until it has taken this many seconds.
 const ROUND_TIME: f64 = 0.02;
 
-/// A script as a scenario compiles to: a step every 20 ms, values on a grid of a thousandth.
+/// A script as compiled from a scenario: a step every 20 ms, values on a grid of a thousandth.
 fn request(steps: u32) -> Message {
     let step = |i: u32| Step {
         offset: Millis::new(f64::from(i) * 20.0).unwrap(),
@@ -43,13 +43,13 @@ fn median(mut times: Vec<f64>) -> f64 {
 
 type Work<'a> = Box<dyn FnMut() + 'a>;
 
-/// Seconds that this thread has computed, whatever else the machine has to do.
+/// CPU seconds of this thread, independent of other load on the machine.
 fn computed() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
 }
 
-/// Seconds that the work takes once.
+/// Mean seconds per call of `work`.
 fn once(work: &mut dyn FnMut()) -> f64 {
     let begin = computed();
     let mut count = 0;
@@ -60,7 +60,7 @@ fn once(work: &mut dyn FnMut()) -> f64 {
     (computed() - begin) / f64::from(count)
 }
 
-/// The median seconds of each, measured in turn, so that a busy machine disturbs all alike.
+/// Median seconds of each, measured in turn, so that other load disturbs all equally.
 fn measure(works: &mut [(&str, Work<'_>)]) -> Vec<f64> {
     let mut times = vec![Vec::new(); works.len()];
     for _ in 0..ROUNDS {
@@ -118,14 +118,14 @@ fn decoding(steps: u32) {
     }
 }
 
-/// An encoding that was tried.
+/// An encoding under comparison.
 struct Candidate {
     name: &'static str,
     write: fn(&Message) -> Vec<u8>,
     read: fn(&[u8]) -> Message,
 }
 
-/// Names of keys, times and hashes as in JSON.
+/// Key names, times and hashes as in JSON.
 fn write_names(message: &Message) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut serializer = rmp_serde::Serializer::new(&mut bytes).with_struct_map().with_human_readable();
@@ -166,7 +166,7 @@ const CANDIDATES: [Candidate; 5] = [
     },
 ];
 
-/// A table of sizes and times, as `docs/encoding.md` shows it.
+/// Prints the table of sizes and times in `docs/encoding.md`.
 fn encodings() {
     println!("| encoding | steps | bytes | of JSON | write, us | read, us |");
     println!("|---|--:|--:|--:|--:|--:|");

@@ -1,4 +1,4 @@
-//! How fast scenarios compile, next to what the YAML library alone takes; how memory and time grow.
+//! How fast scenarios compile, compared with the YAML library alone, and how memory and time grow.
 //!
 //! `cargo bench -p downbeat-scripts --bench compile`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -15,7 +15,7 @@ use compiling::{peak_memory, simulated, steps};
 use downbeat_scripts::{Fleet, NoFiles, Source, compile, render};
 use serde::Deserialize;
 
-/// The same scenario as plain structs, as the YAML library reads them by itself.
+/// The same scenario as plain structs, as parsed by the YAML library alone.
 #[derive(Deserialize)]
 #[expect(dead_code, reason = "read, not used")]
 struct PlainScenario {
@@ -61,7 +61,7 @@ fn fleet(robots: usize, steps: u32, queue: u32) -> Fleet {
     Fleet { robots, groups, ..Fleet::default() }
 }
 
-/// Robots with four devices each and as many timed keyframes as fill `bytes`; every `eased`th is eased.
+/// Robots with four devices each and enough timed keyframes to fill `bytes`. Every `eased`th keyframe is eased.
 fn keyframes(bytes: usize, robots: usize, eased: usize) -> String {
     let mut text = "scenario: large\ncues:\n".to_owned();
     let each = bytes / robots / 4;
@@ -108,7 +108,7 @@ fn large_file(name: &str, eased: usize) {
         compiled
     };
     let (mut library, mut ours) = (Duration::MAX, Duration::MAX);
-    // In turn, so that a busy machine disturbs both alike.
+    // In turn, so that other load disturbs both equally.
     for _ in 0..4 {
         library = library.min(shortest(1, plain));
         ours = ours.min(shortest(1, whole));
@@ -123,7 +123,7 @@ fn large_file(name: &str, eased: usize) {
     );
 }
 
-/// A short scenario whose repeated move makes `steps` steps on one device.
+/// A short scenario whose repeated move produces `steps` steps on one device.
 fn expanding(steps: usize) -> String {
     let keyframes: String = (0..100)
         .map(|i| format!("{{at: {}ms, to: {}}}, ", i * 10, f64::from((i * 37) % 100) / 10.0))
@@ -153,7 +153,7 @@ fn expansion() {
     );
 }
 
-/// The slope of log time over log size, by least squares.
+/// Slope of log time over log size, by least squares.
 fn exponent(points: &[(f64, f64)]) -> f64 {
     let logs: Vec<_> = points.iter().map(|(size, time)| (size.ln(), time.ln())).collect();
     let mean = |values: &dyn Fn(&(f64, f64)) -> f64| logs.iter().map(values).sum::<f64>() / logs.len() as f64;
@@ -163,7 +163,7 @@ fn exponent(points: &[(f64, f64)]) -> f64 {
 }
 
 fn growth() {
-    // Larger than what an allocator keeps at hand: all sizes pay alike for fresh memory.
+    // Larger than the reserve of an allocator, so that all sizes need fresh memory.
     let sizes = [1_000_000usize, 2_000_000, 4_000_000, 8_000_000, 16_000_000];
     let one = fleet(1, 20_000_000, 1);
     let points: Vec<_> = sizes
@@ -211,7 +211,7 @@ fn many_findings() {
 fn main() {
     let only = std::env::args().nth(1).filter(|name| !name.starts_with('-'));
     let wanted = |name: &str| only.as_ref().is_none_or(|only| only == name);
-    // First, while the process has not yet held more.
+    // First, because peak memory never falls: no other benchmark may have raised it.
     if wanted("expansion") {
         expansion();
     }

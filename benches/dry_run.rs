@@ -1,5 +1,5 @@
-//! A dry run of 100 robots over ten minutes, a million steps, and of half of it: CPU time and peak memory of the program, with
-//! those of compiling the plan alone and of the bare robot machines, which play the same scripts without a mission.
+//! A dry run of 100 robots over ten minutes, a million steps, and of half of it: CPU time and peak memory of the program, compared with
+//! compiling the plan alone and with the bare robot machines, which play the same scripts without a mission.
 //!
 //! `cargo bench -p downbeat --bench dry_run`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -20,10 +20,10 @@ use rustix::process::{WaitId, WaitIdOptions, waitid};
 use urrcp::{Command, ControlRequest, Message, Millis, Timestamp};
 
 const ROBOTS: usize = 100;
-/// Between two steps of a robot.
+/// Time between two steps of a robot.
 const STEP_MS: usize = 60;
 const MINUTES: usize = 10;
-/// Clock ticks a second in /proc, as Linux has them everywhere.
+/// Clock ticks per second in /proc, the same on every Linux.
 const TICKS: f64 = 100.0;
 
 const INIT: &str = r#"id: arm
@@ -41,7 +41,7 @@ devices:
       script: {min_value: -90, max_value: 90, granularity: 0.001, max_number_of_steps: 200}
 "#;
 
-/// A scenario in which every robot makes a step every 60 ms, with values that no step can leave out.
+/// A scenario in which every robot makes a step every 60 ms. The values are chosen so that no step can be omitted.
 fn generate(folder: &Path, minutes: usize) {
     std::fs::write(folder.join("arm.yaml"), INIT).unwrap();
     let names: Vec<String> = (0..ROBOTS).map(|robot| format!("r{robot}")).collect();
@@ -71,7 +71,7 @@ fn compiled(folder: &Path) -> (Choreography, Fleet) {
     (compiled.choreography.unwrap(), fleet)
 }
 
-/// The robots with their scripts, each sent 200 ms before its start; no mission, no leases, no listener.
+/// Plays the scripts on the robot machines alone, each script sent 200 ms before its start: no mission, no leases, no listener.
 fn bare_robots(folder: &Path) {
     let (choreography, fleet) = compiled(folder);
     let begin: Timestamp<True> = BEGIN.assume_clock();
@@ -119,14 +119,14 @@ fn bare_robots(folder: &Path) {
     println!("{steps} steps");
 }
 
-/// CPU seconds and peak resident megabytes of a program, which must end well.
+/// CPU seconds and peak resident megabytes of a program, which must succeed.
 fn measure(program: &Path, arguments: &[&str]) -> (f64, f64) {
     let mut child =
         Process::new(program).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let proc = Path::new("/proc").join(child.id().to_string());
     let pid = rustix::process::Pid::from_child(&child);
     let mut peak = 0.0_f64;
-    // A process that has ended and was not waited for still has its times, and no memory any more.
+    // A zombie process still reports its CPU times, but no memory.
     let ended = || {
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG;
         waitid(WaitId::Pid(pid), options).unwrap().is_some()
@@ -139,7 +139,7 @@ fn measure(program: &Path, arguments: &[&str]) -> (f64, f64) {
         std::thread::sleep(Duration::from_millis(2));
     }
     let stat = std::fs::read_to_string(proc.join("stat")).unwrap();
-    // The name of the program stands in brackets, whatever it contains; utime and stime are fields 14 and 15.
+    // The program name is in parentheses and may contain spaces. utime and stime are fields 14 and 15.
     let fields: Vec<&str> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
     let ticks: f64 = fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap();
     assert!(child.wait().unwrap().success(), "{} {arguments:?}", program.display());

@@ -1,8 +1,8 @@
-//! From the first request to the decision for thousands of robots on loopback, which all play the same script or each its own.
-//! Next to a raw exchange of messages of the same size over tokio's TCP, the same with the messages written and read as URRCP
-//! asks and nothing else done, and MQTT through mosquitto where that is installed. Robots are simulated in a process of their own.
+//! Time from the first request to the decision for thousands of robots on loopback, which all play the same script or each its own.
+//! Compared with a raw exchange of messages of the same size over tokio's TCP, with the same exchange if messages are also encoded and
+//! parsed as URRCP requires, and with MQTT through mosquitto if it is installed. Robots are simulated in a separate process.
 //!
-//! `cargo bench --bench fan_out`; with numbers behind it those fleets: `cargo bench --bench fan_out -- 1000 4000`.
+//! `cargo bench --bench fan_out`; further numbers choose the fleets: `cargo bench --bench fan_out -- 1000 4000`.
 #![expect(
     clippy::unwrap_used,
     clippy::print_stdout,
@@ -28,7 +28,7 @@ use urrcp::{
     Timestamp, encode,
 };
 
-/// That of the program.
+/// The same allocator as in the program.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -44,7 +44,7 @@ fn block(id: usize) -> InitializationBlock {
     serde_json::from_str(&json).unwrap()
 }
 
-/// Each number has its own script. All are as long.
+/// Each number gives a different script of the same length.
 fn script(number: usize) -> Script {
     let places = [number % 90, number / 90 % 90, number / 8_100];
     let step = |i: u32| Step {
@@ -58,18 +58,18 @@ fn script(number: usize) -> Script {
     Script::new((0..STEPS).map(step).collect()).unwrap()
 }
 
-/// Who plays what.
+/// Which robot plays which script.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Plays {
-    /// All robots the same script.
+    /// All robots play the same script.
     InUnison,
-    /// Each robot a script of its own.
+    /// Each robot plays a script of its own.
     ItsOwn,
 }
 
 fn plan(robots: usize, plays: Plays) -> Plan {
     let stop_condition = StopCondition { pending: None, running: Millis::new(20_000.0).ok() };
-    // One after another: a process that moves eight thousand robots at one instant does the last one late.
+    // Staggered: a process that moves eight thousand robots at one instant moves the last one late.
     let script = |id: usize| DeviceScript {
         device: DeviceId::new("d").unwrap(),
         start: Millis::new(id as f64 * 0.25).unwrap(),
@@ -88,7 +88,7 @@ fn plan(robots: usize, plays: Plays) -> Plan {
     }
 }
 
-/// Robots, echoes or MQTT clients in another process.
+/// Robots, echo servers or MQTT clients in another process.
 struct Peers {
     child: Child,
     ports: Vec<u16>,
@@ -101,7 +101,7 @@ impl Drop for Peers {
     }
 }
 
-/// This program again, as the other side.
+/// Starts this program again in another role.
 fn peers(role: &str, count: usize) -> Peers {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.env("FAN_OUT_ROLE", role).env("FAN_OUT_COUNT", count.to_string());
@@ -134,16 +134,16 @@ async fn be_robots(count: usize) {
     std::future::pending::<()>().await;
 }
 
-/// What the raw exchange carries.
+/// Payload of the raw exchange.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Carries {
     /// The same bytes each time.
     Bytes,
-    /// Messages that are written and read.
+    /// Messages that are encoded and parsed.
     Messages,
 }
 
-/// Answers every line with one of the size of an acceptance.
+/// Answers every line with a line as long as an acceptance.
 async fn be_echoes(count: usize, carries: Carries) {
     for _ in 0..count {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -170,7 +170,7 @@ async fn be_echoes(count: usize, carries: Carries) {
     std::future::pending::<()>().await;
 }
 
-/// What a robot answers to a request.
+/// Response of a robot to a request.
 fn acceptance(line: &str) -> Vec<u8> {
     let Message::ControlRequest(request) = serde_json::from_str(line).unwrap() else { panic!("{line}") };
     let content_hash = Some(request.command.content_hash());
@@ -188,7 +188,7 @@ fn acceptance(line: &str) -> Vec<u8> {
     line
 }
 
-/// From the sending timestamp to the decision.
+/// Time from the sending timestamp to the decision.
 fn downbeat(count: usize, plays: Plays) -> Duration {
     let peers = peers("robots", count);
     runtime().block_on(async {
@@ -237,7 +237,7 @@ fn request(id: usize, script: Script) -> ControlRequest {
     request
 }
 
-/// One message of the same size to every peer and back, all at once, on connections that stand.
+/// Sends one message of the same size to every peer and back, all at once, on open connections.
 fn raw(count: usize, carries: Carries) -> Duration {
     let peers = peers(if carries == Carries::Bytes { "echoes" } else { "readers" }, count);
     runtime().block_on(async {
@@ -246,7 +246,7 @@ fn raw(count: usize, carries: Carries) -> Duration {
         for port in &peers.ports {
             let stream = TcpStream::connect(("127.0.0.1", *port)).await.unwrap();
             stream.set_nodelay(true).unwrap();
-            // Scripts are compiled and hashed before a mission begins.
+            // A mission also compiles and hashes its scripts before it begins.
             streams.push((stream, request(streams.len(), script(streams.len()))));
         }
         let began = Instant::now();
@@ -284,7 +284,7 @@ async fn read_one(mut reader: tokio::net::tcp::OwnedReadHalf) -> Status {
     }
 }
 
-/// MQTT 3.1.1, as much of it as this needs: every robot a client that listens to a topic of its own and answers on one.
+/// The part of MQTT 3.1.1 that this comparison needs: every robot is a client that subscribes to its own topic and answers on another.
 mod mqtt {
     use super::*;
 
@@ -355,7 +355,7 @@ mod mqtt {
         std::future::pending::<()>().await;
     }
 
-    /// As a user would build it: publish to every robot's topic, count the answers on a wildcard.
+    /// As a user would build it: publishes to every robot's topic, and counts the answers on a wildcard.
     pub(super) fn exchange(count: usize) -> Option<Duration> {
         let folder = std::env::temp_dir().join("downbeat-fan-out-mosquitto.conf");
         let config = format!(
@@ -430,7 +430,7 @@ struct Times {
 }
 
 impl Times {
-    /// `None` where nothing was measured.
+    /// `None` if nothing was measured.
     fn of(mut durations: Vec<Duration>) -> Option<Self> {
         durations.sort();
         let at = |index: usize| durations.get(index).map(|time| time.as_secs_f64() * 1e3);
@@ -443,7 +443,7 @@ fn main() {
     downbeat::open_files::raise_limit();
     if let Ok(role) = std::env::var("FAN_OUT_ROLE") {
         let count = std::env::var("FAN_OUT_COUNT").unwrap().parse().unwrap();
-        // Ends with the process that started it.
+        // Exits with the process that started it.
         std::thread::spawn(|| {
             let _closed = std::io::stdin().read(&mut [0]);
             std::process::exit(0);
@@ -470,7 +470,7 @@ fn main() {
     for count in fleets {
         let mut rows = [const { Vec::new() }; 5];
         for _ in 0..ROUNDS {
-            // All in turn, so that all meet the same machine.
+            // All in turn, so that they run under the same conditions.
             let times = [
                 Some(raw(count, Carries::Bytes)),
                 Some(downbeat(count, Plays::InUnison)),

@@ -1,6 +1,6 @@
-//! Groups that move from formation to formation, compared with the same movements written out: as a script of one's own would have
-//! written them, with every place and every assignment known before. What is more is the search for places and ways.
-//! And the ways of all robots, compared with those of an assignment in which each in turn takes the nearest free place.
+//! Groups that move from formation to formation, compared with the same movements written out, as a custom script would write them with
+//! every place and every assignment already known. The difference is the search for places and ways.
+//! Also compares the total way of all robots with an assignment in which each robot in turn takes the nearest free place.
 //!
 //! `cargo bench -p downbeat-scripts --bench formations`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -18,7 +18,7 @@ use downbeat_scripts::{
     Act, Body, Compiled, Coordinate, Fleet, FleetRobot, NoFiles, Shape, Source, Space, compile,
 };
 
-/// Robots, and how often each is compiled; the shortest time counts.
+/// Number of robots, and how often each group is compiled. The shortest time is used.
 const GROUPS: [(usize, usize); 3] = [(100, 5), (300, 3), (1_000, 1)];
 const RADIUS: f64 = 0.25;
 const DISTANCE: f64 = 1.0;
@@ -56,7 +56,7 @@ fn fleet(count: usize) -> Fleet {
 }
 
 fn formed(count: usize) -> String {
-    // Of a thousand robots a text would be a kilometre wide.
+    // For a thousand robots, a text would be a kilometre wide.
     let word = match count {
         ..=300 => format!("{{text: DOWNBEAT, size: {}, at: [0, 0, 100]}}", 18.0 * (count as f64).sqrt()),
         _ => "{sphere: {radius: 40}, at: [0, 0, 100]}".to_owned(),
@@ -75,7 +75,7 @@ cues:
     )
 }
 
-/// Times in milliseconds and values of each device of each robot that moves.
+/// Times in milliseconds and values, per device of each moving robot.
 fn tracks(act: &Act, fleet: &Fleet) -> BTreeMap<(String, String), Vec<(f64, f64)>> {
     let mut tracks: BTreeMap<(String, String), Vec<(f64, f64)>> = BTreeMap::new();
     for plan in &act.plan.robots {
@@ -86,7 +86,7 @@ fn tracks(act: &Act, fleet: &Fleet) -> BTreeMap<(String, String), Vec<(f64, f64)
             let own = script.script.steps().iter();
             let own = own.map(|step| (script.start.get() + step.offset.get(), step.setpoint.value));
             for (at, to) in std::iter::once((script.start.get(), before)).chain(own) {
-                // Scripts that meet share a value.
+                // Consecutive scripts share a value.
                 if track.last().is_none_or(|(until, _)| at > until + 1e-3) {
                     track.push((at, to));
                 }
@@ -132,7 +132,7 @@ fn timed(fleet: &Fleet, text: String, times: usize) -> (Compiled, Duration) {
     (0..times).map(|_| one()).min_by_key(|(_, took)| *took).unwrap()
 }
 
-/// Where each robot is at a time: after its last step until then.
+/// Position of each robot after its last step up to this time.
 fn places(act: &Act, fleet: &Fleet, at_ms: f64) -> Vec<Place> {
     let tracks = tracks(act, fleet);
     let value = |robot: &FleetRobot, device: &str| {
@@ -147,7 +147,7 @@ fn metres(a: &Place, b: &Place) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// The sum of the ways if each in turn takes the nearest place that is free.
+/// Sum of the ways if each robot in turn takes the nearest free place.
 fn nearest_first(from: &[Place], to: &[Place]) -> f64 {
     let mut free: Vec<&Place> = to.iter().collect();
     let mut sum = 0.0;

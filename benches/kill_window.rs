@@ -1,7 +1,7 @@
-//! How long before the start can a robot fail without the others being withdrawn? One of six robot processes is killed,
-//! frozen, cut off or muted at instants from a second before the start to the start; the robots' own logs tell who started.
-//! Compared with it: what a scheduler would give that decides once, when all have accepted. `false_withdrawals` counts missions
-//! without a fault that were withdrawn while every core is busy.
+//! How long before the start can a robot fail such that the others are still withdrawn? One of six robot processes is killed, frozen, cut
+//! off or muted at an instant from a second before the start to the start. The robots' own logs show which of them started.
+//! Compared with a scheduler that decides once, when all have accepted. `false_withdrawals` counts missions without a fault that were
+//! withdrawn while every core is busy.
 //!
 //! `cargo bench --bench kill_window -- MODE TRIALS EARLIEST_MS DOUBT`, each optional: `killed`, `frozen`, `cut`, `muted` or
 //! `false_withdrawals`; 200; 1000; `start` or `withdraw`, as the scenario's `on_doubt`.
@@ -23,13 +23,13 @@ use stage::{Ended, Stage, Via, epoch_nanos, one_device, sleep_until};
 
 const ROBOTS: usize = 6;
 const TRIALS: usize = 200;
-/// Stages that play trials at the same time.
+/// Number of stages that play trials concurrently.
 const STAGES: usize = 2;
-/// From the sending of the scripts to the start, so that every instant of the trials lies between.
+/// Time from sending the scripts to the start. Covers every instant of the trials.
 const LEAD: &str = "1100ms";
-/// How long the scripts play, and a little more for the last lines of the logs.
+/// Duration of the scripts, and some time for the last lines of the logs, in nanoseconds.
 const PLAYED: i64 = 450_000_000;
-/// A mission that has not ended by then hangs.
+/// A mission that has not ended within this time hangs.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// The lease of the baseline, in nanoseconds.
 const CONSTANT_LEASE: i64 = 240_000_000;
@@ -41,16 +41,16 @@ cues:
   - {at: 0s, robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 150ms, to: 2}, {at: 300ms, to: 3}]}}
 ";
 
-/// What befalls one robot.
+/// A fault of one robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
-    /// SIGKILL: its socket closes, and no process listens any more.
+    /// SIGKILL: its socket closes, and no process listens any longer.
     Killed,
-    /// SIGSTOP: its socket stands, and it says and does nothing.
+    /// SIGSTOP: its socket stays open, but it neither sends nor does anything.
     Frozen,
-    /// It lives on; its link is closed, and further ones are refused.
+    /// The robot keeps running; its link is closed, and new links are refused.
     Cut,
-    /// It lives on; its link stands, and nothing passes.
+    /// The robot keeps running; its link stays open, but passes no data.
     Muted,
 }
 
@@ -66,7 +66,7 @@ impl Fault {
         }
     }
 
-    /// How the first robot is reached. A proxy would take connections to a process that has ended.
+    /// How the first robot is reached. Direct for dead processes, because a proxy would still accept connections to them.
     fn via(self) -> Via {
         match self {
             Self::Killed | Self::Frozen => Via::Direct,
@@ -93,10 +93,10 @@ impl Fault {
     }
 }
 
-/// One mission and what became of it. Instants are nanoseconds before the start.
+/// One mission and its result. Instants are nanoseconds before the start.
 struct Trial {
     struck: i64,
-    /// When all had accepted, and until when the program said that a failure withdraws.
+    /// When all robots had accepted, and the printed deadline up to which a failure withdraws the mission.
     printed: Option<Printed>,
     others: usize,
     victim: bool,
@@ -108,19 +108,19 @@ struct Printed {
 }
 
 impl Trial {
-    /// Some started, others did not.
+    /// Whether some robots started and others did not.
     fn is_mixed(&self) -> bool {
         !matches!((self.others, self.victim), (0, false)) && (self.others < ROBOTS - 1 || !self.victim)
     }
 
-    /// The failure came before the printed deadline, and only some of the six started. That all start is no broken word:
-    /// a link that breaks before a robot that lives is no failure of the robot.
+    /// Whether the failure came before the printed deadline, but some of the six robots started and others did not. If all start, the
+    /// promise is kept: a link that breaks before a running robot is not a failure of the robot.
     fn broke_its_word(&self) -> bool {
         self.is_mixed() && self.printed.as_ref().is_some_and(|printed| self.struck > printed.deadline)
     }
 }
 
-/// The words of the command line.
+/// Arguments of the command line without options.
 fn words() -> Vec<String> {
     std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect()
 }
@@ -137,10 +137,10 @@ fn stage(first: Via) -> Stage {
 }
 
 fn trial(stage: &mut Stage, fault: Fault, number: usize, before: i64) -> Option<Trial> {
-    // Only the first has a link that can be cut.
+    // Only the first robot has a link that can be cut.
     let victim = if fault.via() == Via::Proxy { 0 } else { number % ROBOTS };
     let began = epoch_nanos();
-    let mut running = stage.start(&["run", "window.yaml", "--lead", LEAD, "--patience", "1s"]);
+    let mut running = stage.start(&["run", "window.yaml", "--verbose", "--lead", LEAD, "--patience", "1s"]);
     let Some(start) = running.start_if_prepared() else {
         println!("  trial {number} was never prepared: {}", running.ended().told);
         return None;
@@ -167,17 +167,17 @@ fn trial(stage: &mut Stage, fault: Fault, number: usize, before: i64) -> Option<
     Some(trial)
 }
 
-/// Reads `starts in 1.07 s; for 950.1 ms more a known failure still withdraws it, and silence is noticed if it begins 46 ms
-/// before the start or earlier`. A process that ended is known to have failed; whatever else strikes a robot is silence.
+/// Reads `starts in 1.07 s; if a robot fails in the next 950.1 ms, no robot starts; silence is detected if it begins at least 46 ms
+/// before the start`. A process that ended is known to have failed; all other faults are silence.
 fn printed(ended: &Ended, fault: Fault) -> Option<Printed> {
-    let line = ended.told.lines().find(|line| line.contains("all have accepted"))?;
+    let line = ended.told.lines().find(|line| line.contains("all robots have accepted"))?;
     let after = |words: &str| span(line.split(words).nth(1)?);
-    let (ahead, open, silence) = (after("starts in ")?, after("; for ")?, after("if it begins ")?);
+    let (ahead, open, silence) = (after("starts in ")?, after("in the next ")?, after("begins at least ")?);
     let deadline = if fault == Fault::Killed { ahead - open } else { silence };
     Some(Printed { accepted: ahead, deadline })
 }
 
-/// `347.787 ms`, whatever stands behind it, in nanoseconds.
+/// Parses a time such as `347.787 ms` at the beginning of a text, in nanoseconds.
 fn span(text: &str) -> Option<i64> {
     let mut words = text.split([' ', ';', ',']);
     let number: f64 = words.next()?.parse().ok()?;
@@ -195,7 +195,7 @@ fn millis(nanos: i64) -> f64 {
     nanos as f64 / 1e6
 }
 
-/// So many trials of one fault, on several stages at once.
+/// Runs `count` trials of one fault, on several stages at once.
 fn trials(fault: Fault, count: usize, earliest: i64) -> Vec<Trial> {
     let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     std::thread::scope(|scope| {
@@ -233,7 +233,7 @@ fn tell(fault: Fault, trials: &[Trial]) {
     let deadlines = || trials.iter().filter_map(|trial| Some(trial.printed.as_ref()?.deadline));
     if let Some((least, most)) = deadlines().min().zip(deadlines().max()) {
         let range = format!("{:.1} to {:.1}", millis(least), millis(most));
-        println!("  {:<52}{range:>18}", "printed: withdrawn until so many ms before the start");
+        println!("  {:<52}{range:>18}", "printed: withdrawn until this many ms before the start");
     }
     println!("  {:<62}{:>8}", "trials that printed no deadline", count(&|t| t.printed.is_none()));
     println!("  {:<62}{:>8}", "trials in which what was printed was false", count(&|t| t.broke_its_word()));
@@ -255,7 +255,7 @@ fn tell(fault: Fault, trials: &[Trial]) {
     );
 }
 
-/// Least and longest round trip to the robots, as the program measures them.
+/// Prints the least and longest round trip to the robots, as the program measures them.
 fn tell_round_trips() {
     let stage = stage(Via::Direct);
     let ping = stage.run(&["fleet", "ping", "fleet.yaml", "--format", "json"]).report();
@@ -271,7 +271,7 @@ fn tell_round_trips() {
     );
 }
 
-/// Missions in which nothing fails.
+/// Runs missions in which nothing fails.
 fn false_withdrawals(missions: usize) {
     let (mut done, mut reasons) = (0, BTreeMap::<String, usize>::new());
     let stage = stage(Via::Direct);
@@ -291,7 +291,7 @@ fn false_withdrawals(missions: usize) {
         }
     });
     println!(
-        "false_withdrawals: {missions} missions without a fault beside two busy threads: {done} done; {reasons:?}"
+        "false_withdrawals: {missions} missions without a fault next to two busy threads: {done} done; {reasons:?}"
     );
 }
 

@@ -1,5 +1,5 @@
-//! Large shows: time and peak memory of reading and compiling them, each in a process of its own, compared with the YAML
-//! library alone, which reads the same bytes into plain structs.
+//! Large shows: time and peak memory of parsing and compiling them, each in a separate process. Compared with the YAML library alone,
+//! which parses the same bytes into plain structs.
 //!
 //! `cargo bench -p downbeat-scripts --bench large_shows`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -18,15 +18,15 @@ use compiling::{peak_memory, simulated, steps};
 use downbeat_scripts::{Fleet, NoFiles, Source, compile};
 use serde_yaml::Value;
 
-/// Each is measured so often; the shortest time and the largest memory count.
+/// Number of runs of each case. The shortest time and the largest memory are used.
 const RUNS: usize = 3;
 
-/// What is compiled, and what is measured against.
+/// A generated scenario that is compiled.
 struct Case {
     name: &'static str,
-    /// The text of the scenario.
+    /// Generates the text of the scenario.
     text: fn() -> String,
-    /// Bounds of seconds and of bytes for a million steps, where they are promised.
+    /// Whether bounds of seconds and bytes per million steps are promised.
     bounded: bool,
 }
 
@@ -49,7 +49,7 @@ fn device(name: &str, interpolation: &str) -> String {
     )
 }
 
-/// Ten robots, each with lamps that hold and axes that move.
+/// Ten robots, each with lamps that hold their values and axes that move.
 fn fleet() -> Fleet {
     let robot = |index: usize| {
         let lamps = (0..16).map(|lamp| device(&format!("lamp {lamp}"), "hold"));
@@ -62,7 +62,7 @@ fn fleet() -> Fleet {
     Fleet { robots: (0..10).map(robot).collect(), ..Fleet::default() }
 }
 
-/// Ten robots with so many tracks each, and in every track its share of items.
+/// Ten robots with `each` tracks per robot, and `items` distributed evenly over all tracks.
 fn tracks(items: usize, names: &str, each: usize, item: impl Fn(usize, usize) -> String) -> String {
     let mut text = "scenario: large\ncues:\n".to_owned();
     for robot in 0..10 {
@@ -77,7 +77,7 @@ fn tracks(items: usize, names: &str, each: usize, item: impl Fn(usize, usize) ->
     text
 }
 
-/// A value that changes all the time, on the grid of every device.
+/// A value that changes with every index, on the grid of every device.
 fn value(track: usize, index: usize) -> f64 {
     ((index * 37 + track * 11) % 255) as f64 / 8.0
 }
@@ -95,7 +95,7 @@ fn colours(steps: usize) -> String {
     })
 }
 
-/// Axes as `downbeat import` writes them, every eighth value faded to.
+/// Axes as `downbeat import` writes them, with a fade to every eighth value.
 fn faded(keyframes: usize) -> String {
     tracks(keyframes, "axis", 20, |track, index| {
         let ease = if index % 8 == 1 { ", ease: smooth" } else { "" };
@@ -103,7 +103,7 @@ fn faded(keyframes: usize) -> String {
     })
 }
 
-/// As programs write it: each keyframe as an object, all keyframes of a track in one line.
+/// As written by programs: each keyframe as an object, all keyframes of a track on one line.
 fn json(keyframes: usize) -> String {
     let mut text = "{\"scenario\": \"large\", \"cues\": [".to_owned();
     for robot in 0..10 {
@@ -121,7 +121,7 @@ fn json(keyframes: usize) -> String {
     text + "]}\n"
 }
 
-/// Short motions of a humanoid, an act each: keyframes for all its axes, thinned.
+/// Short motions of a humanoid, one act each: thinned keyframes for all its axes.
 fn acts(count: usize) -> String {
     let mut text = "scenario: motions\nacts:\n".to_owned();
     for act in 0..count {
@@ -144,7 +144,7 @@ fn acts(count: usize) -> String {
     text
 }
 
-/// An anchor, and then nothing but aliases of it.
+/// An anchor, followed only by aliases of it.
 fn aliases(bytes: usize) -> String {
     let mut text = "scenario: bomb\nvariables:\n  a: &a {b: [1, 2, 3], c: x}\n  l:\n".to_owned();
     while text.len() < bytes {
@@ -153,7 +153,7 @@ fn aliases(bytes: usize) -> String {
     text
 }
 
-/// In a process of its own: reads a file, prints milliseconds, bytes and steps.
+/// Runs in a separate process: reads a file, prints milliseconds, bytes and steps.
 fn measure(what: &str, path: &str) {
     let fleet = fleet();
     let (before, begin) = (peak_memory(), Instant::now());
@@ -201,7 +201,7 @@ fn compare(case: &Case, folder: &Path) {
     std::fs::write(&path, text).unwrap();
     let (mut plain, mut ours) = (child("plain", &path), child("ours", &path));
     for _ in 1..RUNS {
-        // In turn, so that a busy machine disturbs both alike.
+        // In turn, so that other load disturbs both equally.
         let (other, again) = (child("plain", &path), child("ours", &path));
         plain = Measured {
             seconds: plain.seconds.min(other.seconds),

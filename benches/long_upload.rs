@@ -1,6 +1,6 @@
-//! How late a robot's steps are while another robot of the same host takes long scripts over TCP, beside a host that takes
-//! none. The long scripts carry a `content_hash`, which the robot has to check. The robots' thread asks for real-time
-//! scheduling: where it may have that, what else the machine does is not measured.
+//! How late a robot's steps are while another robot of the same host receives long scripts over TCP, compared with a host that receives
+//! none. The long scripts carry a `content_hash`, which the robot has to check. The robots' thread requests real-time scheduling; if that
+//! is granted, other load on the machine does not affect the figures.
 //!
 //! `cargo bench --bench long_upload`
 #![expect(
@@ -23,13 +23,13 @@ use urrcp::{
     Script, Server, Setpoint, Status, Step, Timestamp, encode,
 };
 
-/// Of the long script.
+/// Number of steps of the long script.
 const LONG: u32 = 10_000;
-/// Of the script whose steps are watched.
+/// Number of steps of the watched script.
 const WATCHED: u32 = 2_000;
-/// Between two of its steps, in milliseconds.
+/// Time between two watched steps, in milliseconds.
 const BEAT: f64 = 5.0;
-/// Between two uploads.
+/// Pause between two uploads.
 const PAUSE: Duration = Duration::from_millis(50);
 
 fn block(id: usize) -> InitializationBlock {
@@ -64,7 +64,7 @@ fn cancel() -> Message {
     Message::ControlRequest(ControlRequest::immediate(DeviceId::new("d").unwrap(), command))
 }
 
-/// Sends long scripts, each cancelled once it is accepted, until it is dropped.
+/// Sends long scripts, and cancels each after its acceptance, until the future is dropped.
 async fn upload(address: std::net::SocketAddr) {
     let mut stream = TcpStream::connect(address).await.unwrap();
     let mut decoder = Decoder::new(urrcp::LINE_BYTES_MAX);
@@ -104,7 +104,7 @@ async fn play(link: &mut RobotLink) {
     }
 }
 
-/// How late each watched step was, in microseconds, in rising order.
+/// Lateness of each watched step, in microseconds, in ascending order.
 fn lateness(log: &PathBuf) -> Vec<f64> {
     let text = std::fs::read_to_string(log).unwrap();
     let lines = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());

@@ -1,9 +1,9 @@
-//! How closely six robots start, and how late: deferred start with and without real-time scheduling, start on receipt, tokio's
-//! timer, and the best that this machine can do, in turn within one run, idle and with all cores busy.
+//! How closely together and how late six robots start: deferred start with and without real-time scheduling, start on receipt, tokio's
+//! timer, and the best that this machine can do. All take turns within one run, on an idle machine and with all cores busy.
 //!
-//! Six robot processes on TCP, each with a clock of its own up to 300 ms off. True starts are read from the robots' own
-//! logs, by the one clock of the host. Every second row leaves out the missions in which a witness saw that the host or
-//! another program took a core away around the start, so that the tail of Downbeat can be told from that of the machine.
+//! Six robot processes on TCP, each with its own clock, up to 300 ms off. True starts are read from the robots' own logs, by the host's
+//! clock. Every second row leaves out the missions in which a witness detected that the host or another program took a core away around
+//! the start. This separates the tail of Downbeat from that of the machine.
 //!
 //! `cargo bench --bench start_spread -- [one-host] [idle | busy] [missions N] [auto] [off] [receipt] [tokio] [ideal]`
 #![expect(
@@ -28,7 +28,7 @@ use starting::waiters::{Kind, Waiters, be_a_waiter};
 use starting::witness::{Group, Witness};
 
 const MISSIONS: usize = 100;
-/// A robot that has nothing else to write has written its log by then.
+/// Time within which an idle robot has written its log.
 const LOGS_WRITTEN: Duration = Duration::from_millis(200);
 
 /// Keeps every core busy.
@@ -51,7 +51,7 @@ impl Drop for Load {
     }
 }
 
-/// What was asked for.
+/// Arguments of the command line.
 struct Arguments(Vec<String>);
 
 impl Arguments {
@@ -59,7 +59,7 @@ impl Arguments {
         self.0.iter().any(|argument| argument == word)
     }
 
-    /// Whether this way of starting is measured: all are where none is named.
+    /// Whether this way of starting is measured. By default, all are.
     fn measures(&self, way: &str) -> bool {
         self.has(way) || !["auto", "off", "receipt", "tokio", "ideal"].iter().any(|way| self.has(way))
     }
@@ -74,7 +74,7 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
 }
 
-/// Over a network that delays: starts by time and on receipt.
+/// Measures starts by time and on receipt, over a network with delays.
 fn over_a_network(missions: usize) {
     let network = Settings { delay: "80ms", ntp_error: "40us", realtime: "auto" };
     let fleets = [Fleet::start(network), Fleet::start(network)];
@@ -89,7 +89,7 @@ fn over_a_network(missions: usize) {
     Measured::of(fleets[1].rounds().iter()).row_of_spreads("start on receipt (baseline)");
 }
 
-/// The ways of starting on one host, each with what it is called.
+/// The ways of starting on one host, each with its name.
 struct OneHost {
     fleets: Vec<(&'static str, Fleet)>,
     receiving: Option<Fleet>,
@@ -115,7 +115,7 @@ impl OneHost {
         }
     }
 
-    /// A mission each, in turn, so that whatever else runs meets all of them alike.
+    /// Runs one mission each, in turn, so that other load affects all of them equally.
     fn round(&mut self, runtime: &tokio::runtime::Runtime) {
         let witness = self.witness.as_ref();
         self.fleets.iter().for_each(|(_, fleet)| runtime.block_on(deferred(fleet, witness)));
@@ -123,7 +123,7 @@ impl OneHost {
         self.waiters.iter_mut().for_each(|(_, waiters)| waiters.round(witness));
     }
 
-    /// Prints the figures; returns every start.
+    /// Prints the figures. Returns every start.
     fn tell(&self) -> String {
         let witness = self.witness.as_ref();
         if witness.is_none() {
@@ -151,7 +151,7 @@ fn main() {
     let missions = arguments.missions();
     println!("{ROBOTS} processes, {missions} missions, ms");
     println!("  {:<44}{:>36}   {:>36}", "", "apart: p50, p90, p99, max", "late: p50, p90, p99, max");
-    // `-- one-host` leaves the slow part out.
+    // `-- one-host` leaves out the slow part.
     if !arguments.has("one-host") {
         println!("clocks known to 40 us, answers up to 80 ms late");
         over_a_network(missions);
@@ -168,7 +168,7 @@ fn main() {
         }
         std::thread::sleep(LOGS_WRITTEN);
         let lines = one_host.tell();
-        // Every start, for whoever wants to see what the tail is made of.
+        // Writes every start to a file, for an analysis of the tail.
         if let Ok(file) = std::env::var("START_SPREAD_RAW") {
             std::fs::write(format!("{file}.{name}"), lines).unwrap();
         }

@@ -1,5 +1,5 @@
-//! Temporal networks of 100,000 cues, compared with petgraph's Bellman-Ford on the same graphs; one change compared with solving again;
-//! orders of job shops compared with their proven optima.
+//! Temporal networks of 100,000 cues, compared with petgraph's Bellman-Ford on the same graphs; a single change, compared with solving
+//! again; orders of job shops, compared with their proven optima.
 //!
 //! `cargo bench -p downbeat-timing --bench temporal_network`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -16,14 +16,14 @@ use urrcp::Span;
 
 const CUES: usize = 100_000;
 
-/// A network and its bounds as they were given: from, to, least, largest.
+/// A network and its original bounds: from, to, minimum, maximum.
 struct Shape {
     name: &'static str,
     events: usize,
     bounds: Vec<(usize, usize, Option<i64>, Option<i64>)>,
 }
 
-/// Marsaglia's xorshift: the same graphs every time.
+/// Marsaglia's xorshift: the same graphs in every run.
 struct Random(u64);
 
 impl Random {
@@ -36,7 +36,7 @@ impl Random {
 }
 
 impl Shape {
-    /// Cues with start and end; event 0 is the origin, 1 and 2 the first cue's.
+    /// Cues with start and end. Event 0 is the origin; events 1 and 2 belong to cue number 0.
     fn cues(
         name: &'static str,
         cues: usize,
@@ -47,7 +47,7 @@ impl Shape {
         (Self { name, events: 1 + 2 * cues, bounds }, move |cue| events[cue])
     }
 
-    /// Each cue after the one before, with a largest gap as well, and a third constraint to one further back.
+    /// Each cue follows the previous one, optionally with a largest gap, and has a further constraint to an earlier cue.
     fn chain(name: &'static str, cues: usize, largest: Option<i64>, number: impl Fn(usize) -> usize) -> Self {
         let (mut shape, event) = Self::cues(name, cues, number);
         for cue in 1..cues {
@@ -57,7 +57,7 @@ impl Shape {
         shape
     }
 
-    /// Cues after two random earlier ones.
+    /// Each cue follows two random earlier ones.
     fn layered(cues: usize) -> Self {
         let (mut shape, event) = Self::cues("random, each after two others", cues, |cue| cue);
         let mut random = Random(7);
@@ -74,7 +74,7 @@ impl Shape {
         shape
     }
 
-    /// Each cue at a fixed time, and a little after the one before.
+    /// Each cue at a fixed time, shortly after the previous one.
     fn tied(cues: usize) -> Self {
         let (mut shape, event) = Self::cues("every cue at a fixed time", cues, |cue| cue);
         for cue in 0..cues {
@@ -99,7 +99,7 @@ impl Shape {
         (network, ids)
     }
 
-    /// The same as lengths of ways, for shortest paths.
+    /// The bounds as edge lengths, for shortest paths.
     fn graph(&self) -> DiGraph<(), f64> {
         let mut graph = DiGraph::with_capacity(self.events, self.bounds.len() * 2 + self.events);
         for _ in 0..self.events {
@@ -147,7 +147,7 @@ fn solve_all() {
         "{:<34} {:>11} {:>11} {:>10} {:>16} {:>8}",
         "100,000 cues", "constraints", "solve", "cues", "Bellman-Ford", "ratio"
     );
-    // Bellman-Ford is quadratic on most of these: it is run on as many cues as take it seconds.
+    // Bellman-Ford is quadratic on most of these graphs, so it runs on fewer cues, which take it seconds.
     for (shape, small) in shapes(CUES).iter().zip(shapes(2_000)) {
         let (network, _) = shape.network();
         let (solved, time) = timed(|| network.solve());
@@ -169,7 +169,7 @@ fn solve_all() {
     }
 }
 
-/// A chain that cannot be: the last cue has to end a nanosecond too early.
+/// A contradictory chain: the last cue has to end a nanosecond too early.
 fn conflict() {
     let mut shape = Shape::chain("chain with a contradiction", CUES, Some(50), |cue| cue);
     let (network, _) = shape.network();
@@ -196,7 +196,7 @@ fn changes() {
         let mut total = Duration::ZERO;
         let mut random = Random(11);
         for turn in 0..40 {
-            // The length of a cue: longer, then as before.
+            // Makes a cue longer, then restores its length.
             let cue = if turn % 2 == 0 { random.below(CUES) } else { 0 };
             let id = ids[cue];
             for length in [1_001, 1_000] {

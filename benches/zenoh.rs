@@ -1,9 +1,9 @@
-//! Plain TCP next to Zenoh through a router, in one run: the round trip of one message, bytes a second on one connection, and from
-//! the first request of a mission to its decision, with a script for each robot and with one for all, which is published once. Robots are
-//! simulated in a process of their own.
+//! Plain TCP compared with Zenoh through a router, in one run: round trip of one message, bytes per second on one connection, and the
+//! time from the first request of a mission to its decision, with one script per robot and with a common script that is published once.
+//! Robots are simulated in a separate process.
 //!
-//! `ZENOHD=path/of/zenohd cargo bench --features zenoh --bench zenoh`; with numbers behind it those fleets: `-- 100 1000`.
-//! `ZENOH_STEPS=8,2000` are the lengths of scripts.
+//! `ZENOHD=path/of/zenohd cargo bench --features zenoh --bench zenoh`; further numbers choose the fleets: `-- 100 1000`.
+//! `ZENOH_STEPS=8,2000` sets the lengths of scripts.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -46,16 +46,16 @@ fn block(id: usize) -> InitializationBlock {
     serde_json::from_str(&json).unwrap()
 }
 
-/// Which scripts the robots of a mission get.
+/// Scripts that the robots of a mission receive.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Scripts {
-    /// Each its own.
+    /// A different script for each robot.
     Own,
-    /// All the same.
+    /// The same script for all robots.
     Same,
 }
 
-/// Scripts of 83 to 90 bytes a step.
+/// Scripts with 83 to 90 bytes per step.
 fn plan(robots: usize, steps: u32, scripts: Scripts) -> Plan {
     let step = |i: u32, value: u32| Step {
         offset: Millis::new(f64::from(i) * 5.0).unwrap(),
@@ -103,7 +103,7 @@ fn configuration(port: u16) -> String {
     format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#)
 }
 
-/// A router on a port of its own.
+/// Starts a router on a free port.
 fn router() -> (Killed, u16) {
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let mut command = Command::new(std::env::var("ZENOHD").unwrap_or_else(|_| "zenohd".to_owned()));
@@ -115,7 +115,7 @@ fn router() -> (Killed, u16) {
     (router, port)
 }
 
-/// This program again, as the other side; returns what it prints for each.
+/// Starts this program again in another role. Returns the number that it prints for each of its members.
 fn others(role: &str, count: usize, router: u16) -> (Killed, Vec<u16>) {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
@@ -158,7 +158,7 @@ async fn be_robots(count: usize, router: Option<u16>) {
     std::future::pending::<()>().await;
 }
 
-/// Sends back what comes behind an `e`; behind anything else it says one byte when all has come.
+/// After an initial `e`, echoes all bytes. After any other initial byte, answers with one byte when all data has arrived.
 async fn echo(stream: impl AsyncRead + AsyncWrite) {
     let (mut reader, mut writer) = tokio::io::split(stream);
     let Ok(first) = reader.read_u8().await else { return };
@@ -213,7 +213,7 @@ async fn round_trips(stream: &mut (impl AsyncRead + AsyncWrite + Unpin)) -> Vec<
     trips
 }
 
-/// Megabytes a second, one way.
+/// Megabytes per second in one direction.
 async fn throughput(mut stream: impl AsyncRead + AsyncWrite + Unpin) -> f64 {
     let piece = vec![7; 64 * 1024];
     stream.write_all(b"s").await.unwrap();
@@ -257,7 +257,7 @@ const fn way(router: Option<u16>) -> &'static str {
     if router.is_some() { "Zenoh through a router" } else { "TCP" }
 }
 
-/// From the first request to the decision. The robots connect to the router, the scheduler through another port.
+/// Time from the first request to the decision. The robots connect to the router; the scheduler connects through another port.
 fn decision(
     (count, steps, scripts): (usize, u32, Scripts),
     router: Option<u16>,
@@ -297,13 +297,13 @@ fn decision(
             _ => {}
         })
         .await;
-        // What comes behind the decision is not measured.
+        // Only the time up to the decision is measured.
         let decided = decided.unwrap_or_else(|| panic!("{}: {:?}", report.outcome, report.failures.first()));
         (decided - sent.unwrap()).to_duration()
     })
 }
 
-/// A way to the router that counts what comes from the side that connects.
+/// A relay to the router that counts the bytes sent by the connecting side.
 fn relay(router: u16) -> (u16, Arc<AtomicU64>) {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let (port, counted) = (listener.local_addr().unwrap().port(), Arc::new(AtomicU64::new(0)));
@@ -331,7 +331,7 @@ fn carry((mut from, mut to): (std::net::TcpStream, std::net::TcpStream), counted
     let _gone = to.shutdown(std::net::Shutdown::Both);
 }
 
-/// Prints how long missions take to their decision, and what their scheduler sends through the router.
+/// Prints the time from the first request of missions to their decision, and the bytes that their scheduler sends through the router.
 fn missions(of: (usize, u32, Scripts), router: Option<u16>) {
     let mut times: Vec<_> = (0..ROUNDS).map(|_| decision(of, router, router)).collect();
     times.sort();

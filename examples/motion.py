@@ -1,8 +1,8 @@
-"""How far apart the robots of `together.yaml` began to move, from the logs of their simulators alone: `motion.py FOLDER`.
+"""How far apart the robots of `together.yaml` began to move, only from the logs of their simulators: `motion.py FOLDER`.
 
-FOLDER has a folder for each mission, with `run.json`, the report of `downbeat run --format json`, and the logs of the robots that live
-for one mission; logs of robots that live longer are next to FOLDER. From Downbeat's report only the time of the act's start is read,
-to know where in the logs to look. With `--write FILE`, the median latencies are written there, as a fleet file can name them.
+FOLDER has a folder for each mission, with `run.json`, the report of `downbeat run --format json`, and the logs of the robots that run for
+one mission; logs of robots that run longer are next to FOLDER. Only the time of the act's start is read from Downbeat's report, to find
+the place in the logs. `--write FILE` writes the median latencies to a file, in the format of a fleet file.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pathlib
 import statistics
 from typing import Optional
 
-# Where each robot is logged, and which joint moves.
+# The log of each robot, and the joint that moves.
 ROBOTS = {
     "ur5e": ("ur5e.csv", "elbow"),
     "g1": ("g1.csv", "r_elbow_pitch"),
@@ -24,36 +24,36 @@ ROBOTS = {
     "simulated": ("simulated.jsonl", "elbow"),
 }
 DEVICES = {robot: joint for robot, (_, joint) in ROBOTS.items()}
-"""The device that moves; each is named as its joint."""
+"""The device that moves. Each device is named like its joint."""
 STARTS_MS = (1000, 3000, 5000, 7000)
-"""When the cues begin, after the act's start."""
+"""When the cues begin, relative to the act's start."""
 BEFORE_MS, AFTER_MS = 40, 500
-"""A motion is sought from so long before the cue to so long after it."""
+"""The search for a motion begins this long before the cue and ends this long after it."""
 RESTED_MS = 80
-"""Where a joint rests is the mean of this time before."""
+"""The rest position of a joint is its mean over this time before."""
 VISIBLE_DEG = 0.1
-"""A joint that has turned by so much from where it rested has begun to move."""
+"""A joint that has turned by this much from its rest position has begun to move."""
 
 Log = tuple[list[float], list[float]]
 """Milliseconds of the host's clock since 1970, and degrees."""
 
 
 def read_csv(path: pathlib.Path, joint: str) -> Log:
-    """The log of a simulator: a line for each of its steps."""
+    """The log of a simulator, with one line for each of its steps."""
     times, degrees = [], []
     with open(path, newline="") as lines:
         rows = csv.reader(lines)
         header = next(rows)
         column = header.index(joint)
         for row in rows:
-            if len(row) == len(header):  # The last line may be cut off.
+            if len(row) == len(header):  # The last line may be incomplete.
                 times.append(int(row[0]) / 1e6)
                 degrees.append(float(row[column]))
     return times, degrees
 
 
 def read_jsonl(path: pathlib.Path, device: str) -> Log:
-    """The log of `downbeat robot`, which says where its linear movements begin and end: drawn every millisecond."""
+    """The log of `downbeat robot`, which contains the start and end of linear movements; sampled every millisecond."""
     times, degrees = [], []
     begun = None
     for line in path.read_text().splitlines():
@@ -76,11 +76,11 @@ def read_jsonl(path: pathlib.Path, device: str) -> Log:
 
 
 def onset(log: Log, cue_ms: float, visible: float) -> Optional[float]:
-    """When the motion near this time became visible; nothing if none did."""
+    """When the motion near this time became visible; `None` if there was none."""
     times, degrees = log
     first = bisect.bisect_left(times, cue_ms - BEFORE_MS)
     last = bisect.bisect_right(times, cue_ms + AFTER_MS)
-    # A log of changes alone has no line while the joint rests.
+    # A log that contains only changes has no lines while the joint rests.
     rested = bisect.bisect_left(times, cue_ms - BEFORE_MS - RESTED_MS, hi=first)
     rest = statistics.fmean(degrees[rested:first] or degrees[max(first - 1, 0) : max(first, 1)])
     before = 0.0
@@ -106,7 +106,7 @@ def p95(values: list[float]) -> float:
 
 
 def read(folder: pathlib.Path) -> list[tuple[float, dict[str, Log]]]:
-    """The start of each mission that was played, and the logs of its robots."""
+    """The start of each played mission, and the logs of its robots."""
     lasting = {}
     for robot, (name, joint) in ROBOTS.items():
         path = folder.parent / name
@@ -128,7 +128,7 @@ def read(folder: pathlib.Path) -> list[tuple[float, dict[str, Log]]]:
 
 
 def picture(latencies: dict[str, list[float]]) -> str:
-    """An SVG: a row for each robot, in it a mark for each of its motions."""
+    """An SVG with a row for each robot and a mark for each of its motions."""
     least = min(0.0, *(min(values) for values in latencies.values())) // 10 * 10
     most = max(max(values) for values in latencies.values()) // 10 * 10 + 10
     left, width, high = 90, 560, 24

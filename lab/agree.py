@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Do dry runs end as real missions do? Plays missions with real processes under random faults, and dry runs in a world with the same
+"""Do dry runs end like real missions? Plays missions with real processes under random faults, and dry runs in a world with the same
 faults, and compares their outcomes:
 
   lab/agree.py
   lab/agree.py --missions 20 --at-once 1 --seed 7
 
-Prints a table. Exits 1 if the shares of missions that finish differ by the two-proportion z-test at 95 %. One run in twenty fails by
-this test although the shares are equal: repeat it with another seed.
+Prints a table. Exits 1 if the shares of missions that finish differ by the two-proportion z-test at 95 %. One run in twenty fails this
+test although the shares are equal: repeat it with another seed.
 """
 
 import json
@@ -49,7 +49,7 @@ class Faults:
 
     def __init__(self, rng=None):
         draw = rng.random if rng else lambda: 1.0
-        # Draw the values of a fault that does not happen as well, as the dry run does.
+        # Also draws the values of a fault that does not happen, as the dry run does.
         stalls, at, lasts = draw() < STALL_PROBABILITY, draw() * FAULT_UNTIL, STALL_MIN + draw() * (STALL_MAX - STALL_MIN)
         dies, dies_at = draw() < DEATH_PROBABILITY, draw() * FAULT_UNTIL
         self.stall = (at, lasts) if stalls else None
@@ -85,7 +85,7 @@ class Faults:
 
 
 def end(outcome, started):
-    """The kind of end of a mission. `started` is `all`, `some` or `none` of its robots."""
+    """How a mission ended. `started` is `all`, `some` or `none` of its robots."""
     if started == "none":
         return "none started"
     if started == "some":
@@ -132,7 +132,7 @@ class Played:
             robots[robot].send_signal(number)
             self.signal_delays_s.append(time.time() - began - at)
         run.wait(timeout=MISSION_TIMEOUT_S)
-        # Give a robot that was suspended until the end time to finish.
+        # If a robot was suspended until the end, it gets time to finish.
         time.sleep(0.2)
         report = json.loads((folder / "out").read_text())
         self.outcome = reports.outcome(report)
@@ -154,7 +154,7 @@ def mission_began(run, state):
 
 
 class DryRuns:
-    """Dry runs in the world that was measured in a real mission."""
+    """Dry runs in the world measured from a real mission."""
 
     def __init__(self, downbeat, folder, world):
         self.downbeat, self.folder, self.world = downbeat, folder, world
@@ -227,7 +227,7 @@ def main():
         folder = Path(folder)
         write_project(folder, dict.fromkeys(ROBOTS, "sim"))
         with ThreadPoolExecutor(asked.at_once) as pool:
-            # Measure links and clocks in a mission without faults, under the load of the later ones.
+            # Measures links and clocks in missions without faults, under the same load as the later ones.
             tapes = [str(folder / f"{index}.mcap") for index in range(asked.at_once)]
             list(pool.map(lambda tape: Played(downbeat, Faults(), tape), tapes))
             dry_runs = DryRuns(downbeat, folder, program.run(downbeat, "world", tapes[0], folder=folder))

@@ -27,15 +27,15 @@ from downbeat_lab import fleet, ports, program, reports, sampling, shares
 from downbeat_lab.processes import Processes, wait_with_usage
 from downbeat_lab.tables import Table
 
-# Largest growth with the fleet, as the exponent of the number of robots: 1 is linear, and a busy machine adds a little.
+# Highest accepted growth with the fleet, as the exponent of the number of robots: 1 is linear, and a busy machine adds a little.
 GROWTH_MAX = 1.3
 ROUTERS = "abc"
-# Robots that one `downbeat sim` has at most: each needs three open files.
+# Most robots of one `downbeat sim`: each needs three open files.
 ROBOTS_PER_PROCESS = (resource.getrlimit(resource.RLIMIT_NOFILE)[1] - 200) // 3
-# Arguments of one `downbeat keys robot`.
+# Number of arguments of one `downbeat keys robot`.
 KEYS_PER_COMMAND = 2000
-# The robots begin one after the other: if a process moves ten thousand robots at one instant, the last one is more than 50 ms late and
-# does not start.
+# The robots begin one after another: if a process moves ten thousand robots at one instant, the last one is more than 50 ms late and does
+# not start.
 SCENARIO = fleet.scenario("crowd", [f"{{at: 0s, robots: all, canon: 0.5ms, tracks: {fleet.WAVE}}}"], running="10s", start_tolerance="2s")
 GROWING = ["run CPU s", "sim CPU s", "run MB", "sim MB"]
 """Columns whose growth is limited."""
@@ -50,17 +50,17 @@ class Place:
         self.router_ports = [port + index for index in range(len(ROUTERS))] if port else ports.free_ports(len(ROUTERS))
 
     def address(self, robot):
-        """On TCP each robot has its own address of loopback, and all have the same port."""
+        """On TCP, each robot has its own loopback address, and all have the same port."""
         if self.link == "zenoh":
             return f"zenoh:hall/{robot // self.room}/r{robot}"
         return f"{self.link}://{ports.loopback(robot)}:{self.port}"
 
     def head(self, router):
-        """The lines of the fleet file that say how to reach the robots."""
+        """The lines of the fleet file that state how to reach the robots."""
         return {"tcp": "", "tls": "identity: keys/operators/large.pem\n", "zenoh": f"zenoh: {ROUTERS[router]}.json5\n"}[self.link]
 
     def parts(self, robots):
-        """The robots of each process of the simulation."""
+        """The robots of each simulation process."""
         processes = 2 if self.link == "zenoh" else math.ceil(robots / ROBOTS_PER_PROCESS)
         return [range(robots * part // processes, robots * (part + 1) // processes) for part in range(processes)]
 
@@ -69,7 +69,7 @@ class Place:
         (self.folder / "show.yaml").write_text(SCENARIO)
         init = "robot.yaml"
         if self.link == "tls":
-            # A certificate names the id of its robot.
+            # The certificate of a robot contains its id.
             init = "robots/{}.yaml"
             (self.folder / "robots").mkdir(exist_ok=True)
             for robot in range(robots):
@@ -81,7 +81,7 @@ class Place:
             (self.folder / f"part-{part}.yaml").write_text(fleet.fleet(own, init, groups={}, head=self.head(1 + part % 2)))
 
     def start_routers(self, zenohd, processes):
-        """The second and the third router connect to the first."""
+        """Starts the routers. The second and third router connect to the first."""
         routers = []
         for index, (name, port) in enumerate(zip(ROUTERS, self.router_ports)):
             endpoint, log = f"tcp/127.0.0.1:{port}", self.folder / f"router-{name}"

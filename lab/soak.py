@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
-"""Does memory stay flat in missions back to back with random faults, and does each robot start? Real processes and TCP over loopback:
+"""Does memory stay constant over consecutive missions with random faults, and does each robot start? Real processes and TCP over
+loopback:
 
   lab/soak.py                              1000 robots, 30 minutes
   lab/soak.py --minutes 5 --robots 200     --seed 7 draws other faults
 
-Most robots live in one `downbeat sim`. Twenty of them are reached through relays that cut or stall links, and twenty others are
-processes that are suspended, or killed and started again. A mission has 40 acts; a robot that fails is left out, and takes part in
-the next act or mission. Prints a row for each mission, and exits 1 unless
+Most robots share one `downbeat sim`. Twenty of them are reached through relays that cut or stall links, and twenty others are processes
+that are suspended, or killed and restarted. A mission has 40 acts; a robot that fails is left out, and takes part in the next act or
+mission. Prints a row for each mission, and exits 1 unless
   - every mission ends `done`, or `done_without` robots that had a fault;
-  - every robot that had no fault starts in every act of every mission;
-  - after warm-up the memory of both processes stays within 5 %: of the simulation from the mission on with which each robot keeps
-    its highest number of answers (the seventh of 40 acts), of the scheduler within each mission from act 25 on (it keeps the reports
-    of acts before), and its peak from mission to mission, both until it writes the report.
+  - every robot without a fault starts in every act of every mission;
+  - after warm-up, the memory of both processes stays within 5 %: for the simulation, from the mission in which each robot reaches its
+    highest number of answers (the seventh mission of 40 acts); for the scheduler, within each mission from act 25 on (it keeps the
+    reports of earlier acts), and its peak from mission to mission, both until it writes the report.
 """
 
 import asyncio
@@ -32,10 +33,10 @@ from downbeat_lab.tables import Table
 
 # After this act the scheduler keeps no further reports: 20000 rows.
 WARM_ACTS = 25
-# Answers that each robot keeps, `ENDED_KEPT` in robot/src/answers.rs.
+# Number of answers that each robot keeps, `ENDED_KEPT` in robot/src/answers.rs.
 ANSWERS_KEPT = 256
 FLAT = 1.05
-# Before its end a mission writes its report, which takes half a second and additional memory.
+# Shortly before its end a mission writes its report, which takes half a second and additional memory.
 REPORT_S = 1.0
 RELAYED = OWN = 20
 # Mean seconds between two faults, and the duration of a stall.
@@ -62,7 +63,7 @@ class Crowd:
     def write(self, folder):
         (folder / "robot.yaml").write_text(fleet.ROBOT)
         (folder / "sim.yaml").write_text(fleet.fleet({robot: self.address(robot) for robot in self.all if robot not in self.own}))
-        # The mission reaches some of them through relays.
+        # The mission reaches some robots through relays.
         addresses = {robot: self.address(robot, int(robot in self.relayed)) for robot in self.all}
         (folder / "fleet.yaml").write_text(fleet.fleet(addresses))
         cue = f"{{at: 0s, robots: all, tracks: {fleet.WAVE}}}"
@@ -136,7 +137,7 @@ class Robot:
 
 
 class Faults:
-    """Random faults, one after the other, and the robots that had one."""
+    """Random faults, one after another, and the robots that had one."""
 
     def __init__(self, seed, relays, robots):
         self.rng = random.Random(seed)
@@ -161,7 +162,7 @@ class Faults:
 
 
 async def play(downbeat, folder, processes, wrong):
-    """The report of a mission, samples of the scheduler's memory, and the seconds that it took. `None` without a report."""
+    """The report of a mission, samples of the scheduler's memory, and the duration in seconds. `None` without a report."""
     command = [downbeat, "run", "show.yaml", "--realtime", "off", "--patience", "20s", "--join", "next_act", "--format", "json"]
     began = time.time()
     with open(folder / "report.json", "w") as out, open(folder / "errors", "w") as errors:
@@ -180,7 +181,7 @@ async def play(downbeat, folder, processes, wrong):
 
 
 def judge(report, struck, acts, wrong):
-    """The outcome, the number of acts that were played, and the number of starts. Adds each fault to `wrong`."""
+    """The outcome, the number of played acts, and the number of starts. Adds each error to `wrong`."""
     outcome = reports.outcome(report)
     if outcome not in ("done", "done_without"):
         wrong.append(f"{outcome}: {report.get('because')}, {json.dumps(report['failures'][:3])}")
@@ -207,10 +208,10 @@ def flat(subject, values_mb, wrong):
 
 
 async def soak(asked, downbeat, folder):
-    """Plays the missions and prints the results. Returns the faults, and whether memory can be judged."""
+    """Plays the missions and prints the results. Returns the errors, and whether memory can be judged."""
     crowd = Crowd(asked.robots, asked.port or ports.free_port(), asked.acts)
     crowd.write(folder)
-    # Missions until each robot keeps as many answers as it ever does.
+    # Number of missions until each robot keeps its highest number of answers.
     warm_missions = -(-ANSWERS_KEPT // asked.acts)
     wrong, sim_mb, peaks_mb, within, missions, all_starts = [], [], [], [], 0, 0
     table = Table("mission", "outcome", "acts", "took s", "starts", "robots with faults", "scheduler MB", "simulation MB",
@@ -242,7 +243,7 @@ async def soak(asked, downbeat, folder):
                     flat("the scheduler within a mission", warm, wrong)
                 table.row(missions, outcome, acts, took_s, starts, len(faults.struck), peaks_mb[-1], sim_mb[-1])
                 await asyncio.to_thread(shutil.rmtree, folder / "state")
-            # The highest of all processes that have ended, of which schedulers are the largest: the simulation still runs.
+            # The peak over all ended processes, of which schedulers are the largest: the simulation still runs.
             with_report_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
         finally:
             striking.cancel()

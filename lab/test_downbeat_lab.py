@@ -170,7 +170,7 @@ class Reports(unittest.TestCase):
 
 class Shares(unittest.TestCase):
     def test_intervals_are_those_of_wilson(self):
-        # 41 of 100, by the formula of Wilson (1927).
+        # 41 of 100, by Wilson's formula (1927).
         low, high = shares.wilson(41, 100)
         self.assertAlmostEqual(low, 0.3187, places=4)
         self.assertAlmostEqual(high, 0.5080, places=4)

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Do the reports of several schedulers agree with the log of their robots? Each scheduler has a machine of its own in one Zenoh network:
-a network namespace with its own address behind one bridge. Two schedulers play with different robots at the same time; two request the
-same ones; one loses its network during a mission. Needs root:
+"""Do the reports of several schedulers agree with the log of their robots? Each scheduler has its own machine in one Zenoh network: a
+network namespace with its own address behind one bridge. Two schedulers play with different robots at the same time; two request the same
+robots; one loses its network during a mission. Needs root:
 
   lab/zenoh_machines.py             builds the program with the feature zenoh
   lab/zenoh_machines.py --downbeat PATH --zenohd PATH
@@ -43,7 +43,7 @@ def remove_machines():
 def machines():
     """The namespaces and their bridge, which exist during a `with` block."""
     router, *others = MACHINES
-    # Remove those of an interrupted run.
+    # Removes the namespaces of an interrupted run.
     remove_machines()
     if not ip("netns", "add", router, check=False):
         sys.exit("network namespaces are not permitted here: this needs root")
@@ -65,7 +65,7 @@ def machines():
 
 
 class Ended:
-    """A mission that has ended: the exit code, the errors, and the values of the report that are compared."""
+    """A finished mission: the exit code, the errors, and the values of the report that are compared."""
 
     def __init__(self, process):
         out, self.errors = process.communicate(timeout=MISSION_TIMEOUT_S)
@@ -83,7 +83,7 @@ class Ended:
 
 
 class Trial:
-    """The router, the robots, and the schedulers at work."""
+    """The router, the robots, and the running schedulers."""
 
     def __init__(self, downbeat, zenohd, folder, processes):
         self.downbeat, self.zenohd, self.folder, self.processes = downbeat, zenohd, folder, processes
@@ -191,7 +191,7 @@ class Trial:
 
 
 def on(machine):
-    """The words before a command that runs on this machine."""
+    """The words that run a command on this machine."""
     return ["ip", "netns", "exec", f"downbeat-{machine}"]
 
 

@@ -1,15 +1,15 @@
-//! A few missions on robots as processes, for everyone who runs `cargo test`. They wait for events and allow for a slow machine: long
-//! leases, wide tolerances. `tests/processes/` has the others.
+//! A few missions on robots as processes, for everyone who runs `cargo test`. They wait for events and allow for a slow machine with long
+//! leases and wide tolerances. `tests/processes/` has the others.
 
 use std::time::Duration;
 
 use rustix::process::Signal;
 use stage::{Stage, Via, one_device};
 
-/// The time within which a robot starts to play, even on a machine that does much else.
+/// Time within which a robot starts to play, even on a busy machine.
 const SOON: Duration = Duration::from_secs(60);
 
-/// Robots of one device, and a scenario of two acts. The second one waits for the operator.
+/// Robots with one device, and a scenario of two acts. The second act waits for the operator.
 fn stage(robots: usize) -> Stage {
     let mut stage = Stage::new();
     stage.file("robot.yaml", one_device(2, 90, 20));
@@ -40,7 +40,7 @@ cues: [{at: 0s, robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 300ms, to: 2}, {
     stage
 }
 
-/// Plays both acts; gives the go as soon as the mission takes it.
+/// Plays both acts; gives the go as soon as the mission accepts it.
 #[test]
 fn two_acts_are_played_by_all_robots_and_the_second_waits_for_go() {
     let stage = stage(3);

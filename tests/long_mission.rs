@@ -25,7 +25,7 @@ fn block(id: usize) -> InitializationBlock {
     serde_json::from_str(&json).unwrap()
 }
 
-/// Two acts of 3.5 s, one after the other for ever.
+/// Two acts of 3.5 s that alternate forever.
 fn choreography() -> Choreography {
     let step = |i: u32| Step {
         offset: Millis::new(f64::from(i) * 500.0).unwrap(),
@@ -136,7 +136,7 @@ fn an_hour_with_a_hundred_robots_and_a_thousand_acts_takes_no_more_memory_than_h
             half.get_or_insert_with(|| (resident(), world.acts));
         }
         if now >= BEGIN + HOUR && after.is_none() {
-            // Before the report is made.
+            // Before the report is created.
             after = Some(resident());
             world.tell(now, Event::StopRequested { rest: Rest::InPlace, by: None });
         }
@@ -146,6 +146,6 @@ fn an_hour_with_a_hundred_robots_and_a_thousand_acts_takes_no_more_memory_than_h
     let ((before, acts), after) = (half.unwrap(), after.unwrap());
     println!("after {acts} acts {before} KB, after {} acts {after} KB", world.acts);
     assert!(world.acts > 1_000, "{} acts", world.acts);
-    // What an allocator keeps in hand differs a little from moment to moment.
+    // The memory that an allocator holds in reserve varies slightly.
     assert!(after < before + before / 20 + 2_000, "{before} KB grew to {after} KB");
 }

@@ -1,4 +1,4 @@
-"""A mission of three robots, scraped by Prometheus: what Prometheus has is what the report says.
+"""A mission of three robots, scraped by Prometheus: the values in Prometheus match the report.
 
     python3 tests/operations.py PROGRAM
 """
@@ -57,7 +57,7 @@ def free_port():
 
 
 def get(url):
-    """Status and text of an answer; no status if there is none."""
+    """Status and text of a response; the status is None if there is no response."""
     try:
         with urllib.request.urlopen(url, timeout=10) as answer:
             return answer.status, answer.read().decode()
@@ -99,7 +99,7 @@ class Prometheus:
         await_that("Prometheus is ready", lambda: get(f"{self.url}/-/ready")[0] == 200)
 
     def query(self, query):
-        """The values of a query by their labels without instance and job."""
+        """The values of a query by their labels, without instance and job."""
         _, text = get(f"{self.url}/api/v1/query?" + urllib.parse.urlencode({"query": query}))
         answer = json.loads(text)
         if answer["status"] != "success":
@@ -129,7 +129,8 @@ def main():
         await_that("robots are ready", lambda: get(f"http://127.0.0.1:{of_robots}/readyz")[0] == 200)
         prometheus = Prometheus(folder, of_prometheus, {"missions": of_mission, "robots": of_robots})
         processes.append(prometheus.process)
-        # Prometheus takes up its jobs one after another, seconds apart: without this the first mission ends before it asks the robots.
+        # Prometheus starts its jobs one by one, seconds apart. Without this wait, the first mission ends before Prometheus asks the
+        # robots.
         await_that("Prometheus asks the robots", lambda: prometheus.query('up{job="robots"}') == {(): 1.0})
         mission = start("run", "show.yaml", "--format", "json", "--metrics", str(of_mission), stdout=subprocess.PIPE)
         processes.append(mission)
@@ -148,7 +149,7 @@ def main():
 
 
 def watch(prometheus, mission, here, environment, program):
-    """While the second act waits for the operator."""
+    """Checks the metrics while the second act waits for the operator."""
     played = {(): 1.0}
     await_that("Prometheus has the first act", lambda: prometheus.query("downbeat_mission_acts_played_total") == played)
     waits = 'downbeat_mission_acts{stage="waiting"}'
@@ -164,7 +165,7 @@ def watch(prometheus, mission, here, environment, program):
 
 
 def compare(prometheus, mission):
-    """What Prometheus had at last, and the report."""
+    """Compares the last values in Prometheus with the report."""
     out, _ = mission.communicate(timeout=PATIENCE_S)
     report = json.loads(out)
     last = lambda metric: prometheus.query(f"last_over_time({metric}[1m])")

@@ -1,5 +1,5 @@
-"""A mission with --traces, and a collector that is none of Downbeat's: what comes is decoded with the Python package
-opentelemetry-proto, and compared with the report of the mission. `.ci/traces` runs it: traces.py PROGRAM"""
+"""A mission with --traces, and an independent collector: the received spans are decoded with the Python package opentelemetry-proto and
+compared with the report of the mission. `.ci/traces` runs it: traces.py PROGRAM"""
 
 import collections
 import http.server
@@ -25,7 +25,7 @@ ERROR = 2
 
 
 class Collector(http.server.BaseHTTPRequestHandler):
-    """Keeps what it is sent."""
+    """Keeps the spans that it receives."""
 
     spans: list = []
     resources: list = []
@@ -112,7 +112,7 @@ def check_played(url):
 
 
 def check_not_started(url, folder):
-    """A robot that is not there: the mission has failed, and its trace says so."""
+    """If a robot is unreachable, the mission fails, and its trace reports that."""
     Collector.spans.clear()
     fleet = folder / "fleet.yaml"
     shutil.copy("scripts/examples/robots/ur5e.yaml", folder)
@@ -131,14 +131,14 @@ def check_not_started(url, folder):
 
 
 def check_no_collector():
-    """Without a collector the mission plays as ever, and its operator is told."""
+    """Without a collector the mission plays normally, and the operator gets a warning."""
     report, said = run(["scripts/examples/swap.yaml", "--traces", "http://127.0.0.1:9"], 0)
-    assert report["outcome"] == "done" and "the trace is not complete: " in said, said
+    assert report["outcome"] == "done" and "the trace is incomplete: " in said, said
     print("without a collector the mission is done, and a warning says that the trace was not sent")
 
 
 class Refusing(http.server.BaseHTTPRequestHandler):
-    """Takes nothing."""
+    """Rejects every request."""
 
     def do_POST(self):
         self.rfile.read(int(self.headers["Content-Length"]))
@@ -149,15 +149,15 @@ class Refusing(http.server.BaseHTTPRequestHandler):
 
 
 def check_bad_collector(kind, url):
-    """One that is there and of no use delays no mission: only the program's end, and for seconds."""
+    """A faulty collector does not delay the mission; it delays only the end of the program, by seconds."""
     begin = time.monotonic()
     report, said = run(["scripts/examples/swap.yaml"], 0)
     without = time.monotonic() - begin
     begin = time.monotonic()
     report, said = run(["scripts/examples/swap.yaml", "--traces", url], 0)
     took = time.monotonic() - begin - without
-    assert report["outcome"] == "done" and "the trace is not complete: " in said, said
-    warning = next(line for line in said.splitlines() if "the trace is not complete" in line)
+    assert report["outcome"] == "done" and "the trace is incomplete: " in said, said
+    warning = next(line for line in said.splitlines() if "the trace is incomplete: " in line)
     print(f"a collector that {kind}: done, {took:.1f} s later, with the warning: {warning.strip()}")
 
 

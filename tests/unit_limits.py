@@ -1,4 +1,4 @@
-"""An edge with a program as its driver, within the limits of its systemd unit as far as they can be set without systemd.
+"""An edge with a program as its driver, under those limits of its systemd unit that can be set without systemd.
 
     python3 tests/unit_limits.py PROGRAM UNIT
 """
@@ -34,7 +34,7 @@ for line in sys.stdin:
 
 
 def allowed_by(unit):
-    """The system calls of the unit's filter: what its allow lists name, without what its deny lists name."""
+    """The system calls of the unit's filter: those in its allow lists without those in its deny lists."""
     allowed, denied = set(), set()
     for line in re.findall(r"^SystemCallFilter=(.*)$", unit.read_text(), re.MULTILINE):
         kind = denied if line.startswith("~") else allowed
@@ -52,7 +52,7 @@ def expanded(word):
 
 
 def granted():
-    """How the edge gets what it needs: by the limits of the unit, or, where this machine lets nobody raise limits, by two capabilities."""
+    """How the edge gets its privileges: by the limits of the unit or, if limits cannot be raised on this machine, by two capabilities."""
     user = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", "--no-new-privs"]
     limits = ["prlimit", "--rtprio=50", "--memlock=unlimited"]
     if subprocess.run([*limits, "true"], capture_output=True).returncode == 0:
@@ -81,7 +81,7 @@ def main():
     command = [*limits, "strace", "-f", "-qq", "-o", str(trace), *edge]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(4)
-    # The tracer hands the word on to what it traces; the edge is its only child.
+    # The signal goes to the children of the tracer; the edge is its only child.
     children = pathlib.Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     for child in children:
         os.kill(int(child), 15)

@@ -1,20 +1,19 @@
-//! What benchmarks of the compiler share: simulated robots, and counts.
+//! Helpers that the compiler benchmarks share: simulated robots, and counts.
 
 use downbeat_scripts::{Address, Compiled, FleetRobot};
 
-/// A simulated robot.
 pub fn simulated(init: urrcp::InitializationBlock) -> FleetRobot {
     FleetRobot::new(init.id.clone(), Address::Simulated, Some(init))
 }
 
-/// Of all scripts of all acts.
+/// Number of steps in all scripts of all acts.
 pub fn steps(compiled: &Compiled) -> usize {
     let acts = compiled.choreography.iter().flat_map(|choreography| &choreography.acts);
     let scripts = acts.flat_map(|act| &act.plan.robots).flat_map(|robot| &robot.scripts);
     scripts.map(|script| script.script.steps().len()).sum()
 }
 
-/// The largest memory that this process ever held, in bytes.
+/// Peak resident memory of this process, in bytes.
 pub fn peak_memory() -> usize {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with("VmHWM:"));

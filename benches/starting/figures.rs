@@ -1,21 +1,21 @@
-//! How far apart and how late starts were, in figures for people.
+//! Spread and lateness of starts, as readable figures.
 
 use std::fmt::Write;
 
 use super::witness::Witness;
 
-/// When a robot began.
+/// Start of one robot.
 #[derive(Clone, Copy)]
 pub struct Start {
     pub true_ns: i64,
-    /// By its own clock.
+    /// Lateness by the robot's own clock.
     pub late_ns: i64,
 }
 
-/// The starts of one mission, the earliest first.
+/// The starts of one mission, earliest first.
 pub type Round = Vec<Start>;
 
-/// In milliseconds, each sorted.
+/// Figures in milliseconds, each sorted.
 pub struct Measured {
     late: Vec<f64>,
     spreads: Vec<f64>,
@@ -34,18 +34,18 @@ impl Measured {
         Self { late, spreads }
     }
 
-    /// A row of the table; how late starts were on receipt means nothing.
+    /// Prints a row of the table. Do not use it for starts on receipt, whose lateness has no meaning.
     pub fn row(&self, name: &str) {
         println!("  {name:<44}{}   {}", percentiles(&self.spreads), percentiles(&self.late));
     }
 
-    /// The same without how late they were, where nothing was due.
+    /// Prints a row without lateness, for starts that have no planned time.
     pub fn row_of_spreads(&self, name: &str) {
         println!("  {name:<44}{}", percentiles(&self.spreads));
     }
 }
 
-/// Prints a row of all missions and one of those in which the witness saw nothing.
+/// Prints a row of all missions, and a row of those in which the witness saw no disturbance.
 pub fn rows(name: &str, rounds: &[Round], witness: Option<&Witness>) {
     Measured::of(rounds.iter()).row(name);
     if let Some(witness) = witness {
@@ -56,7 +56,7 @@ pub fn rows(name: &str, rounds: &[Round], witness: Option<&Witness>) {
     }
 }
 
-/// What every round was, for other programs: a line each.
+/// One line per round, for other programs.
 pub fn raw(name: &str, rounds: &[Round], witness: Option<&Witness>) -> String {
     let mut lines = String::new();
     for round in rounds {
@@ -76,7 +76,7 @@ fn percentiles(sorted: &[f64]) -> String {
     if sorted.is_empty() {
         return format!("{:>36}", "-");
     }
-    // Nearest rank: the p99 of 100 is the largest but one.
+    // Nearest rank: the p99 of 100 values is the second largest.
     let rank = |percent: usize| sorted[(sorted.len() * percent).div_ceil(100) - 1];
     [50, 90, 99, 100].map(|percent| format!("{:>9.3}", rank(percent))).concat()
 }

@@ -10,16 +10,16 @@ use tempfile::TempDir;
 use super::ROBOTS;
 use super::figures::{Round, Start};
 
-/// Starts that are further apart belong to two missions.
+/// Starts that are at least this far apart belong to different missions.
 const BETWEEN_MISSIONS_NS: i64 = 100_000_000;
 
-/// How a robot describes itself.
+/// Initialization block of each robot.
 pub const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "d", "name": "d", "available_control_types": {
      "position": {"min_value": 0, "max_value": 90, "granularity": 1},
      "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
-/// How the robots of a fleet run.
+/// Settings with which the robots of a fleet run.
 #[derive(Clone, Copy)]
 pub struct Settings {
     pub delay: &'static str,
@@ -27,7 +27,7 @@ pub struct Settings {
     pub realtime: &'static str,
 }
 
-/// Robots that are killed at the end.
+/// Robot processes, which are killed on drop.
 pub struct Fleet {
     folder: TempDir,
     robots: Vec<Child>,
@@ -68,7 +68,7 @@ impl Fleet {
         }
     }
 
-    /// When a robot began its scripts.
+    /// The starts of a robot's scripts.
     fn starts(&self, id: usize) -> Vec<Start> {
         let log = std::fs::read_to_string(self.log(id)).unwrap();
         let entries = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());

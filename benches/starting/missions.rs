@@ -1,4 +1,4 @@
-//! One mission on a fleet: started at an instant, or on receipt.
+//! Plays one mission on a fleet: with a planned start, or with a start on receipt.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -17,9 +17,9 @@ use super::ROBOTS;
 use super::fleet::{Fleet, ROBOT};
 use super::witness::Witness;
 
-/// Missions that were played again.
+/// Number of missions that were repeated.
 pub static REPEATED: AtomicUsize = AtomicUsize::new(0);
-/// More than that are a fault.
+/// More repetitions than this are an error.
 const REPEATED_MAX: usize = 100;
 
 fn script() -> Script {
@@ -43,7 +43,7 @@ fn plan() -> Plan {
     Plan { scenario: "spread".into(), start_tolerance, lead: None, stop_condition, robots }
 }
 
-/// One mission by Downbeat; one that was not done, because the scheduler was held up, is played again.
+/// Plays one mission with Downbeat. Repeats it if it fails because the scheduler was delayed.
 pub async fn deferred(fleet: &Fleet, witness: Option<&Witness>) {
     while !was_played(fleet, witness).await {
         REPEATED.fetch_add(1, Ordering::Relaxed);
@@ -72,7 +72,7 @@ async fn was_played(fleet: &Fleet, witness: Option<&Witness>) -> bool {
     report.is_done()
 }
 
-/// The same script sent to all at once, each starting when it receives it.
+/// Sends the same script to all robots at once; each starts when it receives it.
 pub async fn on_receipt(fleet: &Fleet) {
     let (events, mut happened) = mpsc::channel(1_024);
     let clock = ServerClock::anchored(Span::ZERO);

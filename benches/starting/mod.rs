@@ -1,4 +1,4 @@
-//! What `start_spread` is made of: a fleet of processes, missions on it, other ways of waiting, and what is made of the figures.
+//! Parts of `start_spread`: a fleet of processes, missions on it, other ways of waiting, and evaluation of the figures.
 
 pub mod figures;
 pub mod fleet;
@@ -8,7 +8,7 @@ pub mod witness;
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// How many robots start together.
+/// Number of robots that start together.
 pub const ROBOTS: usize = 6;
 
 /// The system's clock, in nanoseconds.

@@ -1,4 +1,4 @@
-//! Six processes that do nothing but wait for one instant: by tokio's timer, or as well as this machine can.
+//! Six processes that only wait for one instant: with tokio's timer, or as precisely as this machine can.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -8,24 +8,24 @@ use super::figures::{Round, Start};
 use super::witness::{Witness, become_first, stay_on};
 use super::{ROBOTS, epoch_nanos};
 
-/// How long ahead an instant is told.
+/// How long before the instant it is sent to the processes.
 const AHEAD_NS: i64 = 150_000_000;
-/// An ideal waiter spins for so long, whatever else wants the core.
+/// An ideal waiter spins for this long before the instant, regardless of other load on the core.
 const SPIN_NS: i64 = 2_000_000;
 
-/// After the instant it lets others of its kind have their turn for so long.
+/// After the instant, an ideal waiter yields to the others on its core for this long.
 const TURNS_NS: i64 = 200_000;
 
 /// How a process waits.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Kind {
-    /// As one would without a thread of one's own.
+    /// The usual way without a dedicated thread.
     Tokio,
-    /// Before everything else on its core and with nothing to do: what no robot can be better than.
+    /// With the highest priority on its core and no other work: the bound that no robot can beat.
     Ideal,
 }
 
-/// Processes that are killed at the end.
+/// Processes that are killed on drop.
 pub struct Waiters {
     children: Vec<Child>,
     inputs: Vec<ChildStdin>,
@@ -71,7 +71,7 @@ impl Drop for Waiters {
     }
 }
 
-/// Answers each instant on standard input with when it woke: the whole of such a process.
+/// Runs a waiter process: answers each instant on standard input with the time when it woke.
 pub fn be_a_waiter(word: &str) {
     match word.parse() {
         Ok(id) => be_ideal(id),
@@ -89,7 +89,7 @@ fn be_a_timer() {
     });
 }
 
-/// Shares a core with the others of its kind, and with nothing else.
+/// Runs before all other programs on its core, which it shares only with other ideal waiters.
 fn be_ideal(id: usize) {
     let cores = std::thread::available_parallelism().map_or(1, Into::into);
     stay_on(id % cores);
@@ -103,7 +103,7 @@ fn be_ideal(id: usize) {
             }
             std::thread::yield_now();
         };
-        // The others have their turn.
+        // Gives the others on this core their turn.
         while epoch_nanos() < target + TURNS_NS {
             std::thread::yield_now();
         }

@@ -1,9 +1,8 @@
-//! Sees whether the host of a virtual machine, or another program on it, took a core away around a start. A thread on each
-//! core, which runs before all others, compares how much time has passed with how much time the kernel gave to threads and to
-//! being idle: what is missing was the host's. What threads used that are not of this program and its children was another
-//! program's, or the kernel's own.
+//! Detects whether the host of a virtual machine, or another program on it, took a core away around a start. A thread on each core, which
+//! runs before all others, compares the elapsed time with the time that the kernel gave to threads and to idling. The difference was
+//! taken by the host. Time of threads outside this program and its children was taken by other programs or by the kernel itself.
 //!
-//! It wakes once before and once after the start, so that robots do not notice it. A single wake-up takes 10 to 30 us of a
+//! The thread wakes once before and once after the start, so that it does not disturb the robots. A single wake-up takes 10 to 30 us of a
 //! core on such a machine.
 
 use std::collections::BTreeMap;
@@ -16,20 +15,21 @@ use std::time::Duration;
 
 use super::epoch_nanos;
 
-/// Less than that may be the kernel's own.
+/// A smaller difference may be the kernel's own.
 const TAKEN_BY_HOST: Duration = Duration::from_micros(50);
-/// Threads of the kernel use less than that around a start.
+/// The kernel's own threads use less than this around a start.
 const TAKEN_BY_OTHERS: Duration = Duration::from_micros(200);
-/// When it looks: so long before the start, and so long after it.
+/// The counters are read this long before the start and this long after it.
 const BEFORE_NS: i64 = 3_000_000;
 const AFTER_NS: i64 = 1_500_000;
-/// Robots that start within this time of an instant were meant for it.
+/// Robots that start within this time of an instant belong to it.
 const NEAR_NS: i64 = 20_000_000;
 
-/// Where the kernel tells what threads used. Where it is one with the share of the cores, a group of one's own would change that.
+/// Where the kernel reports the CPU time of threads. If this controller also distributes the shares of the cores, our own group would
+/// change the shares.
 const GROUPS: &str = "/sys/fs/cgroup/cpuacct";
 
-/// For how long cores were taken away around a start; of several cores, the most.
+/// For how long a core was taken away around a start. With several cores, the maximum.
 #[derive(Clone, Copy, Default)]
 pub struct Taken {
     pub by_host: Duration,
@@ -37,7 +37,7 @@ pub struct Taken {
 }
 
 impl Taken {
-    /// Long enough to matter.
+    /// Whether the time is long enough to matter.
     pub fn disturbs(self) -> bool {
         self.by_host > TAKEN_BY_HOST || self.by_others > TAKEN_BY_OTHERS
     }
@@ -47,14 +47,14 @@ impl Taken {
     }
 }
 
-/// By the instant of the start, in nanoseconds.
+/// Sorted by the instant of the start, in nanoseconds.
 type All = Arc<Mutex<BTreeMap<i64, Taken>>>;
 
-/// A control group of this program and its children, so that what others use can be told. Gone when it is dropped.
+/// A control group of this program and its children, which separates their time from that of others. Removed on drop.
 pub struct Group(PathBuf);
 
 impl Group {
-    /// `None` where that is not permitted. Children join only if they are started later.
+    /// Creates the group; `None` if that is not permitted. Only children that are started later join it.
     pub fn of_this_program() -> Option<Self> {
         let group = Path::new(GROUPS).join(format!("downbeat-{}", std::process::id()));
         std::fs::create_dir(&group).ok()?;
@@ -71,14 +71,14 @@ impl Drop for Group {
     }
 }
 
-/// Threads that end when it is dropped.
+/// Threads that end on drop.
 pub struct Witness {
     threads: Vec<Sender<i64>>,
     taken: All,
 }
 
 impl Witness {
-    /// `None` where nothing may run before all others, or the kernel does not tell what it did with each core.
+    /// Starts the threads; `None` if they may not run before all others, or if the kernel does not report the time per core.
     pub fn start(group: &Group) -> Option<Self> {
         let cores = std::thread::available_parallelism().map_or(1, Into::into);
         let taken = All::default();
@@ -98,12 +98,12 @@ impl Witness {
         Some(Self { threads, taken })
     }
 
-    /// Looks around an instant, by the system's clock in nanoseconds.
+    /// Observes an instant, given in nanoseconds of the system's clock.
     pub fn attend(&self, start: i64) {
         self.threads.iter().for_each(|thread| thread.send(start).unwrap());
     }
 
-    /// What was taken away around a start.
+    /// The time taken away around a start.
     pub fn taken_at(&self, start: i64) -> Taken {
         let taken = self.taken.lock().unwrap();
         taken
@@ -128,7 +128,7 @@ fn watch(account: &Account, told: &Receiver<i64>, all: &All) {
     }
 }
 
-/// Counters that are read one after another may seem to have run back.
+/// The counters are not read at the same instant, so a difference may be slightly negative.
 fn positive(nanos: i64) -> Duration {
     Duration::from_nanos(u64::try_from(nanos).unwrap_or(0))
 }
@@ -137,26 +137,26 @@ fn sleep_until(instant: i64) {
     std::thread::sleep(Duration::from_nanos(u64::try_from(instant - epoch_nanos()).unwrap_or(0)));
 }
 
-/// What the kernel did with a core.
+/// Counters of the time that the kernel gave to a core.
 struct Account {
     core: usize,
-    /// The time that threads had, in nanoseconds for each core: all of them, and those of this program and its children.
+    /// CPU time of threads per core, in nanoseconds: of all threads, and of this program and its children.
     used: File,
     own: File,
-    /// The time in each idle state, in microseconds.
+    /// Time in each idle state, in microseconds.
     idle: Vec<File>,
 }
 
-/// In nanoseconds since some instant.
+/// Nanoseconds since some instant.
 struct Look {
-    /// The time that is accounted for nowhere.
+    /// Time that is not accounted for.
     missing: i64,
-    /// The time that threads had which are not ours.
+    /// CPU time of threads that are not ours.
     others: i64,
 }
 
 impl Account {
-    /// For the core on which the calling thread stays: what another core does at this moment is not yet accounted for.
+    /// For the core of the calling thread. On other cores, the current time slice is not accounted for yet.
     fn of(core: usize, group: &Group) -> Option<Self> {
         let used = |group: &Path| File::open(group.join("cpuacct.usage_percpu")).ok();
         let state =
@@ -189,7 +189,7 @@ pub fn stay_on(core: usize) {
     rustix::thread::sched_setaffinity(None, &cores).unwrap();
 }
 
-/// Asks for this thread to run before all of lower priority; returns whether that was granted.
+/// Requests that this thread runs before all of lower priority. Returns whether that was granted.
 pub fn become_first(priority: u32) -> bool {
     let mut attributes = uapi::sched_getattr(0, 0).unwrap();
     attributes.sched_policy = uapi::c::SCHED_FIFO.unsigned_abs();

@@ -1,7 +1,7 @@
 """Drives a robot that MuJoCo simulates: `drive.py MODEL LOG`, where MODEL is `ur5e` or `g1`.
 
-LOG becomes a CSV file with a line for each step of the simulation: nanoseconds of the host's clock, seconds of the simulation, and
-the degrees of each joint.
+LOG becomes a CSV file with one line for each step of the simulation: nanoseconds of the host's clock, seconds of the simulation, and the
+degrees of each joint.
 """
 
 import sys
@@ -18,7 +18,7 @@ class Simulated(Driver):
         self.model = model_of(sys.argv[1])
         self.data = mujoco.MjData(self.model)
         self.ended, self.thread = threading.Event(), threading.Thread(target=self.simulate)
-        self.moves: dict[str, tuple] = {}  # when each joint began to move, from where to where, and in how many seconds
+        self.moves: dict[str, tuple] = {}  # when each joint began to move, from which and to which position, and in how many seconds
         self.at = {}
         for joint in (device for device in robot.devices.values() if not device.is_sensor):
             self.at[joint.id] = self.model.joint(joint.id + "_joint").qposadr[0]

@@ -5,8 +5,8 @@ import pathlib
 
 import mujoco
 
-# The package with the model, its file, and the stiffness of its servos in newton metres for a radian: this example's choice, as stiff as
-# the steps of the simulation allow. Each servo is damped critically.
+# The package with the model, its file, and the stiffness of its servos in newton metres per radian: this example's choice, as stiff as
+# the time step of the simulation allows. Each servo is critically damped.
 MODELS = {
     "ur5e": ("robosuite", "models/assets/robots/ur5e/robot.xml", [10000] * 3 + [500] * 3),
     "g1": ("robosuite_models", "assets/robots/g1/robot.xml", [200] * 23),
@@ -23,7 +23,7 @@ def model_of(name: str) -> mujoco.MjModel:
     for joint in spec.joints:
         if joint.type == mujoco.mjtJoint.mjJNT_FREE:  # The humanoid hangs at its pelvis.
             spec.delete(joint)
-    for body in spec.bodies:  # As controllers of arms do, the servos carry the weight.
+    for body in spec.bodies:  # Like the controllers of real arms, the servos carry the weight.
         body.gravcomp = 1
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     return spec.compile()

@@ -1,7 +1,7 @@
 """The maker's daemon with a log of its simulator: `daemon.py LOG --sim --headless --no-media`.
 
-LOG becomes a CSV file with a line for each step of the simulation: nanoseconds of the host's clock, seconds of the simulation, and
-the degrees of each joint that a motor turns.
+LOG becomes a CSV file with one line for each step of the simulation: nanoseconds of the host's clock, seconds of the simulation, and the
+degrees of each motorized joint.
 """
 
 import sys

@@ -14,7 +14,7 @@ PERIOD = 0.004
 
 class Reachy(Driver):
     def start(self, robot: Robot) -> None:
-        self.moves: dict[str, tuple] = {}  # when each device began to move, from where to where, and in how many seconds
+        self.moves: dict[str, tuple] = {}  # when each device began to move, from which and to which position, and in how many seconds
         for device in robot.devices.values():
             if not device.is_sensor:
                 self.set(device.id, "position", device.default_value)
@@ -23,7 +23,7 @@ class Reachy(Driver):
         self.thread.start()
 
     def stream(self) -> None:
-        """Tells the daemon each change. It looks 50 times a second, and what it finds then should be fresh."""
+        """Sends each change to the daemon. The daemon reads the target 50 times a second, and the target should be fresh then."""
         sent = {}
         while not self.ended.wait(PERIOD):
             to = {device: self.target(device) for device in self.moves}
@@ -46,7 +46,7 @@ class Reachy(Driver):
         self.moves[device] = (time.monotonic(), self.target(device), value, seconds)
 
     def read(self, sensor: str) -> float:
-        # The daemon tells 50 times a second where the joints are; the answer is the next of these, so that it is fresh.
+        # The daemon publishes the joint positions 50 times a second. Waits for the next ones, so that the answer is fresh.
         told = self.reachy.client.joint_position_received
         told.clear()
         if not told.wait(0.5):

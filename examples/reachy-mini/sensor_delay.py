@@ -1,7 +1,7 @@
-"""How old what the daemon tells of its joints is when it arrives: `sensor_delay.py LOG`, while `daemon.py LOG --sim ...` runs.
+"""How old the joint positions are when they arrive from the daemon: `sensor_delay.py LOG`, while `daemon.py LOG --sim ...` runs.
 
-An antenna swings for ten seconds. Each value that the daemon tells is compared with the simulator's own log: the delay is the one
-at which both agree best.
+An antenna swings for ten seconds. Each value from the daemon is compared with the simulator's own log. The result is the delay with the
+best agreement.
 """
 
 import bisect
@@ -15,7 +15,7 @@ import time
 from reachy_mini import ReachyMini
 
 SWINGS, SETTLES = 10, 2
-"""Seconds."""
+"""In seconds."""
 DELAYS_MS = [tenth / 10 for tenth in range(300)]
 
 reachy = ReachyMini(connection_mode="localhost_only", media_backend="no_media", automatic_body_yaw=False)
@@ -43,7 +43,7 @@ reachy.client.disconnect()
 with open(sys.argv[1], newline="") as lines:
     rows = csv.reader(lines)
     column = next(rows).index("right_antenna")
-    # The last line may be cut off. The simulator turns the joint in the other direction.
+    # The last line may be incomplete. The simulator's joint turns in the opposite direction.
     log = [(int(row[0]) / 1e6, -float(row[column])) for row in rows if len(row) > column + 1]
 times = [at for at, _ in log]
 

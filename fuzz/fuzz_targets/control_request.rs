@@ -1,5 +1,5 @@
-//! Any text as a control request. One that is taken is written and read again the same, in one text and with one hash,
-//! and a robot that gets it keeps its invariants.
+//! Any text as a control request. A valid request survives writing and reading unchanged, with one text and one hash, and a robot that
+//! receives it keeps its invariants.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,13 +1,13 @@
-//! Any bytes, cut anywhere, through the decoder: what is read does not depend on the cuts, no more is held than one
-//! message and a push, and what was read is written in either encoding and read again the same.
+//! Any bytes, cut anywhere, through the decoder: the messages do not depend on the cuts, the decoder buffers at most one message and a
+//! push, and each message survives writing and reading in either encoding.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
 use urrcp::{DecodeError, Decoder, Encoding, Message, encode_as};
 
-/// Short, so that lines beyond it are common.
+/// Short, so that longer lines are common.
 const LIMIT: usize = 1_024;
-/// What stands ahead of a frame's payload.
+/// Bytes before a frame's payload.
 const HEAD: usize = 5;
 
 fn drain(decoder: &mut Decoder, read: &mut Vec<Result<Message, DecodeError>>) {
@@ -38,7 +38,7 @@ fuzz_target!(|bytes: &[u8]| {
     let mut cut = Decoder::new(LIMIT);
     let mut piecemeal = Vec::new();
     let mut rest = bytes;
-    // The bytes themselves say where they are cut.
+    // The bytes themselves determine the cuts.
     let mut random = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
     });

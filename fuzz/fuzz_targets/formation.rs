@@ -1,4 +1,4 @@
-//! A byte that picks a format, and bytes as a file of a formation: PLY, STL, CSV or SVG.
+//! A byte that selects a format, and bytes as a formation file: PLY, STL, CSV or SVG.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

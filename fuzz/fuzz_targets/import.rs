@@ -1,7 +1,7 @@
-//! Any bytes as a file of any format that is imported, which the first byte says: no panic, no hang, bounded memory; there is
-//! a choreography exactly when nothing is found, and its values are finite and in order.
+//! Any bytes as a file of any format that can be imported, selected by the first byte: no panic, no hang, bounded memory; there is a
+//! choreography exactly if there are no findings, and its values are finite and in order.
 //!
-//! With `DOWNBEAT_FORMAT` all bytes are a file of that format.
+//! With `DOWNBEAT_FORMAT`, all bytes are a file of that format.
 #![no_main]
 
 use std::sync::LazyLock;
@@ -10,7 +10,7 @@ use downbeat_import::{Course, ImportFormat, ImportOptions, Scenes, files_of, imp
 use downbeat_scripts::{Source, init_of, render};
 use libfuzzer_sys::fuzz_target;
 
-/// What is read: a choreography, or a robot's description.
+/// Kind of the input: a choreography, or a robot's description.
 #[derive(Clone, Copy)]
 enum Format {
     Motions(ImportFormat),
@@ -52,7 +52,7 @@ fn check_motions(format: ImportFormat, bytes: &[u8]) {
         ImportFormat::Fseq => vec![("r/a".to_owned(), "1".to_owned()), ("r/p*".to_owned(), "1-6/3".to_owned())],
         _ => Vec::new(),
     };
-    // Frames a second of the times of a table, for some.
+    // Some tables get times in frames per second.
     let rate_hz = (format == ImportFormat::Csv && bytes.len() % 2 == 1).then_some(29.97);
     let options = ImportOptions { columns, rate_hz, pieces_max: Some(100), ..ImportOptions::default() };
     let outcome = import_bytes(format, "f", bytes, &options);

@@ -1,5 +1,5 @@
-//! Any text as an initialization block. One that is taken keeps the protocol's limits, is written and read again the
-//! same, and makes a robot whose devices can all be driven.
+//! Any text as an initialization block. A valid block keeps the protocol's limits, survives writing and reading unchanged, and makes a
+//! robot whose devices can all be driven.
 #![no_main]
 
 use std::collections::HashSet;

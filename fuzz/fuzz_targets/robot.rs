@@ -1,5 +1,4 @@
-//! Any bytes as a list of what happens to a robot: messages, silence, broken links, late wake-ups. It keeps its
-//! invariants.
+//! Any bytes as a list of events for a robot: messages, silence, broken links, late wake-ups. The robot keeps its invariants.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

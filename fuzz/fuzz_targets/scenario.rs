@@ -1,5 +1,5 @@
-//! Any text as a scenario for a small fleet, with what follows a line `%%` as the file `a.yaml` that it can include: no panic, no hang,
-//! bounded memory; findings stand in the text, and there is a choreography exactly when there is no error.
+//! Any text as a scenario for a small fleet; the text after a line `%%` is the file `a.yaml`, which the scenario can include: no panic,
+//! no hang, bounded memory; findings refer to places in the text, and there is a choreography exactly if there is no error.
 #![no_main]
 
 use std::path::Path;
@@ -11,7 +11,7 @@ use downbeat_scripts::{
 };
 use libfuzzer_sys::fuzz_target;
 
-/// Bodies of these go into formations.
+/// The bodies of these drones move in formations.
 const DRONE: &str = r#"{"id": "drone", "api_version": "1", "devices": [
   {"id": "x", "name": "x", "default_value": 0, "interpolation": "linear", "available_control_types": {
      "position": {"min_value": -50, "max_value": 50, "granularity": 0.01, "max_error": 0.01},
@@ -23,7 +23,7 @@ const DRONE: &str = r#"{"id": "drone", "api_version": "1", "devices": [
      "position": {"min_value": 0, "max_value": 50, "granularity": 0.01, "max_error": 0.01},
      "script": {"min_value": 0, "max_value": 50, "granularity": 0.01, "max_number_of_steps": 256}}}]}"#;
 
-/// A drone that stands so many metres along x.
+/// A drone that is `along` metres along x.
 fn drone(name: &str, along: f64) -> FleetRobot {
     let mut init: urrcp::InitializationBlock = serde_json::from_str(DRONE).unwrap();
     init.id = urrcp::RobotId::new(name).unwrap();
@@ -40,7 +40,7 @@ fn drone(name: &str, along: f64) -> FleetRobot {
     FleetRobot { body: Some(body), ..FleetRobot::new(init.id.clone(), Address::Simulated, Some(init)) }
 }
 
-/// The robots for which the scenarios of `tests/sessions/findings` are written, which are seeds, and four drones.
+/// The robots of the scenarios in `tests/sessions/findings`, which are seeds, and four drones.
 static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/sessions/findings/folder/fleet.yaml");
     let mut fleet = read_fleet(&path).0.unwrap();
@@ -51,7 +51,7 @@ static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
     fleet
 });
 
-/// The only file that there is.
+/// Provides the only included file.
 struct Included<'t>(&'t str);
 
 impl Files for Included<'_> {

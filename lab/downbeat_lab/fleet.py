@@ -16,7 +16,7 @@ WAVE = "{d: [{at: 0s, to: 0}, {at: 500ms, to: 60}, {at: 1s, to: 20}, {at: 1500ms
 
 
 def robot_with_id(robot):
-    """The description of `ROBOT` with an id of its own."""
+    """The description of `ROBOT` with another id."""
     return ROBOT.replace("id: robot", f"id: {robot}", 1)
 
 
@@ -33,7 +33,7 @@ def fleet(addresses, init="robot.yaml", groups=None, head=""):
 
 
 def scenario(name, cues, running, start_tolerance, **keys):
-    """The text of a scenario with one act, whose cues are given as YAML in one line each."""
+    """The text of a scenario with one act, whose cues are given as one line of YAML each."""
     head = {"scenario": name, "start_tolerance": start_tolerance, "stop_condition": f"{{running: {running}}}", **keys}
     lines = "".join(f"{key}: {value}\n" for key, value in head.items())
     return f"{lines}cues:\n" + "".join(f"  - {cue}\n" for cue in cues)

@@ -6,11 +6,11 @@ import time
 
 ADDRESSES_PER_BYTE = 250
 LOOPBACK_MAX = 255 * ADDRESSES_PER_BYTE
-"""Addresses that `loopback` has in one network."""
+"""Number of addresses that `loopback` has in one network."""
 
 
 def free_ports(count):
-    """Different TCP ports that no process uses at any address of this machine."""
+    """Different TCP ports that are free at every address of this machine."""
     with contextlib.ExitStack() as open_sockets:
         sockets = [open_sockets.enter_context(socket.socket()) for _ in range(count)]
         for each in sockets:

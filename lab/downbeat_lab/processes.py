@@ -8,7 +8,7 @@ from downbeat_lab.program import shown
 
 
 class Processes:
-    """Processes that end with a `with` block."""
+    """Processes that are ended at the end of a `with` block."""
 
     def __init__(self):
         self.started = []
@@ -35,7 +35,7 @@ class Processes:
         """Starts `downbeat robot` or `downbeat sim` and waits until it has printed one address for each of its robots.
 
         `errors` is the file for its standard error, which is discarded by default. Returns the process and the printed lines. Exits if
-        the process ends before.
+        the process ends before that.
         """
         with open(errors or os.devnull, "w") as file:
             process = self.start(*command, stdout=subprocess.PIPE, stderr=file, **options)

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 WITH_ZENOH = ("-p", "downbeat-robot", "--features", "downbeat/zenoh")
 """Arguments of Cargo that build `downbeat` with links over Zenoh."""
 COMMAND_SHOWN = 80
-"""Characters of a failed command that an error message shows."""
+"""Number of characters of a failed command that an error message shows."""
 
 
 def arguments(description, zenoh=False):

@@ -11,19 +11,19 @@ def instant(text):
 
 
 def session_instant(session):
-    """Seconds since 1970 at which a mission was named. Its name ends with this instant, as in `wave@host-20261123T115816329`."""
+    """Seconds since 1970 at which a mission got its name, which ends with this instant, as in `wave@host-20261123T115816329`."""
     at = datetime.datetime.strptime(session.rsplit("-", 1)[1], "%Y%m%dT%H%M%S%f")
     return at.replace(tzinfo=datetime.timezone.utc).timestamp()
 
 
 def outcome(report):
-    """The kind of a report's outcome, without the values in it."""
+    """The kind of a report's outcome, without its values."""
     value = report.get("outcome", "no report")
     return value if isinstance(value, str) else next(iter(value))
 
 
 def failures(report, robot=None):
-    """The failures of a report as text, those of one robot if it is given."""
+    """The failures of a report as text, or only those of one robot."""
     return [failure["text"] for failure in report.get("failures", []) if robot in (None, failure["robot"])]
 
 

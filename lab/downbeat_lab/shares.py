@@ -3,11 +3,11 @@
 import math
 
 Z_95 = 1.959964
-"""Quantile of the normal distribution for 95 %, on both sides."""
+"""Two-sided quantile of the normal distribution for 95 %."""
 
 
 def wilson(count, total):
-    """The lower and the upper bound of a share by Wilson's interval (1927), at 95 %."""
+    """The lower and upper bound of a share by Wilson's interval (1927), at 95 %."""
     share, squared = count / total, Z_95 * Z_95
     middle = (share + squared / (2 * total)) / (1 + squared / total)
     half = Z_95 / (1 + squared / total) * math.sqrt(share * (1 - share) / total + squared / (4 * total * total))

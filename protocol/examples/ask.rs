@@ -13,14 +13,14 @@ use urrcp::{
     encode,
 };
 
-/// A connection with what has come and was not read yet.
+/// A connection and its received, undecoded bytes.
 struct Robot {
     stream: TcpStream,
     decoder: Decoder,
 }
 
 impl Robot {
-    /// Sends a message and returns the next one that comes.
+    /// Sends a message and returns the next received one.
     fn ask(&mut self, message: impl Into<Message>) -> Result<Message, Box<dyn Error>> {
         let mut bytes = Vec::new();
         encode(&message.into(), &mut bytes);
@@ -38,7 +38,7 @@ impl Robot {
     }
 }
 
-/// A request that moves the first device that can be moved.
+/// A request for the first movable device.
 fn to_the_middle(block: &InitializationBlock) -> Option<ControlRequest> {
     let middle = |limits: &Limits| limits.nearest(f64::midpoint(limits.min_value, limits.max_value));
     block.devices.iter().find_map(|device| {

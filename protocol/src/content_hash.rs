@@ -1,4 +1,4 @@
-//! The hash that binds what starts to what was checked.
+//! The hash that guarantees that a robot starts the checked content.
 
 use std::fmt;
 
@@ -73,7 +73,7 @@ impl<'de> Deserialize<'de> for ContentHash {
     }
 }
 
-/// Digits, or the bytes that they stand for.
+/// Reads hexadecimal digits, or the raw bytes.
 struct Digits;
 
 impl de::Visitor<'_> for Digits {
@@ -103,7 +103,7 @@ fn parse(text: &str) -> Option<ContentHash> {
     Some(ContentHash(bytes))
 }
 
-/// By a table: whether a digit is a letter cannot be foreseen, and a wrong guess takes a processor longer than the digit.
+/// Uses a table, because the branch between digits and letters is unpredictable, and a misprediction costs more than the digit.
 fn digit(letter: u8) -> Option<u8> {
     const NONE: u8 = 0xff;
     const VALUES: [u8; 256] = {

@@ -18,7 +18,7 @@ pub enum ControlType {
     Acceleration,
     /// A sequence of the other control types in one command.
     Script,
-    /// Not control but a request for a reading.
+    /// Not a control type, but a request for a reading.
     Sensor,
     /// Arbitrary control `custom_N`.
     Custom(u32),
@@ -54,7 +54,7 @@ impl FromStr for ControlType {
     }
 }
 
-/// The N of `custom_N`, in its one canonical spelling.
+/// The number in `custom_N`, if it has its canonical spelling.
 fn custom_number(name: &str) -> Option<u32> {
     let digits = name.strip_prefix("custom_")?;
     let number: u32 = digits.parse().ok()?;
@@ -85,10 +85,10 @@ impl<'de> Deserialize<'de> for ControlType {
     }
 }
 
-/// A control type in the short form of a script step: its number where it has one, else its name.
+/// A control type in the short form of a script step: its number if it has one, otherwise its name.
 pub(crate) struct Short(pub(crate) ControlType);
 
-/// By their numbers.
+/// The control types with numbers, in the order of these.
 const NUMBERED: [ControlType; 3] = [ControlType::Position, ControlType::Speed, ControlType::Acceleration];
 
 impl Serialize for Short {

@@ -11,15 +11,15 @@ use crate::text::{self, Label};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{code}: {message}")]
 pub struct ControlError {
-    /// What kind of failure, for machines.
+    /// The kind of failure, for machines.
     pub code: ErrorCode,
-    /// What was found and expected, for people. Of one that is read, the first 256 characters.
+    /// The found and the expected value, for people. When read, only the first 256 characters are kept.
     #[serde(default, deserialize_with = "text::shortened_on_reading")]
     pub message: String,
 }
 
 impl ControlError {
-    /// Joins a code and its sentence.
+    /// Creates an error from a code and a sentence.
     pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
         Self { code, message: message.into() }
     }
@@ -68,19 +68,19 @@ error_codes! {
     OutOfRange = "out_of_range",
     /// A value is no multiple of the granularity.
     OffGranularity = "off_granularity",
-    /// More steps than max_number_of_steps.
+    /// The script has more steps than max_number_of_steps.
     TooManySteps = "too_many_steps",
-    /// The start has passed already.
+    /// The start has already passed.
     Late = "late",
-    /// The device is taken at that time.
+    /// The device is occupied at that time.
     Overlap = "overlap",
     /// The server has been silent for longer than the stop_condition.
     LinkLost = "link_lost",
-    /// The message cannot be understood.
+    /// The message is malformed.
     Malformed = "malformed",
-    /// The queue is full, or the robot cannot take commands now.
+    /// The queue is full, or the robot cannot accept commands now.
     Busy = "busy",
-    /// The peer has proven who it is, and may not do this (ours).
+    /// The peer has proven its identity, and lacks the permission (ours).
     Forbidden = "forbidden",
     /// The robot itself failed.
     Internal = "internal",

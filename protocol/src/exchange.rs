@@ -1,11 +1,11 @@
-//! Which open request a response answers.
+//! Finds the open request that a response answers.
 
 use std::collections::{HashMap, VecDeque};
 
 use crate::message::ControlResponse;
 use crate::text::{DeviceId, RequestId};
 
-/// The requests sent on one link that still await an answer, each with what the sender wants to remember of it.
+/// The requests sent on one link that still await an answer, each with a note of the sender.
 ///
 /// A response names its request by `request_id`; without one it answers the oldest open request of its device.
 #[derive(Clone, Debug)]
@@ -21,7 +21,7 @@ impl<T> Default for OpenRequests<T> {
 }
 
 impl<T> OpenRequests<T> {
-    /// Notes a request. One of the same id is replaced.
+    /// Adds a request. Replaces a request with the same id.
     pub fn open(&mut self, device_id: DeviceId, request_id: RequestId, note: T) {
         if self.by_id.insert(request_id.clone(), note).is_none() {
             self.oldest.entry(device_id).or_default().push_back(request_id);
@@ -40,7 +40,7 @@ impl<T> OpenRequests<T> {
         }
     }
 
-    /// Forgets a request that needs no more answers.
+    /// Removes a request that needs no further answers.
     pub fn close(&mut self, device_id: &DeviceId, request_id: &RequestId) -> Option<T> {
         if let Some(queue) = self.oldest.get_mut(device_id) {
             queue.retain(|id| id != request_id);
@@ -48,13 +48,13 @@ impl<T> OpenRequests<T> {
         self.by_id.remove(request_id)
     }
 
-    /// How many are open.
+    /// Number of open requests.
     #[must_use]
     pub fn len(&self) -> usize {
         self.by_id.len()
     }
 
-    /// Whether none is open.
+    /// Whether no request is open.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.by_id.is_empty()

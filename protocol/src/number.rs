@@ -1,4 +1,4 @@
-//! Numbers on the wire: finite, and written without a fraction where they have none.
+//! Numbers on the wire: finite, and written without a fraction if they are integers.
 
 use std::fmt;
 
@@ -7,8 +7,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 /// Largest integer that a double holds exactly, 2^53.
 const EXACT_INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 
-/// Writes `45` for 45.0 and `0` for -0.0, so that one value has one text. A binary encoding gets four bytes where they
-/// hold the value exactly.
+/// Writes `45` for 45.0 and `0` for -0.0, so that each value has one text. A binary encoding uses four bytes if they represent the value
+/// exactly.
 pub(crate) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     if value.fract() == 0.0 && value.abs() <= EXACT_INTEGER_MAX {
         #[expect(clippy::cast_possible_truncation, reason = "an integer within 2^53")]
@@ -22,7 +22,7 @@ pub(crate) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::
     serializer.serialize_f64(*value)
 }
 
-/// Reads any number that a double can hold.
+/// Reads any number that fits into a double.
 pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Number::deserialize(deserializer).map(|number| number.0)
 }
@@ -42,7 +42,7 @@ impl<'de> Deserialize<'de> for Number {
         if deserializer.is_human_readable() {
             deserializer.deserialize_f64(AnyNumber)
         } else {
-            // A binary encoding has several kinds of numbers, all of which are accepted.
+            // A binary encoding has several kinds of numbers; all are accepted.
             deserializer.deserialize_any(AnyNumber)
         }
     }
@@ -76,7 +76,7 @@ pub(crate) fn finite<E: de::Error>(value: f64) -> Result<f64, E> {
     if value.is_finite() { Ok(value) } else { Err(E::custom(crate::LimitError::NotFinite)) }
 }
 
-/// The same for a number that may be left out or null.
+/// The same for a number that may be omitted or null.
 pub(crate) mod optional {
     use super::{Deserialize, Deserializer, Number, Serializer};
 

@@ -1,4 +1,4 @@
-//! What an operator may do, and what a message takes.
+//! The permissions of an operator, and those that a message requires.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -7,24 +7,24 @@ use std::str::FromStr;
 use crate::message::{Command, ControlRequest, Message};
 use crate::text::Label;
 
-/// What an operator may do, each by itself.
+/// A permission of an operator, independent of the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
-    /// Ask: descriptions, availability, readings, states.
+    /// Query: descriptions, availability, readings, states.
     Observe,
-    /// Begin missions: claim free robots and send them commands.
+    /// Start missions: claim free robots and send them commands.
     Drive,
     /// Stop any robot, whichever session it belongs to.
     Stop,
-    /// Take a robot from the session to which it belongs, together with [`Role::Drive`].
+    /// Together with [`Role::Drive`]: take a robot from its current session.
     Seize,
 }
 
 impl Role {
-    /// All, in the order in which they are told.
+    /// All roles, in the order in which they are listed.
     pub const ALL: [Self; 4] = [Self::Observe, Self::Drive, Self::Stop, Self::Seize];
 
-    /// As it is written.
+    /// The name of the role as text.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -35,8 +35,9 @@ impl Role {
         }
     }
 
-    /// What a message to a robot takes: any of these. A reading and a question without a session observe; what claims a robot or
-    /// moves it drives. What seizes a robot takes [`Role::Seize`] as well.
+    /// The roles that permit a message to a robot; any one of them is enough. A reading and a query without a session need
+    /// [`Role::Observe`]; a message that claims or moves a robot needs [`Role::Drive`]. A message that seizes a robot additionally needs
+    /// [`Role::Seize`].
     #[must_use]
     pub fn needed_for(message: &Message) -> &'static [Self] {
         match message {
@@ -72,7 +73,7 @@ impl FromStr for Role {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let known = Self::ALL.into_iter().find(|role| role.as_str() == text);
-        known.ok_or_else(|| format!("`{text}` is no role: expected observe, drive, stop or seize"))
+        known.ok_or_else(|| format!("unknown role `{text}`, expected observe, drive, stop or seize"))
     }
 }
 
@@ -81,13 +82,13 @@ impl FromStr for Role {
 pub struct Roles(BTreeSet<Role>);
 
 impl Roles {
-    /// Whether this one is among them.
+    /// Whether the set contains this role.
     #[must_use]
     pub fn has(&self, role: Role) -> bool {
         self.0.contains(&role)
     }
 
-    /// In their order.
+    /// Iterates over the roles in their order.
     pub fn iter(&self) -> impl Iterator<Item = Role> + '_ {
         self.0.iter().copied()
     }
@@ -106,11 +107,11 @@ impl fmt::Display for Roles {
     }
 }
 
-/// What a peer has proven: who it is, and what it may do.
+/// The proven identity and permissions of a peer.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Proof {
-    /// Its name.
+    /// The peer's name.
     pub name: Label,
-    /// What it may do.
+    /// The peer's permissions.
     pub roles: Roles,
 }

@@ -1,5 +1,6 @@
-//! The JSON Schema (2020-12) of the messages, made from their types. Here stand the types that read and write themselves;
-//! the others derive theirs. What a schema cannot say, as that ids are unique and steps in order, `docs/protocol.md` says.
+//! The JSON Schema (2020-12) of the messages, generated from their types. This file covers the types with a manual serialization; the
+//! others derive their schema. `docs/protocol.md` states the rules that a schema cannot express, such as unique ids and the order of
+//! steps.
 
 use std::borrow::Cow;
 
@@ -18,7 +19,7 @@ use crate::message::{
 use crate::text::{DeviceId, Label, RequestId, RobotId, SessionId};
 use crate::time::{Millis, Timestamp};
 
-/// The schema of any message, each of them under `$defs`.
+/// The schema of all messages, each of them under `$defs`.
 ///
 /// ```
 /// let schema = urrcp::message_schema();
@@ -70,9 +71,9 @@ string_schemas! {
     DeviceId, "DeviceId", 1, "Identifies a device among the devices of its robot.";
     RequestId, "RequestId", 0, "Ties responses to the request that they answer.";
     SessionId, "SessionId", 1, "One run of a scheduler.";
-    Label, "Label", 0, "A text for people.";
-    Status, "Status", 0, "Accepted, Started, OK, Failed, Provide, or a word that a later version knows.";
-    ErrorCode, "ErrorCode", 0, "What kind of failure, for machines.";
+    Label, "Label", 0, "Human-readable text.";
+    Status, "Status", 0, "Accepted, Started, OK, Failed, Provide, or a value of a later version.";
+    ErrorCode, "ErrorCode", 0, "Machine-readable kind of failure.";
 }
 
 impl<C> JsonSchema for Timestamp<C> {
@@ -147,7 +148,7 @@ schema_of!(Step, "Step", |generator| {
 
 schema_of!(Script, "Script", |generator| {
     let step = generator.subschema_for::<Step>();
-    json_schema!({"description": "Steps in order of time. Without steps it cancels.", "type": "array", "items": step})
+    json_schema!({"description": "Steps in order of time. An empty list cancels.", "type": "array", "items": step})
 });
 
 schema_of!(StatusValue, "StatusValue", |generator| {
@@ -183,7 +184,7 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
                 "else": {
                     "if": of_motion,
                     "then": {"properties": {"control_value": {"type": "number"}}, "required": ["control_value"]},
-                    // The value of a control type that is not known may be anything.
+                    // The value of an unknown control type may be anything.
                     "else": {
                         "if": of_sensor,
                         "then": {"properties": {"control_value": {"type": ["number", "array", "null"]}}},
@@ -201,23 +202,23 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
 struct ControlRequestKeys {
     /// When the server sent it; all requests of one act carry the same.
     timestamp: Option<Timestamp<crate::time::Server>>,
-    /// From `timestamp` to the start. Left out: at once on receipt.
+    /// From `timestamp` to the start. If omitted, the command starts on receipt.
     time_offset_to_start: Option<Millis>,
-    /// The device that the signal is for.
+    /// The addressed device.
     device_id: DeviceId,
-    /// The lease. Left out: none.
+    /// The lease. If omitted, there is none.
     stop_condition: Option<StopCondition>,
     /// The robot drops the request if it has not begun by this instant of the robot's clock.
     pending_until: Option<Timestamp<crate::time::Robot>>,
     /// Echoed in every response.
     request_id: Option<RequestId>,
-    /// Of `control_value`, checked and echoed by the robot.
+    /// The hash of `control_value`, checked and echoed by the robot.
     content_hash: Option<ContentHash>,
-    /// On whose behalf.
+    /// The session of the sender.
     session: Option<SessionId>,
     /// With an empty script: the device goes to its default state instead of coming to rest where it is.
     home: Option<bool>,
-    /// One of the device's available control types; a name that is none is one that the device lacks.
+    /// One of the device's available control types; an unknown name is treated as one that the device lacks.
     control_type: Label,
 }
 
@@ -234,7 +235,7 @@ schema_of!(ControlTypes, "ControlTypes", |generator| {
         "patternProperties": {"^custom_(0|[1-9][0-9]{0,9})$": {
             "type": "object",
             "properties": {"at_rest": {
-                "description": "Where its values go when a command ends early: a number for all of them, or one for each.",
+                "description": "The values that it takes when a command ends early: one number for all of them, or one for each.",
                 "anyOf": [
                     {"type": "number"},
                     {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": CONTROL_VALUES_MAX},

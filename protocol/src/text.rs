@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::limits::{LimitError, STRING_CHARS_MAX};
 
-/// A text for people as far as it is shown: cut where it is longer than any string may be.
+/// A text for people as displayed: cut if it exceeds the maximum length of a string.
 pub(crate) fn shortened(text: &str) -> String {
     match text.char_indices().nth(STRING_CHARS_MAX - 1) {
         Some((end, last)) if end + last.len_utf8() < text.len() => format!("{}…", &text[..end]),
@@ -15,7 +15,7 @@ pub(crate) fn shortened(text: &str) -> String {
     }
 }
 
-/// Reads a text for people, and keeps as much of it as is shown: what another party writes is not kept at its whole length.
+/// Reads a text for people and keeps only the displayed part, so that another party cannot make it arbitrarily long.
 pub(crate) fn shortened_on_reading<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     struct Text;
 
@@ -34,9 +34,9 @@ pub(crate) fn shortened_on_reading<'de, D: Deserializer<'de>>(deserializer: D) -
     deserializer.deserialize_str(Text)
 }
 
-/// Whether a string is as short as the protocol wants it.
+/// Checks that a string is within the protocol's limit.
 pub(crate) fn check_length(text: &str) -> Result<(), LimitError> {
-    // Bytes bound characters from above, so most strings are never counted.
+    // The number of bytes is an upper bound of the number of characters, so most strings need no counting.
     if text.len() <= STRING_CHARS_MAX {
         return Ok(());
     }
@@ -50,7 +50,7 @@ fn check_identifier(text: &str) -> Result<(), LimitError> {
     if text.is_empty() { Err(LimitError::EmptyIdentifier) } else { check_length(text) }
 }
 
-// Clones share their text: every step of a script names its device and its request.
+// Clones share their text, because every step of a script names its device and its request.
 macro_rules! bounded_string {
     ($(#[$doc:meta])* $name:ident, $check:ident) => {
         $(#[$doc])*
@@ -58,10 +58,10 @@ macro_rules! bounded_string {
         pub struct $name(Arc<str>);
 
         impl $name {
-            /// Takes a string of at most 256 characters.
+            /// Creates it from a string of at most 256 characters.
             ///
             /// # Errors
-            /// [`LimitError`] when it is longer or, for an identifier, empty.
+            /// [`LimitError`] if the string is longer or, for an identifier, empty.
             pub fn new(text: impl Into<String>) -> Result<Self, LimitError> {
                 let text = text.into();
                 $check(&text)?;
@@ -120,7 +120,7 @@ bounded_string!(
     check_identifier
 );
 bounded_string!(
-    /// Ties responses to the request that they answer (our extension).
+    /// Associates responses with the request that they answer (our extension).
     RequestId,
     check_length
 );
@@ -130,7 +130,7 @@ bounded_string!(
     check_identifier
 );
 bounded_string!(
-    /// A text for people, or a word that only the peer understands.
+    /// A text for people, or a word that only the peer interprets.
     Label,
     check_length
 );

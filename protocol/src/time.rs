@@ -1,4 +1,4 @@
-//! Instants, spans and offsets. The clock of an instant is in its type, so that instants of two clocks do not mix.
+//! Instants, spans and offsets. The type of an instant contains its clock, so that instants of different clocks cannot be mixed.
 //!
 //! ```compile_fail
 //! use urrcp::{Robot, Server, Span, Timestamp};
@@ -24,70 +24,70 @@ use crate::number;
 #[derive(Clone, Copy, Debug)]
 pub enum Server {}
 
-/// A robot's clock, as the robot believes it: disciplined by NTP where it has NTP.
+/// A robot's own clock: disciplined by NTP if the robot uses NTP.
 #[derive(Clone, Copy, Debug)]
 pub enum Robot {}
 
-/// A signed length of time in nanoseconds, up to 292 years either way. Arithmetic saturates.
+/// A signed duration in nanoseconds, up to 292 years in either direction. Arithmetic saturates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Span(i64);
 
 impl Span {
-    /// No time at all.
+    /// Zero duration.
     pub const ZERO: Self = Self(0);
     /// The longest span.
     pub const MAX: Self = Self(i64::MAX);
 
-    /// From nanoseconds.
+    /// Creates a span from nanoseconds.
     #[must_use]
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
-    /// From microseconds, saturating.
+    /// Creates a span from microseconds, saturating.
     #[must_use]
     pub const fn from_micros(micros: i64) -> Self {
         Self(micros.saturating_mul(1_000))
     }
 
-    /// From milliseconds, saturating.
+    /// Creates a span from milliseconds, saturating.
     #[must_use]
     pub const fn from_millis(millis: i64) -> Self {
         Self(millis.saturating_mul(1_000_000))
     }
 
-    /// From milliseconds with a fraction, rounded to the nearest nanosecond; saturating, and zero for NaN.
+    /// Creates a span from fractional milliseconds, rounded to the nearest nanosecond; saturating, and zero for NaN.
     #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "`as` saturates and maps NaN to 0")]
     #[expect(clippy::cast_precision_loss, reason = "what was a whole f64 is one again")]
     pub fn from_millis_f64(millis: f64) -> Self {
         let nanos = millis * 1e6;
-        // As `f64::round`, which is a call into the mathematics library where the processor's own rounding may be missing.
+        // Like `f64::round`, which calls the mathematics library if the processor may lack a rounding instruction.
         let whole = nanos as i64;
         let rest = nanos - whole as f64;
         Self(whole.saturating_add(i64::from(rest >= 0.5) - i64::from(rest <= -0.5)))
     }
 
-    /// In nanoseconds.
+    /// Returns the nanoseconds.
     #[must_use]
     pub const fn as_nanos(self) -> i64 {
         self.0
     }
 
-    /// In milliseconds.
+    /// Returns the milliseconds.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "exact up to 104 days, else rounded")]
     pub fn as_millis_f64(self) -> f64 {
         self.0 as f64 / 1e6
     }
 
-    /// Its length without the sign.
+    /// The absolute value.
     #[must_use]
     pub const fn abs(self) -> Self {
         Self(self.0.saturating_abs())
     }
 
-    /// As an unsigned duration; zero if negative.
+    /// Converts to an unsigned duration; zero if negative.
     #[must_use]
     pub fn to_duration(self) -> Duration {
         Duration::from_nanos(u64::try_from(self.0).unwrap_or(0))
@@ -158,14 +158,14 @@ fn rounded(value: f64) -> f64 {
 }
 
 impl Serialize for Span {
-    /// As milliseconds.
+    /// Serializes as milliseconds.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         number::serialize(&self.as_millis_f64(), serializer)
     }
 }
 
 impl<'de> Deserialize<'de> for Span {
-    /// From milliseconds.
+    /// Deserializes from milliseconds.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         number::deserialize(deserializer).map(Self::from_millis_f64)
     }
@@ -178,20 +178,20 @@ pub struct Timestamp<C> {
 }
 
 impl<C> Timestamp<C> {
-    /// From nanoseconds since the Unix epoch.
+    /// Creates a timestamp from nanoseconds since the Unix epoch.
     #[must_use]
     pub const fn from_nanos(nanos: i64) -> Self {
         Self { nanos, clock: PhantomData }
     }
 
-    /// Nanoseconds since the Unix epoch.
+    /// Returns the nanoseconds since the Unix epoch.
     #[must_use]
     pub const fn as_nanos(self) -> i64 {
         self.nanos
     }
 
-    /// The same reading taken as one of the clock `D`: right only where both are disciplined by NTP, or after the
-    /// offset between them has been added.
+    /// Reinterprets the reading as one of the clock `D`: valid only if both clocks are disciplined by NTP, or after the offset between
+    /// them has been added.
     #[must_use]
     pub const fn assume_clock<D>(self) -> Timestamp<D> {
         Timestamp::from_nanos(self.nanos)
@@ -239,7 +239,7 @@ impl<C> fmt::Debug for Timestamp<C> {
 }
 
 impl<C> fmt::Display for Timestamp<C> {
-    /// RFC 3339 in UTC with nine fractional digits.
+    /// Formats as RFC 3339 in UTC with nine fractional digits.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let utc: DateTime<Utc> = DateTime::from_timestamp_nanos(self.nanos);
         f.pad(&utc.to_rfc3339_opts(SecondsFormat::Nanos, true))
@@ -268,7 +268,7 @@ impl<C> Sub for Timestamp<C> {
 }
 
 impl<C> Serialize for Timestamp<C> {
-    /// As RFC 3339, in a binary encoding as nanoseconds since the Unix epoch.
+    /// Serializes as RFC 3339, or in a binary encoding as nanoseconds since the Unix epoch.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
             serializer.collect_str(self)
@@ -313,18 +313,18 @@ impl<'de, C> Deserialize<'de> for Timestamp<C> {
     }
 }
 
-/// A count of milliseconds on the wire: finite, from 0 to [`OFFSET_MS_MAX`], fractions allowed.
+/// A number of milliseconds on the wire: finite, from 0 to [`OFFSET_MS_MAX`], fractions allowed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Millis(f64);
 
 impl Millis {
-    /// No time at all.
+    /// Zero duration.
     pub const ZERO: Self = Self(0.0);
 
-    /// Takes a number of milliseconds.
+    /// Checks a number of milliseconds.
     ///
     /// # Errors
-    /// [`LimitError::OffsetOutOfRange`] when it is negative, not finite or beyond [`OFFSET_MS_MAX`].
+    /// [`LimitError::OffsetOutOfRange`] if it is negative, not finite or exceeds [`OFFSET_MS_MAX`].
     pub fn new(millis: f64) -> Result<Self, LimitError> {
         if (0.0..=OFFSET_MS_MAX).contains(&millis) {
             Ok(Self(millis))
@@ -333,19 +333,19 @@ impl Millis {
         }
     }
 
-    /// From a span, clamped to what the wire can carry.
+    /// Converts a span, clamped to the range of the wire.
     #[must_use]
     pub fn from_span(span: Span) -> Self {
         Self(span.as_millis_f64().clamp(0.0, OFFSET_MS_MAX))
     }
 
-    /// In milliseconds.
+    /// Returns the milliseconds.
     #[must_use]
     pub const fn get(self) -> f64 {
         self.0
     }
 
-    /// As a span, rounded to the nearest nanosecond.
+    /// Converts to a span, rounded to the nearest nanosecond.
     #[must_use]
     pub fn span(self) -> Span {
         Span::from_millis_f64(self.0)

@@ -1,4 +1,4 @@
-//! What the wire carries, byte for byte, and what it refuses.
+//! The messages on the wire, byte for byte, and the rejected ones.
 
 mod arbitrary;
 
@@ -175,7 +175,7 @@ fn parameters_of_a_custom_control_type_are_bounded_with_all_that_is_in_them() {
             r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{{"custom_1":{{"deep":{list}}}}}}}]}}}}"#
         ))
     };
-    // The list itself is one of them.
+    // The list itself counts as one value.
     assert!(block(format!("[{}0]", "0,".repeat(4_094))).is_ok());
     assert!(block(format!("[{}[0]]", "0,".repeat(4_094))).unwrap_err().to_string().contains("4096 values"));
 }
@@ -299,7 +299,7 @@ fn an_unknown_control_type_is_a_request_whatever_its_values_are_and_wherever_the
             assert_eq!(decoder.next_message(), Some(Ok(Message::ControlRequest(read))), "{request}");
         }
     }
-    // One that is known has its values read, and nothing else of a request is let pass.
+    // The values of a known control type are read, and no other error in a request is tolerated.
     for wrong in [
         r#"{"control_request":{"device_id":"d","control_type":"speed","control_value":"fast"}}"#,
         r#"{"control_request":{"device_id":"","control_type":"dance","control_value":[1]}}"#,
@@ -468,7 +468,7 @@ fn a_content_hash_depends_on_the_steps_alone() {
     assert_ne!(script(1.0).content_hash(), script(2.0).content_hash());
 }
 
-/// The message that comes of writing this one.
+/// The message after encoding and decoding.
 fn through(encoding: Encoding, message: &Message) -> Message {
     let mut bytes = Vec::new();
     encode_as(encoding, message, &mut bytes);
@@ -537,8 +537,8 @@ mod schema {
 
     use super::*;
 
-    /// Keys of a message that the schema does not list where they stand. Those of control values depend on other keys and stand
-    /// apart in the schema; a `custom_N` has the keys that its robot gives it.
+    /// Keys of a message that the schema does not list at their place. Keys of control values depend on other keys and are listed
+    /// separately in the schema; the keys of a `custom_N` are defined by its robot.
     fn unlisted(root: &Value, schema: &Value, message: &Value, found: &mut BTreeSet<String>) {
         if let Some(reference) = schema["$ref"].as_str() {
             let definition = &root["$defs"][reference.rsplit('/').next().unwrap()];

@@ -1,4 +1,4 @@
-//! A driver to copy: hardware behind a socket that takes a line a command and answers each with a line.
+//! A driver to copy: hardware behind a socket that takes one line per command and answers each with a line.
 //!
 //! `cargo run --example driver -- robot.json 192.168.1.20:5000` runs it behind a robot on port 7401.
 
@@ -28,7 +28,7 @@ impl LineDriver {
         Ok(BufReader::new(stream))
     }
 
-    /// Sends a line and returns the line that comes back.
+    /// Sends a line and returns the answer.
     fn ask(&mut self, line: &str) -> Result<String, DriverError> {
         let connection = self.connection.as_mut().ok_or_else(|| away("not connected"))?;
         connection.get_mut().write_all(format!("{line}\n").as_bytes()).map_err(away)?;
@@ -71,7 +71,7 @@ impl Driver for LineDriver {
     }
 }
 
-/// A robot with this description on the hardware at an address.
+/// Returns a robot with this description whose hardware is at an address.
 pub fn robot(description: &str, address: String) -> Result<Hosted, serde_json::Error> {
     let block: InitializationBlock = serde_json::from_str(description)?;
     let driver = LineDriver { address, connection: None };

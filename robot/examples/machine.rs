@@ -1,4 +1,4 @@
-//! The machine alone, with neither threads nor a clock: a script of three steps in virtual time.
+//! The machine alone, without threads and without a clock: a script of three steps in virtual time.
 //!
 //! `cargo run --example machine --no-default-features`
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
@@ -9,7 +9,7 @@ use downbeat_robot::urrcp::{
 };
 use downbeat_robot::{Input, LinkId, Output, Robot};
 
-/// What happened, a line each, with the time since the request.
+/// Returns the events, one line each, with the time since the request.
 pub fn play() -> Result<Vec<String>, LimitError> {
     let percent = Limits::new(0.0, 100.0, 1.0)?;
     let lamp = DeviceId::new("lamp")?;
@@ -34,7 +34,7 @@ pub fn play() -> Result<Vec<String>, LimitError> {
     loop {
         told.extend(outputs.drain(..).filter_map(|output| line(now - begin, &output)));
         let Some(next) = robot.next_wakeup() else { return Ok(told) };
-        // A real robot sleeps until then, or until a message comes.
+        // A real robot sleeps until then, or until a message arrives.
         now = next;
         robot.advance(now, &mut outputs);
     }

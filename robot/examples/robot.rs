@@ -1,4 +1,4 @@
-//! A whole robot to copy: one joint, on TCP. In the place of `println!` stands what moves your motor.
+//! A complete robot to copy: one joint, on TCP. Replace `println!` with the code that moves your motor.
 //!
 //! `cargo run --example robot`, and then `downbeat conformance tcp://127.0.0.1:7401 --device elbow`.
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
@@ -11,7 +11,7 @@ use downbeat_robot::urrcp::{
 };
 use downbeat_robot::{HostOptions, Hosted, run};
 
-/// What the robot tells a scheduler about itself.
+/// Returns the description that the robot sends to a scheduler.
 fn description() -> Result<InitializationBlock, LimitError> {
     let degrees = Limits::new(-150.0, 150.0, 0.1)?;
     let mut elbow = Device::new(DeviceId::new("elbow")?)
@@ -45,7 +45,7 @@ impl Driver for Motor {
     }
 }
 
-/// The robot with its motor.
+/// Returns the robot with its motor.
 pub fn arm() -> Result<Hosted, LimitError> {
     Ok(Hosted::driven(description()?, Box::new(Motor), DriverOptions::default()))
 }

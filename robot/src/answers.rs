@@ -1,17 +1,17 @@
-//! What a robot last answered to each request, so that a repeated one is answered again and not executed again, and an
-//! inquiry learns what became of it.
+//! The last answers of a robot to each request. A repeated request is answered again without being executed again, and an inquiry finds
+//! its outcome.
 
 use std::collections::{HashMap, VecDeque};
 
 use urrcp::{ContentHash, ControlResponse, RequestId, Robot, Status, Timestamp};
 
-/// Requests that have ended and whose last answer is kept, at least; the oldest go first. Of those that have not ended
-/// every answer is kept: the devices' queues bound their number.
+/// Minimum number of ended requests whose last answer is kept; the oldest are dropped first. Requests that have not ended keep every
+/// answer: the device queues bound their number.
 pub(crate) const ENDED_KEPT: usize = 256;
-/// As many for each device, so that a question about its last ones is answered.
+/// Minimum number of these per device, so that a question about the last requests of a device can be answered.
 const ENDED_KEPT_A_DEVICE: usize = 4;
 
-/// What is known of each request that carried a `request_id`.
+/// Known state of each request that carried a `request_id`.
 #[derive(Clone, Debug)]
 pub(crate) struct Answers {
     kept: usize,
@@ -19,16 +19,15 @@ pub(crate) struct Answers {
     ended: VecDeque<RequestId>,
 }
 
-/// What is known of one request.
 #[derive(Clone, Debug)]
 pub(crate) struct Known {
-    /// The last answer to it.
+    /// The last answer to the request.
     pub(crate) answer: ControlResponse,
-    /// Hash of what the robot accepted.
+    /// Hash of the accepted content.
     pub(crate) content_hash: Option<ContentHash>,
-    /// When it is, or was, to start.
+    /// Planned start.
     pub(crate) start: Option<Timestamp<Robot>>,
-    /// When it really started.
+    /// Actual start.
     pub(crate) began: Option<Timestamp<Robot>>,
 }
 
@@ -38,7 +37,6 @@ impl Answers {
         Self { kept, known: HashMap::new(), ended: VecDeque::new() }
     }
 
-    /// The last answer to a request.
     pub(crate) fn find(&self, id: &RequestId) -> Option<&ControlResponse> {
         self.known(id).map(|known| &known.answer)
     }
@@ -47,7 +45,7 @@ impl Answers {
         self.known.get(id).map(Box::as_ref)
     }
 
-    /// An accepted request is to start then.
+    /// Records the planned start of an accepted request.
     pub(crate) fn plan(&mut self, id: &RequestId, start: Timestamp<Robot>) {
         if let Some(known) = self.known.get_mut(id) {
             known.start = Some(start);
@@ -75,7 +73,7 @@ impl Answers {
         }
     }
 
-    /// This request has ended: the oldest that has goes, if there are too many.
+    /// Records that this request has ended, and drops the oldest ended request above the limit.
     fn forget_oldest(&mut self, latest: &RequestId) {
         self.ended.push_back(latest.clone());
         if self.ended.len() > self.kept {

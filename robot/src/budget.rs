@@ -1,4 +1,4 @@
-//! What a peer may send: bytes, messages, and the time that it takes to read them. Who sends more is read more slowly, so that
+//! Budgets of a peer for bytes, messages, and reading time. The messages of a peer that exceeds its budget are read more slowly, so that
 //! the network holds back the rest.
 #![expect(clippy::disallowed_methods, reason = "budgets fill up in real time")]
 
@@ -9,7 +9,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, SemaphorePermit};
 
 use crate::hardware::Standing;
 
-/// Tokens that come in at a steady rate. More can be taken than there are: the debt is waited for.
+/// Tokens that arrive at a steady rate. A caller may overdraw the bucket, and then waits until the debt is paid.
 #[derive(Clone, Copy, Debug)]
 struct Bucket {
     level: f64,
@@ -17,7 +17,7 @@ struct Bucket {
     filled: Instant,
 }
 
-/// How many tokens come in a second, and how many there are at most.
+/// Tokens per second, and their maximum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rate {
     per_second: f64,
@@ -40,19 +40,19 @@ impl Bucket {
         self.level -= tokens;
     }
 
-    /// How long until there are tokens again.
+    /// Returns the time until the bucket contains tokens again.
     fn empty_for(&mut self, now: Instant) -> Duration {
         self.fill(now);
         Duration::from_secs_f64((-self.level).max(0.0) / self.rate.per_second)
     }
 }
 
-/// What one kind of peer may send.
+/// The budget of one kind of peer.
 #[derive(Clone, Copy, Debug)]
 struct Share {
     bytes: Rate,
     messages: Rate,
-    /// In seconds.
+    /// In seconds of reading time.
     reading: Rate,
 }
 
@@ -83,12 +83,12 @@ const fn share_of(standing: Standing) -> Share {
     }
 }
 
-/// All strangers of a host together, for what goes beyond a first few messages of each.
+/// Budget that all strangers of a host share for messages beyond the first few of each: messages, and reading time.
 const ALL_STRANGERS: (Rate, Rate) = (rate(200.0, 400.0), rate(0.05, 0.2));
-/// So many messages of a stranger count against its own budget alone, so that a newcomer is heard however many others send.
+/// This number of first messages of a stranger is charged only to its own budget, so that a newcomer is served however many others send.
 const FIRST_MESSAGES: u64 = 16;
 
-/// What one peer may send from now on.
+/// Remaining budget of one peer.
 #[derive(Debug)]
 pub(crate) struct Budget {
     standing: Standing,
@@ -110,7 +110,7 @@ impl Budget {
         }
     }
 
-    /// The peer stands to the robot in this way now.
+    /// Adapts the budget if the peer's standing towards the robot has changed.
     pub(crate) fn follow(&mut self, now: Instant, standing: Standing) {
         if self.standing != standing {
             *self = Self { heard: self.heard, ..Self::new(now, standing) };
@@ -121,8 +121,8 @@ impl Budget {
         self.bytes.take(now, tokens(bytes));
     }
 
-    /// A message, or a line in its place, was read in this time. `answer` is the length of a long answer: to send it is work
-    /// too, though less than to read as much.
+    /// Charges a message, or an unreadable line, that took this long to read. `answer` is the length of a long answer: sending costs less
+    /// than reading the same length.
     pub(crate) fn read(&mut self, now: Instant, strangers: &Strangers, took: Duration, answer: usize) {
         self.heard += 1;
         self.messages.take(now, 1.0);
@@ -133,7 +133,7 @@ impl Budget {
         }
     }
 
-    /// How long nothing more is to be read.
+    /// Returns how long reading from this peer must pause.
     pub(crate) fn pause(&mut self, now: Instant, strangers: &Strangers) -> Duration {
         let own =
             [&mut self.bytes, &mut self.messages, &mut self.reading].map(|bucket| bucket.empty_for(now));
@@ -151,15 +151,16 @@ fn tokens(bytes: usize) -> f64 {
     bytes as f64
 }
 
-/// Long lines that robots of a host read at a time while they belong to no session: each takes memory until its end.
+/// Maximum number of long lines that the robots of a host read at a time while they belong to no session: each occupies memory until its
+/// end.
 const LONG_LINES: usize = 2;
 
-/// What those that do not have the session of a robot share: their messages are read one at a time.
+/// Budget that all peers without a robot's session share: their messages are read one at a time.
 #[derive(Debug)]
 pub(crate) struct Strangers {
     turn: Semaphore,
     long_lines: Arc<Semaphore>,
-    /// Messages, and the time that it takes to read them.
+    /// Messages, and reading time.
     budget: Mutex<(Bucket, Bucket)>,
 }
 
@@ -176,19 +177,19 @@ impl Strangers {
         Self { turn: Semaphore::new(1), long_lines: Arc::new(Semaphore::new(LONG_LINES)), budget }
     }
 
-    /// Waits until no other of them reads a message.
+    /// Waits until no other stranger's message is being read.
     pub(crate) async fn turn(&self) -> Option<SemaphorePermit<'_>> {
         // The semaphore is never closed.
         self.turn.acquire().await.ok()
     }
 
-    /// How many more long lines may be read at once.
+    /// Returns how many more long lines may be read at once.
     #[cfg(test)]
     pub(crate) fn long_lines_left(&self) -> usize {
         self.long_lines.available_permits()
     }
 
-    /// Waits for leave to send a long line to a robot that belongs to no session; `None` when that takes too long.
+    /// Waits for permission to send a long line to a robot that belongs to no session. `None` after `patience`.
     pub(crate) async fn long_line(&self, patience: Duration) -> Option<OwnedSemaphorePermit> {
         let leave = Arc::clone(&self.long_lines).acquire_owned();
         tokio::time::timeout(patience, leave).await.ok()?.ok()
@@ -231,7 +232,7 @@ mod tests {
         assert_eq!(bucket.empty_for(after(60_000)), Duration::from_millis(100));
     }
 
-    /// After how many messages without a pause this peer has to pause.
+    /// Returns the number of messages without a pause after which this peer has to pause.
     fn messages_until_pause(now: Instant, strangers: &Strangers, standing: Standing) -> usize {
         let mut budget = Budget::new(now, standing);
         (0..1_000_000)
@@ -268,12 +269,12 @@ mod tests {
 
     const STANDINGS: [Standing; 3] = [Standing::Owner, Standing::Free, Standing::Stranger];
 
-    /// Ten seconds' worth beyond what may be sent at once.
+    /// Returns ten seconds' worth beyond the amount that may be sent at once.
     fn beyond(rate: Rate) -> f64 {
         rate.most + 10.0 * rate.per_second
     }
 
-    /// That a peer that has sent this pauses for ten seconds.
+    /// Checks that a peer that has sent this pauses for ten seconds.
     #[track_caller]
     fn check_pause(standing: Standing, send: impl FnOnce(Instant, &mut Budget, &Share)) {
         let now = Instant::now();
@@ -328,7 +329,7 @@ mod tests {
         assert!(!pauses(Standing::Free, FIRST_MESSAGES + 1) && !pauses(Standing::Owner, FIRST_MESSAGES + 1));
         let many = Strangers::at(now);
         (0..4_400).for_each(|_| many.took(now, Duration::ZERO));
-        // 4,000 more than there are at once, 200 a second.
+        // 4,000 above the maximum, at 200 a second.
         let pause = many.empty_for(now).as_secs_f64();
         assert!(pause > 19.9 && pause <= 20.0, "{pause}");
     }

@@ -1,16 +1,16 @@
-//! The host's clock: the system's, carried on by the monotonic clock, so that a step of the system's clock does not
-//! move what is scheduled. The robot's one door to real clocks.
+//! The host's clock: the system clock, continued by the monotonic clock, so that a step of the system clock does not move scheduled
+//! events. Robots access real clocks only through this module.
 #![expect(clippy::disallowed_methods, reason = "the door through which a robot's host reads the time")]
 
 use std::time::{Instant, SystemTime};
 
 use urrcp::{Span, Timestamp};
 
-/// The time of a host: what its robots live by.
+/// The time base of a host and its robots.
 #[derive(Clone, Copy, Debug)]
 pub enum HostTime {}
 
-/// The system's clock, `CLOCK_REALTIME`, which other programs read.
+/// The system clock, `CLOCK_REALTIME`, which other programs read.
 #[derive(Clone, Copy, Debug)]
 pub enum SystemClock {}
 
@@ -22,7 +22,7 @@ pub struct HostClock {
 }
 
 impl HostClock {
-    /// Anchored to the system's clock now.
+    /// Returns a clock that is anchored to the system clock now.
     #[must_use]
     pub fn anchored() -> Self {
         let reading = || {
@@ -31,7 +31,7 @@ impl HostClock {
             let width = before.elapsed();
             (width, before + width / 2, i64::try_from(wall.as_nanos()).unwrap_or(i64::MAX))
         };
-        // The best of a few tries: the one in which both readings are closest together.
+        // Picks the best of a few tries: the one whose readings are closest together.
         let best = (0..4).map(|_| reading()).fold(reading(), |a, b| if b.0 < a.0 { b } else { a });
         Self { instant: best.1, timestamp: Timestamp::from_nanos(best.2) }
     }
@@ -42,19 +42,19 @@ impl HostClock {
         self.timestamp + Span::from(self.instant.elapsed())
     }
 
-    /// How far the system's clock is ahead of the host's: nothing, unless it was set to another time since the anchor.
+    /// Returns how far the system clock is ahead of the host's: zero, unless the system clock was set since the anchor.
     #[must_use]
     pub fn system_ahead(&self) -> Span {
         Self::anchored().timestamp_at(self.instant) - self.timestamp
     }
 
-    /// One that shows this much more.
+    /// Returns a clock that is ahead of this one by this much.
     #[cfg(test)]
     pub(crate) fn ahead_by(self, ahead: Span) -> Self {
         Self { timestamp: self.timestamp + ahead, ..self }
     }
 
-    /// What it shows at an instant, also at one before its anchor.
+    /// Returns the time at an instant, which may be before the anchor.
     fn timestamp_at(&self, instant: Instant) -> Timestamp<HostTime> {
         match instant.checked_duration_since(self.instant) {
             Some(after) => self.timestamp + Span::from(after),
@@ -62,7 +62,7 @@ impl HostClock {
         }
     }
 
-    /// The monotonic instant of a timestamp; instants before the anchor become the anchor.
+    /// Returns the monotonic instant of a timestamp; timestamps before the anchor map to the anchor.
     #[must_use]
     pub fn instant_of(&self, timestamp: Timestamp<HostTime>) -> Instant {
         self.instant + (timestamp - self.timestamp).to_duration()
@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn the_clock_agrees_with_the_systems_at_its_anchor() {
-        // The system's clock is read before and after, so no bound on speed is needed.
+        // The system clock is read before and after, so no bound on speed is needed.
         let system = || Span::from(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap());
         let before = system();
         let anchored = Span::from_nanos(HostClock::anchored().now().as_nanos());

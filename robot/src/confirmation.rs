@@ -1,4 +1,4 @@
-//! Ends that a robot does not tell before its hardware has taken the last value.
+//! Ends that a robot reports only after its hardware has taken the last value.
 
 use std::collections::BTreeMap;
 
@@ -7,20 +7,20 @@ use urrcp::{ControlResponse, Robot, Timestamp};
 use crate::device::Effect;
 use crate::ids::LinkId;
 
-/// Names a question whether the hardware has taken what it was told.
+/// Identifies a question whether the hardware has taken the values it received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
-/// What is told once the hardware has confirmed it.
+/// Reported once the hardware has confirmed.
 #[derive(Clone, Debug)]
 pub(crate) enum Said {
-    /// The end of a command, and when it was.
+    /// The end of a command, and its time.
     Report(Timestamp<Robot>, Effect),
     /// The answer to a stop.
     Answer(LinkId, ControlResponse),
 }
 
-/// What waits for the hardware, each with the index of its device; in the order in which it happened.
+/// Reports that wait for the hardware, each with the index of its device, in the order of the events.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Unconfirmed {
     waiting: BTreeMap<Ticket, (usize, Said)>,
@@ -39,12 +39,12 @@ impl Unconfirmed {
         self.waiting.is_empty()
     }
 
-    /// The hardware has taken it. `None` if that was given up before.
+    /// Returns the report that the hardware has now confirmed. `None` if it was given up before.
     pub(crate) fn take(&mut self, ticket: Ticket) -> Option<(usize, Said)> {
         self.waiting.remove(&ticket)
     }
 
-    /// What waits for the hardware to move a device: it will not be confirmed.
+    /// Removes and returns the reports that wait for a device: they will not be confirmed.
     pub(crate) fn give_up(&mut self, device: usize) -> Vec<Said> {
         let all = std::mem::take(&mut self.waiting).into_iter();
         let (given_up, left): (BTreeMap<_, _>, _) = all.partition(|(_, (of, _))| *of == device);

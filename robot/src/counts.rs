@@ -1,17 +1,17 @@
-//! What a robot has told of its commands, counted.
+//! Counts of the command events that a robot has reported.
 
-/// Commands of a robot: scripts, and single values.
+/// Command counts of a robot: scripts, and single values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Counts {
-    /// It holds these now: they wait for their start, or run.
+    /// Currently held: waiting for their start, or running.
     pub held: u64,
-    /// Have started.
+    /// Started.
     pub started: u64,
-    /// Have come to their end.
+    /// Completed.
     pub ended: u64,
     /// Ended early, or never started although they were held.
     pub failed: u64,
-    /// Steps that came more than a millisecond late, of commands that have come to their end.
+    /// Steps that were more than a millisecond late, of completed commands.
     pub late_steps: u64,
 }

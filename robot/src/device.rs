@@ -1,10 +1,9 @@
-//! One device as a machine: its queue of commands, its steps on absolute deadlines, how it comes to rest.
+//! State machine of one device: its queue of commands, its steps on absolute deadlines, and how it comes to rest.
 //!
 //! Order of events at one instant:
-//! 1. leases that run out, those of what runs ahead of those of what is pending, counting the lease that would hold after a
-//!    start or step due then: so a lease that ends at the very instant of a start wins, and nothing starts;
-//! 2. starts and steps in the order of the queue: a command that ends then, commands of no length, a script that
-//!    begins then;
+//! 1. lease ends: those of running commands before those of pending ones, counting the lease that would hold after a start or step due
+//!    then. A lease that ends exactly at a start therefore wins, and nothing starts;
+//! 2. starts and steps in the order of the queue: a command that ends then, commands of zero length, a script that begins then;
 //! 3. (in `robot`) the message that arrives.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -23,41 +22,41 @@ use crate::reach::Reach;
 use crate::signal::{Rates, Signal, default_of, first_value, rest_of, with_values};
 use crate::tolerance::START_LATE_MAX;
 
-/// What a driver does with a device.
+/// Instruction to a driver for a device.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Motion {
     /// Set this now.
     Set(Setpoint),
-    /// Move linearly so as to arrive at `until`; a `Set` of the same value follows then.
+    /// Move linearly so as to arrive at `until`; a `Set` of the same value follows.
     Ramp {
         /// position, speed or acceleration.
         control_type: ControlType,
-        /// Where it begins.
+        /// Value at the start.
         from: f64,
-        /// Where it ends.
+        /// Value at the end.
         to: f64,
-        /// The instant at which it arrives.
+        /// Instant of arrival.
         until: Timestamp<Robot>,
     },
-    /// Come to rest, or go to the default state, within the limits that the device declares.
+    /// Come to rest, or move to the default state, within the limits that the device declares.
     Slow {
-        /// Which signal.
+        /// Signal that slows.
         control_type: ControlType,
-        /// Where it begins.
+        /// Value at the start.
         from: f64,
-        /// Where it rests.
+        /// Value at rest.
         to: f64,
-        /// The instant at which it arrives.
+        /// Instant of arrival.
         until: Timestamp<Robot>,
     },
-    /// Rest at this: part of a stop. A position is the one that the device has at that instant.
+    /// Rest at this value, as part of a stop. A position is the device's position at that instant.
     Rest(Setpoint),
-    /// Go to this: part of the default state.
+    /// Go to this value, as part of the default state.
     Default(Setpoint),
 }
 
 /// Limits of the movements to rest and home, if an operator wants them slower than the device declares.
-/// `None`: the limit that the device declares.
+/// `None`: the device's declared limit applies.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionLimits {
     /// Of a position, in its unit per second.
@@ -66,16 +65,16 @@ pub struct MotionLimits {
     pub acceleration: Option<f64>,
 }
 
-/// Where a device goes when what it does ends early.
+/// Where a device goes after its command ends early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// Nowhere: it slows down from where it is.
+    /// It slows down where it is.
     InPlace,
-    /// To its default state.
+    /// It moves to its default state.
     Home,
 }
 
-/// What a device machine wants done or told.
+/// An action or a report that a device machine requests.
 #[derive(Clone, Debug)]
 pub(crate) enum Effect {
     Move {
@@ -105,18 +104,18 @@ pub(crate) enum Effect {
         link: LinkId,
         request_id: Option<RequestId>,
         error: ControlError,
-        /// `None`: it is unknown how many, and whether it has begun at all.
+        /// `None` if the number of steps is unknown, including whether the command has begun at all.
         steps_done: Option<u32>,
     },
 }
 
-/// The message of `link_lost` for a command whose `pending_until` has passed.
+/// Message of `link_lost` for a command whose `pending_until` has passed.
 const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
 
-/// A stop takes back what its own party sends up to this long after its receipt, whatever its own timestamp.
+/// A stop cancels commands that its own party sends up to this long after the stop's receipt, whatever the stop's timestamp.
 const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
-/// And what others send up to this long after its receipt: as much as clocks that are kept may differ. More would let a
-/// stop with a timestamp of the future close the device to everyone.
+/// The same limit for commands of other parties: the maximum difference between synchronized clocks. A larger value would let a stop with
+/// a future timestamp close the device to everyone.
 const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);
 
 /// Rates that continue after their command has ended, still under that command's lease.
@@ -129,27 +128,27 @@ struct Guard {
     steps_done: u32,
 }
 
-/// The machine of one device.
+/// State machine of one device.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceMachine {
     pub(crate) spec: Device,
     signals: BTreeMap<ControlType, Signal>,
-    /// The latest values of the control types that a command has driven.
+    /// Last driven value of each control type.
     driven: BTreeMap<ControlType, Setpoint>,
     queue: VecDeque<Held>,
-    /// At most one for each control type: a command that drives the rate takes it over.
+    /// At most one per control type: a command that drives the rate takes it over.
     guards: Vec<Guard>,
-    /// Everything that was sent up to then has been taken back, also what arrives later.
+    /// Everything sent up to this time is taken back, including messages that arrive later.
     taken_back: Option<Timestamp<Server>>,
-    /// The same for what the party of the last stop has sent, whose clock may be ahead.
+    /// The same for the party of the last stop, whose clock may be ahead.
     taken_back_by: Option<(LinkId, Timestamp<Server>)>,
-    /// Whether the position of the device is the one in its signal. It is unknown of hardware before its first position and after
-    /// it was away, after a driver that times scripts by itself has interrupted one, and once a speed or an acceleration drives
-    /// the device. A device without hardware begins in its default state, if it has one.
+    /// Whether the signal holds the device's actual position. The position of hardware is unknown before its first report, after it was
+    /// away, after a driver that times scripts by itself has interrupted one, and once a speed or an acceleration drives the device. A
+    /// device without hardware begins in its default state, if it has one.
     is_placed: bool,
-    /// If the driver times scripts by itself, this far ahead: what this machine is late with is late only here.
+    /// How far ahead the driver receives scripts, if it times them by itself. Delays of this machine then do not delay the hardware.
     pub(crate) lookahead: Option<Lookahead>,
-    /// A command that would start later than this is dropped.
+    /// A command that would start with more delay than this is dropped.
     pub(crate) start_late_max: Span,
     /// Limits of the movements to rest and home, in addition to those that the device declares.
     pub(crate) limits: MotionLimits,
@@ -188,12 +187,12 @@ impl DeviceMachine {
         self.signals.get(&control_type).map(|signal| signal.value(now))
     }
 
-    /// The commanded position; `None` if it is unknown.
+    /// Returns the commanded position; `None` if it is unknown.
     pub(crate) fn position(&self, now: Timestamp<Robot>) -> Option<f64> {
         self.value(ControlType::Position, now).filter(|_| self.is_placed)
     }
 
-    /// Nobody knows any longer where the device is.
+    /// Marks the position as unknown.
     pub(crate) const fn displace(&mut self) {
         self.is_placed = false;
     }
@@ -210,29 +209,29 @@ impl DeviceMachine {
         self.queue.is_empty() && self.guards.is_empty()
     }
 
-    /// Whose leases it is under.
+    /// Returns the parties whose leases cover the device.
     pub(crate) fn parties(&self) -> impl Iterator<Item = LinkId> + '_ {
         self.queue.iter().map(|held| held.link).chain(self.guards.iter().map(|guard| guard.lease.link))
     }
 
-    /// How many commands it holds.
+    /// Returns the number of held commands.
     pub(crate) fn held(&self) -> usize {
         self.queue.len()
     }
 
-    /// When something is next due: a lease's end or a step.
+    /// Returns when the next event is due: a lease end or a step.
     pub(crate) fn next_wakeup(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
         let event = self.queue.front().and_then(Held::next_event);
         event.into_iter().chain(self.lease_end(heard)).min()
     }
 
-    /// When the next command starts, of those that were accepted at least this long before their start.
+    /// Returns the next start among the commands that were accepted at least `notice` before their start.
     pub(crate) fn next_start(&self, notice: Span) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began && held.start - held.accepted >= notice);
         pending.map(|held| held.start).min()
     }
 
-    /// By how much the next step of what runs is late.
+    /// Returns the delay of the next step of the running command.
     pub(crate) fn overdue(&self, now: Timestamp<Robot>) -> Option<Span> {
         let at = self.queue.front().filter(|held| held.began && self.lookahead.is_none())?.next_event()?;
         (at < now).then(|| now - at)
@@ -242,21 +241,21 @@ impl DeviceMachine {
         self.pending_lease_end(heard).into_iter().chain(self.running_lease_end(heard)).min()
     }
 
-    /// When the first lease of what has not begun ends.
+    /// Returns when the first lease of a pending command ends.
     fn pending_lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began);
         pending.filter_map(|held| held.lease_end(heard)).min()
     }
 
-    /// When the first lease of what runs, or of a rate left on, ends.
+    /// Returns when the first lease of a running command or of a continuing rate ends.
     fn running_lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
         let guards = self.guards.iter().filter_map(|guard| heard.ends(&guard.lease));
         let running = self.queue.iter().filter(|held| held.began);
         running.filter_map(|held| held.lease_end(heard)).chain(guards).min()
     }
 
-    /// Does everything due at or before `now`, in the order of its time. Only the lease of what runs comes first once it has
-    /// ended: a robot that was delayed would do now what was due before.
+    /// Executes everything due at or before `now`, in the order of its time. Only an expired lease of a running command comes first:
+    /// otherwise a delayed robot would now execute steps that were due before.
     pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
         loop {
             if let Some(end) = self.running_lease_end(heard).filter(|end| *end <= now) {
@@ -275,7 +274,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Begins the front command or does its next step.
+    /// Begins the front command or executes its next step.
     fn step(&mut self, at: Timestamp<Robot>, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let Some(mut held) = self.queue.pop_front() else { return };
         if !held.began && now - at > self.start_late_max && self.lookahead.is_none() {
@@ -315,7 +314,7 @@ impl DeviceMachine {
         self.ramp_to(held, index + 1, at, effects);
     }
 
-    /// A rate that is driven again is no longer under the lease of the command that drove it before.
+    /// Ends the lease of the previous command that drove this rate.
     fn take_over(&mut self, setpoint: &Setpoint) {
         let driven = setpoint.control_type;
         self.is_placed &= !matches!(driven, ControlType::Speed | ControlType::Acceleration);
@@ -326,7 +325,7 @@ impl DeviceMachine {
         self.guards.retain(|guard| !guard.rates.is_empty());
     }
 
-    /// Begins the linear way to a step, where the device moves linearly and the control type stays the same.
+    /// Begins the linear movement to a step, if the device moves linearly and the control type stays the same.
     fn ramp_to(&mut self, held: &Held, index: usize, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let (Some(next), Some(until)) = (held.setpoint(index), held.time_of(index)) else { return };
         let before = index.checked_sub(1).and_then(|previous| held.setpoint(previous));
@@ -360,7 +359,7 @@ impl DeviceMachine {
         }
     }
 
-    /// The speeds, accelerations and custom values that go on, not at rest.
+    /// Returns the speeds, accelerations and custom values that continue and are not at rest.
     fn rates_left_on(&self) -> impl Iterator<Item = ControlType> + '_ {
         let left_on = |(control_type, last): &(&ControlType, &Setpoint)| {
             rest_of(&self.spec, **control_type, Some(last)).is_some_and(|rest| rest != **last)
@@ -368,7 +367,7 @@ impl DeviceMachine {
         self.driven.iter().filter(left_on).map(|(control_type, _)| *control_type)
     }
 
-    /// A lease of the device ends at `at`: that of what runs ends everything, one that is pending only what is pending.
+    /// Handles the end of a lease at `at`: a running command's lease ends everything, a pending command's only the pending commands.
     fn lease_ended(
         &mut self,
         at: Timestamp<Robot>,
@@ -390,7 +389,7 @@ impl DeviceMachine {
                 let why = lease_message("running", now - at);
                 self.link_lost(at, &ControlError::new(ErrorCode::LinkLost, why), effects);
             }
-            // What has not begun has moved nothing, and its end moves nothing.
+            // A command that has not begun has moved nothing, and its end moves nothing.
             Some((from, why)) => {
                 self.cancel_from(from, &ControlError::new(ErrorCode::LinkLost, why), effects)
             }
@@ -407,7 +406,7 @@ impl DeviceMachine {
         self.come_to_rest(at, Rest::InPlace, effects);
     }
 
-    /// Ends everything that is held or runs, and comes to rest.
+    /// Ends all held and running commands, and comes to rest.
     pub(crate) fn stop(
         &mut self,
         now: Timestamp<Robot>,
@@ -419,7 +418,7 @@ impl DeviceMachine {
         self.come_to_rest(now, rest, effects);
     }
 
-    /// The hardware is gone: ends everything that is held or runs. Nothing can be set.
+    /// Ends all held and running commands after the hardware is lost. Nothing can be set.
     pub(crate) fn fail(&mut self, now: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
         self.drop_all(error, effects);
         self.guards.clear();
@@ -430,7 +429,7 @@ impl DeviceMachine {
     }
 
     /// Immediately brings to rest every speed, acceleration and custom value that was ever driven, and leaves positions as they are.
-    /// The hardware is back, and may not have received the last values.
+    /// Called when the hardware is back: it may not have received the last values.
     pub(crate) fn rest_rates(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         for (control_type, last) in &mut self.driven {
             let Some(rest) = rest_of(&self.spec, *control_type, Some(last)) else { continue };
@@ -441,7 +440,7 @@ impl DeviceMachine {
         }
     }
 
-    /// A signal under way or at rest.
+    /// Returns a signal, moving or at rest.
     #[cfg(feature = "host")]
     pub(crate) fn signal(&self, control_type: ControlType) -> Option<Signal> {
         self.signals.get(&control_type).copied()
@@ -453,23 +452,21 @@ impl DeviceMachine {
         }
     }
 
-    /// How many commands it would still hold.
+    /// Returns how many more commands the queue can hold.
     pub(crate) fn room(&self) -> u32 {
         let held = u32::try_from(self.queue.len()).unwrap_or(u32::MAX);
         self.spec.script_queue.saturating_sub(held)
     }
 
-    /// A command that it holds.
     pub(crate) fn command(&self, id: CommandId) -> Option<&Held> {
         self.queue.iter().find(|held| held.command == id)
     }
 
-    /// The command under way.
     pub(crate) fn running(&self) -> Option<&Held> {
         self.queue.front().filter(|held| held.began)
     }
 
-    /// Limits the pending lease of a command of this party that starts at `start` and has not begun.
+    /// Limits the pending lease of this party's command that starts at `start` and has not begun.
     pub(crate) fn limit(&mut self, id: &RequestId, start: Timestamp<Robot>, party: LinkId, limit: Limit) {
         let first = self.queue.partition_point(|held| held.start < start);
         let same_start = self.queue.iter_mut().skip(first).take_while(|held| held.start == start);
@@ -479,7 +476,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Drops what is scheduled to start at `from` or later.
+    /// Drops commands that are scheduled to start at `from` or later.
     pub(crate) fn cancel_from(
         &mut self,
         from: Timestamp<Robot>,
@@ -563,8 +560,8 @@ impl DeviceMachine {
         tighter(largest(&self.spec, ControlType::Acceleration), self.limits.acceleration)
     }
 
-    /// A stop of this party that was sent then has arrived: what was sent before it and comes behind it must not begin. A
-    /// clock that is ahead does not block the device: for others hardly, for its own party not for good.
+    /// Records a stop that this party sent at `sent`: commands that were sent before it and arrive after it must not begin. A clock that
+    /// is ahead does not block the device: for other parties by at most 250 ms, for its own party not permanently.
     pub(crate) fn take_back(&mut self, now: Timestamp<Robot>, sent: Timestamp<Server>, party: LinkId) {
         let at_most = |ahead: Span| sent.min((now + ahead).assume_clock());
         self.taken_back = self.taken_back.max(Some(at_most(TAKEN_BACK_FROM_OTHERS_MAX)));
@@ -573,19 +570,19 @@ impl DeviceMachine {
         self.taken_back_by = own.map(|until| (party, until));
     }
 
-    /// A session claims the robot, which was free. What the session sends from now on, no stop that came before has taken back:
-    /// strangers may have stopped a free robot with timestamps of the future.
+    /// Records that a session has claimed the free robot. No earlier stop takes back what this session sends after this: strangers may
+    /// have stopped a free robot with future timestamps.
     pub(crate) fn claimed(&mut self, now: Timestamp<Robot>) {
         self.taken_back = self.taken_back.map(|until| until.min(now.assume_clock()));
     }
 
-    /// Whether a stop that came ahead of it took this back.
+    /// Whether a stop that arrived earlier took back a message sent at this time.
     fn was_taken_back(&self, party: LinkId, sent: Option<Timestamp<Server>>) -> bool {
         let own = self.taken_back_by.filter(|(by, _)| *by == party).map(|(_, until)| until);
         sent.is_some() && sent <= self.taken_back.max(own)
     }
 
-    /// Takes a command that starts at `start`, after every check.
+    /// Accepts a command that starts at `start`, after all checks.
     pub(crate) fn accept(
         &mut self,
         now: Timestamp<Robot>,
@@ -606,16 +603,16 @@ impl DeviceMachine {
         let (stop_condition, is_first) = (request.stop_condition, self.queue.is_empty());
         Reach { start, end, stop_condition, steps: &steps, is_first }.check(now)?;
         if self.was_taken_back(link, request.timestamp) {
-            let message = "it was taken back by a stop that came ahead of it";
+            let message = "it was cancelled by a stop that arrived before it";
             return Err(ControlError::new(ErrorCode::Cancelled, message));
         }
-        // At one instant a command of no length comes before one that has yet to begin, and never into a running one.
+        // At the same instant, a zero-length command precedes one that has yet to begin, but never enters a running one.
         let overlaps = |held: &&Held| {
             let into_running = held.began && (start, end) < (held.start, held.end);
             into_running || start < held.end && held.start < end
         };
         if let Some(held) = self.queue.iter().find(overlaps) {
-            let message = format!("`{}` is taken from {} to {}", self.spec.id, held.start, held.end);
+            let message = format!("`{}` is reserved from {} to {}", self.spec.id, held.start, held.end);
             return Err(ControlError::new(ErrorCode::Overlap, message));
         }
         if self.queue.len() >= self.spec.script_queue as usize {
@@ -660,10 +657,8 @@ impl DeviceMachine {
                 Ok((Steps::Script(script.clone()), script.duration()))
             }
             Command::Unknown(name) => {
-                let message = format!(
-                    "`{}` does not support `{name}`, which is no control type known here",
-                    self.spec.id
-                );
+                let message =
+                    format!("`{}` does not support the unknown control type `{name}`", self.spec.id);
                 Err(ControlError::new(ErrorCode::UnsupportedControlType, message))
             }
             Command::ReadSensor => Err(ControlError::new(ErrorCode::Internal, "a reading is not held")),
@@ -672,7 +667,7 @@ impl DeviceMachine {
 
     fn check_script(&self, script: &Script) -> Result<(), ControlError> {
         let Some(parameters) = self.spec.available_control_types.script() else {
-            let message = format!("`{}` takes no scripts", self.spec.id);
+            let message = format!("`{}` does not support scripts", self.spec.id);
             return Err(ControlError::new(ErrorCode::UnsupportedControlType, message));
         };
         let steps = script.steps();
@@ -707,10 +702,10 @@ fn tighter(declared: Option<f64>, limit: Option<f64>) -> Option<f64> {
     declared.into_iter().chain(limit.filter(|limit| *limit > 0.0)).reduce(f64::min)
 }
 
-/// The reason for which a lease ended. A robot that was itself delayed may not have read messages that arrived in time.
+/// Returns the reason for the end of a lease. A delayed robot may not have read messages that arrived in time.
 fn lease_message(lease: &str, late: Span) -> String {
     if late > START_LATE_MAX {
-        format!("the {lease} lease ended while the robot was delayed: it woke up {late} after that")
+        format!("the {lease} lease ended while the robot was delayed: it woke up {late} later")
     } else {
         format!("the {lease} lease ended: the server was silent for longer than `stop_condition`")
     }

@@ -1,4 +1,4 @@
-//! An edge: a robot's machine with hardware around it. Its clock is the host's, its hands are a driver's mailbox.
+//! An edge: a robot's machine with hardware around it. It uses the host's clock and reaches the hardware through a driver's mailbox.
 
 use std::sync::Arc;
 
@@ -12,11 +12,11 @@ use crate::outgoing::Outgoing;
 use crate::robot::{Input, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
 
-/// A robot whose values drive hardware.
+/// A robot that drives hardware.
 pub(crate) struct Edge {
     machine: Robot,
     mailbox: Arc<Mailbox>,
-    /// Which connection of the driver the machine knows of.
+    /// The driver connection that the machine last learned of.
     connection: u64,
     outputs: Vec<Output>,
     wanted: Vec<Wanted>,
@@ -25,7 +25,7 @@ pub(crate) struct Edge {
 }
 
 impl Edge {
-    /// Around a machine whose hardware is yet to be found by the driver behind the mailbox.
+    /// Creates an edge for a machine. The driver behind the mailbox has yet to find the hardware.
     pub(crate) fn new(machine: Robot, mailbox: Arc<Mailbox>) -> Self {
         Self {
             machine: machine.confirmed_by_its_driver(),
@@ -46,7 +46,7 @@ impl Edge {
         &self.machine
     }
 
-    /// Looks whether the session to which the robot belonged is over.
+    /// Releases the robot if its session is over.
     pub(crate) fn look(&mut self, now: Timestamp<HostTime>) {
         self.machine.release_if_over(now.assume_clock());
     }
@@ -55,31 +55,31 @@ impl Edge {
         self.leaving.is_empty() && self.machine.is_idle()
     }
 
-    /// When [`Edge::advance`] is next due.
+    /// Returns when [`Edge::advance`] is next due.
     pub(crate) fn next_wakeup(&self) -> Option<Timestamp<HostTime>> {
         self.machine.next_wakeup().map(Timestamp::assume_clock)
     }
 
-    /// Takes what reached the robot at `now`.
+    /// Handles an input that reached the robot at `now`.
     pub(crate) fn receive(&mut self, now: Timestamp<HostTime>, link: LinkId, input: Input) {
         self.look_after(now);
         self.tell(now, |machine, now, out| machine.handle(now, link, input, out));
     }
 
-    /// Does everything due at or before `now`, and says what there is to say.
+    /// Executes everything due at or before `now`, and returns the outgoing messages.
     pub(crate) fn advance(&mut self, now: Timestamp<HostTime>, out: &mut Vec<Outgoing>) {
         self.look_after(now);
         self.tell(now, Robot::advance);
         out.append(&mut self.leaving);
     }
 
-    /// The movements due at or before `now`. Their reports go out with the next [`Edge::advance`].
+    /// Executes the movements due at or before `now`. Their reports are sent with the next [`Edge::advance`].
     pub(crate) fn advance_movements(&mut self, now: Timestamp<HostTime>) {
         self.look_after(now);
         self.tell(now, Robot::advance_movements);
     }
 
-    /// Before anything is done: whether the hardware answers, where a start is near, and whether the edge was delayed.
+    /// Checks before other work whether the hardware answers, if a start is near, and whether the edge was delayed.
     fn look_after(&mut self, now: Timestamp<HostTime>) {
         let mailbox = Arc::clone(&self.mailbox);
         self.tell(now, |machine, now, out| {
@@ -87,12 +87,12 @@ impl Edge {
         });
     }
 
-    /// The edge ends: hardware that moves comes to rest.
+    /// Brings moving hardware to rest, because the edge ends.
     pub(crate) fn shut_down(&mut self, now: Timestamp<HostTime>) {
         self.tell(now, Robot::shut_down);
     }
 
-    /// Takes what its driver's thread says.
+    /// Handles a report of its driver's thread.
     pub(crate) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
         match news {
             News::There { connection, latency, lookahead } => {
@@ -119,7 +119,7 @@ impl Edge {
         }
     }
 
-    /// Takes what its driver says of a script that it times by itself. What cannot be true is a fault of the driver.
+    /// Handles a driver's report about a script that it times by itself. An impossible report is a fault of the driver.
     fn hear_of_plan(&mut self, now: Timestamp<HostTime>, news: PlanNews) {
         let mut untrue = None;
         self.tell(now, |machine, now, out| match news {
@@ -130,11 +130,11 @@ impl Edge {
             PlanNews::Cancelled(plan) => machine.plan_cancelled(now, plan, out),
         });
         if let Some(untrue) = untrue {
-            self.mailbox.failed_by_itself(format!("what it says cannot be true: {untrue}"));
+            self.mailbox.failed_by_itself(format!("it sent an impossible report: {untrue}"));
         }
     }
 
-    /// Passes on what is wanted of the hardware since the last call.
+    /// Passes on the hardware requests since the last call.
     pub(crate) fn post(&mut self, clock: &HostClock) {
         let instant = |at: Timestamp<RobotClock>| clock.instant_of(at.assume_clock());
         let demand = Demand {
@@ -147,7 +147,7 @@ impl Edge {
         self.mailbox.post(self.connection, orders, demand);
     }
 
-    /// What was set since the last call.
+    /// Takes the log entries since the last call.
     pub(crate) fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)
     }
@@ -156,7 +156,7 @@ impl Edge {
         !self.log.is_empty()
     }
 
-    /// Tells the machine something and takes what it wants done. The robot's clock is the host's.
+    /// Calls the machine and collects its outputs. The robot's clock is the host's.
     fn tell(
         &mut self,
         now: Timestamp<HostTime>,
@@ -186,7 +186,7 @@ impl Drop for Edge {
     }
 }
 
-/// What the hardware does for a movement.
+/// Returns the hardware request for a movement.
 fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
     let key = |control_type| (set.device.clone(), control_type);
     Some(match &set.motion {

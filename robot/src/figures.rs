@@ -1,4 +1,4 @@
-//! Figures of a host for whoever watches it: the precise thread raises them, anyone reads them, and nobody waits.
+//! Metrics of a host: the precise thread updates them, any thread reads them, and no thread waits.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -6,11 +6,11 @@ use urrcp::Span;
 
 use crate::counts::Counts;
 
-/// Upper bounds of the classes of a [`Distribution`], in microseconds; what is longer has a class of its own.
+/// Upper bounds of the classes of a [`Distribution`], in microseconds; longer durations have a class of their own.
 pub const BOUNDS_US: [u64; 14] =
     [10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 1_000_000];
 
-/// How long something took, sorted into classes.
+/// Durations, sorted into classes.
 #[derive(Debug, Default)]
 pub struct Distribution {
     classes: [AtomicU64; BOUNDS_US.len() + 1],
@@ -18,7 +18,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Adds one. Less than no time counts as none.
+    /// Adds a duration. A negative one counts as zero.
     pub fn add(&self, took: Span) {
         let nanos = u64::try_from(took.as_nanos()).unwrap_or(0);
         let class = BOUNDS_US.partition_point(|bound| bound * 1_000 < nanos);
@@ -26,7 +26,7 @@ impl Distribution {
         self.sum_nanos.fetch_add(nanos, Ordering::Relaxed);
     }
 
-    /// How many lie at each bound or below, and last how many there are.
+    /// Returns the number of durations at or below each bound, and last the total number.
     #[must_use]
     pub fn cumulated(&self) -> [u64; BOUNDS_US.len() + 1] {
         let mut sum = 0;
@@ -36,7 +36,7 @@ impl Distribution {
         })
     }
 
-    /// All together, in seconds.
+    /// Returns the sum of all durations, in seconds.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "exact up to 104 days")]
     pub fn sum_seconds(&self) -> f64 {
@@ -44,15 +44,15 @@ impl Distribution {
     }
 }
 
-/// Figures of all robots of a host.
+/// Metrics of all robots of a host.
 #[derive(Debug)]
 pub struct Figures {
     robots: Vec<RobotFigures>,
-    /// How late the precise thread woke for what was due.
+    /// Delay of the precise thread's wake-ups.
     pub wake_up: Distribution,
 }
 
-/// Figures of one robot.
+/// Metrics of one robot.
 #[derive(Debug, Default)]
 pub struct RobotFigures {
     held: AtomicU64,
@@ -71,7 +71,7 @@ impl Figures {
         Self { robots, wake_up: Distribution::default() }
     }
 
-    /// In the order of the host's robots.
+    /// Returns the metrics of each robot, in the order of the host's robots.
     #[must_use]
     pub fn robots(&self) -> &[RobotFigures] {
         &self.robots
@@ -79,7 +79,7 @@ impl Figures {
 }
 
 impl RobotFigures {
-    /// What it holds, and what has become of its commands.
+    /// Returns its command counts.
     #[must_use]
     pub fn counts(&self) -> Counts {
         let read = |cell: &AtomicU64| cell.load(Ordering::Relaxed);
@@ -92,13 +92,13 @@ impl RobotFigures {
         }
     }
 
-    /// Steps of scripts that it has set.
+    /// Returns the number of script steps that it has set.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
     }
 
-    /// Connections that it has, those from within this process included.
+    /// Returns the number of its connections, including those from within this process.
     #[must_use]
     pub fn connections(&self) -> u64 {
         self.connections.load(Ordering::Relaxed)

@@ -1,4 +1,4 @@
-//! What a robot's machine knows of its hardware: whether it is there, and which readings are still to come.
+//! A robot machine's knowledge of its hardware: whether it is present, and the pending readings.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -7,23 +7,23 @@ use urrcp::{ControlError, ControlRequest, ErrorCode, Robot, Span, Timestamp};
 
 use crate::ids::LinkId;
 
-/// Readings that may be open at a time; more are refused.
+/// Maximum number of readings that may be open at a time; more are refused.
 pub(crate) const READINGS_MAX: usize = 64;
 
-/// How an asker stands to the robot. What it may ask for depends on this, so that no stranger fills the queue of the
-/// hardware, which answers one reading after another.
+/// The relation of an asker to the robot. It limits the open readings, so that no stranger fills the queue of the hardware, which answers
+/// one reading after another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Standing {
     /// The robot belongs to its session.
     Owner,
     /// The robot belongs to no session.
     Free,
-    /// It belongs to another one.
+    /// The robot belongs to another session.
     Stranger,
 }
 
 impl Standing {
-    /// Readings that one party may have open, and all parties together to which the robot does not belong.
+    /// Maximum number of open readings of one party, and of all parties together that do not own the robot.
     pub(crate) const fn readings_max(self) -> (usize, usize) {
         match self {
             Self::Owner => (READINGS_MAX, READINGS_MAX),
@@ -33,38 +33,38 @@ impl Standing {
     }
 }
 
-/// Who asks for a reading.
+/// The sender of a request for a reading.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Asker {
     pub(crate) link: LinkId,
     pub(crate) party: LinkId,
     pub(crate) standing: Standing,
 }
-/// How long a reading may take where the sensor declares no `max_delay`, in milliseconds.
+/// Time limit of a reading if the sensor declares no `max_delay`, in milliseconds.
 const READING_WAIT_MS: f64 = 1_000.0;
-/// And at most, whatever the sensor declares.
+/// Upper bound of that limit, whatever the sensor declares.
 const READING_WAIT_MS_MAX: f64 = 60_000.0;
 
-/// A start is near from so long before it on.
+/// A start is near from this long before it.
 pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 
-/// Names a reading that the hardware was asked for.
+/// Identifies a requested reading of the hardware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ReadingId(pub u64);
 
-/// Whether the machine drives something.
+/// Presence of the hardware.
 #[derive(Clone, Debug)]
 enum Presence {
-    /// Nothing: it answers readings by itself.
+    /// No hardware: the machine answers readings by itself.
     Simulated,
     There,
-    /// It should have answered, and has not for this long.
+    /// The hardware is connected, but has not answered for this long.
     Silent(Span),
-    /// As this sentence says.
+    /// The hardware is away, for this reason.
     Away(String),
 }
 
-/// A reading that has not come yet.
+/// A pending reading.
 #[derive(Clone, Debug)]
 pub(crate) struct OpenReading {
     pub(crate) link: LinkId,
@@ -75,7 +75,7 @@ pub(crate) struct OpenReading {
     wait: Span,
 }
 
-/// The hardware, as far as the machine knows it.
+/// The hardware, as known to the machine.
 #[derive(Clone, Debug)]
 pub(crate) struct Hardware {
     presence: Presence,
@@ -88,9 +88,9 @@ impl Hardware {
         Self { presence: Presence::Simulated, readings: BTreeMap::new(), last: 0 }
     }
 
-    /// It is yet to say that it is there.
+    /// Creates hardware that has not answered yet.
     pub(crate) fn awaited() -> Self {
-        let presence = Presence::Away("the hardware is away: the hardware has not answered yet".to_owned());
+        let presence = Presence::Away("the hardware is not available: it has not answered yet".to_owned());
         Self { presence, ..Self::simulated() }
     }
 
@@ -106,20 +106,20 @@ impl Hardware {
         self.presence = Presence::Away(reason.to_owned());
     }
 
-    /// It has not answered for too long, or it has after all.
+    /// Records that the hardware has been silent for too long, or that it answers again (`None`).
     pub(crate) fn silent(&mut self, silence: Option<Span>) {
         if let Presence::There | Presence::Silent(_) = self.presence {
             self.presence = silence.map_or(Presence::There, Presence::Silent);
         }
     }
 
-    /// Whether anything can be promised now.
+    /// Whether a start can be promised now.
     #[cfg(feature = "host")]
     pub(crate) const fn answers(&self) -> bool {
         matches!(self.presence, Presence::Simulated | Presence::There)
     }
 
-    /// Why nothing can be promised now: it is away, or it may be.
+    /// Returns why no start can be promised now: the hardware is away, or may be.
     pub(crate) fn missing(&self) -> Option<ControlError> {
         match &self.presence {
             Presence::Silent(silence) => Some(unanswered(*silence)),
@@ -127,7 +127,7 @@ impl Hardware {
         }
     }
 
-    /// Why nothing can be driven now. Hardware that may be there is still to be stopped.
+    /// Returns why nothing can be driven now. Silent hardware, which may be present, must still be stopped.
     pub(crate) fn away(&self) -> Option<ControlError> {
         match &self.presence {
             Presence::Away(reason) => Some(ControlError::new(ErrorCode::Internal, reason.clone())),
@@ -138,7 +138,7 @@ impl Hardware {
     /// Opens a reading.
     ///
     /// # Errors
-    /// `busy` when too many are open: in all, of this party, or of those to which the robot does not belong.
+    /// `busy` if too many readings are open: in total, of this party, or of parties that do not own the robot.
     pub(crate) fn ask(
         &mut self,
         now: Timestamp<Robot>,
@@ -160,7 +160,7 @@ impl Hardware {
             _ => None,
         };
         if let Some(max) = full {
-            let message = format!("{max} readings are open already");
+            let message = format!("{max} readings are already open");
             return Err(ControlError::new(ErrorCode::Busy, message));
         }
         let wait = Span::from_millis_f64(max_delay.unwrap_or(READING_WAIT_MS).min(READING_WAIT_MS_MAX));
@@ -172,17 +172,17 @@ impl Hardware {
         Ok(id)
     }
 
-    /// Closes a reading; `None` where it has been given up.
+    /// Closes a reading; `None` if it has been given up.
     pub(crate) fn close(&mut self, id: ReadingId) -> Option<OpenReading> {
         self.readings.remove(&id)
     }
 
-    /// When the first of the open readings is given up.
+    /// Returns when the first open reading is given up.
     pub(crate) fn next_wakeup(&self) -> Option<Timestamp<Robot>> {
         self.readings.values().map(|open| open.until).min()
     }
 
-    /// Readings that have not come in time, with why they fail.
+    /// Removes and returns the readings that are overdue, each with its error.
     pub(crate) fn overdue(&mut self, now: Timestamp<Robot>) -> Vec<(OpenReading, ControlError)> {
         let overdue = self.readings.iter().filter(|(_, open)| open.until <= now).map(|(id, _)| *id);
         let overdue: Vec<ReadingId> = overdue.collect();
@@ -193,13 +193,13 @@ impl Hardware {
         overdue.into_iter().filter_map(|id| self.readings.remove(&id)).map(failed).collect()
     }
 
-    /// All open readings: none will come any more.
+    /// Removes and returns all open readings: none of them can be answered any longer.
     pub(crate) fn abandon(&mut self) -> Vec<OpenReading> {
         std::mem::take(&mut self.readings).into_values().collect()
     }
 }
 
-/// Why a start is not begun, or not promised.
+/// Returns the error of a start that is not begun or not promised.
 pub(crate) fn unanswered(silence: Span) -> ControlError {
     let message = format!("the hardware has not answered for {silence}");
     ControlError::new(ErrorCode::Internal, message)

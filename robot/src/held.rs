@@ -22,22 +22,22 @@ pub(crate) struct Held {
     pub(crate) next_step: usize,
     pub(crate) late: LateSteps,
     pub(crate) began: bool,
-    /// Its pending lease ends then at the latest, whatever is heard.
+    /// End of its pending lease at the latest, whatever messages arrive.
     pub(crate) pending_until: Option<Timestamp<Robot>>,
-    /// The question that limited its lease last: on which link, and when it was sent.
+    /// The link and the sending time of the question that last limited its lease.
     pub(crate) limited_by: Option<(LinkId, Timestamp<Server>)>,
 }
 
-/// A question that limits the pending lease of what it names.
+/// A question that limits the pending leases of the commands that it names.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limit {
     pub(crate) pending: Option<Millis>,
     pub(crate) until: Option<Timestamp<Robot>>,
-    /// On which link it came, and when it was sent.
+    /// The link on which it arrived, and its sending time.
     pub(crate) asked: Option<(LinkId, Timestamp<Server>)>,
 }
 
-/// What a command does.
+/// The steps of a command.
 #[derive(Clone, Debug)]
 pub(crate) enum Steps {
     One(Setpoint),
@@ -59,7 +59,7 @@ impl Held {
         }
     }
 
-    /// The instant at which it is to have started. A device that holds does not move before the first value.
+    /// Returns the instant at which it must have started. A device that holds does not move before the first value.
     pub(crate) fn starts(&self, interpolation: Interpolation) -> Timestamp<Robot> {
         match &self.steps {
             Steps::One(_) => self.start,
@@ -67,7 +67,7 @@ impl Held {
         }
     }
 
-    /// Its start, then each of its steps.
+    /// Returns the time of its start, or of its next step.
     pub(crate) fn next_event(&self) -> Option<Timestamp<Robot>> {
         if !self.began { Some(self.start) } else { self.time_of(self.next_step) }
     }
@@ -86,7 +86,7 @@ impl Held {
         }
     }
 
-    /// The lease that holds now.
+    /// Returns the current lease.
     pub(crate) fn lease(&self) -> Lease {
         if !self.began {
             self.lease_of(lease::pending(self.stop_condition))
@@ -95,8 +95,8 @@ impl Held {
         }
     }
 
-    /// When its lease runs out. Where the lease that follows the next event would have run out by then, the event
-    /// does not take place: the lease ends at that instant, and at one instant a lease wins.
+    /// Returns when its lease ends. If the lease that follows the next event would have ended by then, the event does not take place: the
+    /// lease ends at that instant, and takes precedence over the event.
     pub(crate) fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
         let over_by_then = self.next_event().filter(|at| {
             let first_step_is_later = !self.began && self.time_of(0) > Some(*at);
@@ -107,7 +107,7 @@ impl Held {
         heard.ends(&self.lease()).into_iter().chain(over_by_then).chain(until).min()
     }
 
-    /// Takes a limit of its pending lease. One that was overtaken on its link by a later one changes nothing.
+    /// Limits its pending lease. A question that a later one on the same link has overtaken is ignored.
     pub(crate) fn limit(&mut self, limit: Limit) {
         if let (Some((link, asked)), Some((before_on, before))) = (limit.asked, self.limited_by)
             && link == before_on
@@ -120,7 +120,7 @@ impl Held {
         self.limited_by = limit.asked.or(self.limited_by);
     }
 
-    /// From now on it may wait for its start no longer than this without a word.
+    /// Shortens the silence for which it may wait for its start.
     fn shorten_pending(&mut self, silence: Millis) {
         let condition = self.stop_condition.get_or_insert_default();
         let shorter = condition.pending.is_none_or(|own| silence.get() < own.get());

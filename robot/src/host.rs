@@ -1,4 +1,4 @@
-//! Runs robots in real time: one thread of its own that wakes precisely, however many robots live on it.
+//! Runs robots in real time, on one precise thread for all robots of a host.
 
 mod body;
 mod executor;
@@ -31,28 +31,28 @@ use crate::refusals::Refusals;
 use crate::robot::Input;
 use downbeat_realtime::{Realtime, Scheduling};
 
-/// Inputs that a peer outside this process may have handed over and the robot not yet taken; more have to wait.
+/// Maximum number of inputs of a peer outside this process that the robot has not taken yet; more have to wait.
 const WINDOW: usize = 32;
 
-/// How robots are run.
+/// Options for running robots.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct HostOptions {
-    /// Whether the precise thread asks for real-time scheduling, and for the process's memory to be locked.
+    /// Whether the precise thread requests real-time scheduling and locked process memory.
     pub realtime: Realtime,
-    /// Write everything that is set to this file, a JSON line each.
+    /// Log file for all values that are set, one JSON line each.
     pub log: Option<PathBuf>,
 }
 
 impl HostOptions {
-    /// The same with real-time scheduling asked for, or not.
+    /// Sets whether real-time scheduling is requested.
     #[must_use]
     pub const fn with_realtime(mut self, realtime: Realtime) -> Self {
         self.realtime = realtime;
         self
     }
 
-    /// The same with a log file.
+    /// Sets the log file.
     #[must_use]
     pub fn with_log(mut self, path: PathBuf) -> Self {
         self.log = Some(path);
@@ -60,42 +60,42 @@ impl HostOptions {
     }
 }
 
-/// A host could not be started.
+/// An error at the start of a host.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HostError {
     /// The log file cannot be written.
     #[error("cannot write the log {}: {error}", path.display())]
     Log {
-        /// Which file.
+        /// Path of the log file.
         path: PathBuf,
-        /// The error of the system.
+        /// Error of the system.
         error: io::Error,
     },
-    /// The system gives no thread.
+    /// The system could not create a thread.
     #[error("cannot start a thread for the robots: {0}")]
     Thread(io::Error),
-    /// What is required was not granted.
+    /// The required scheduling was not granted.
     #[error("{0}")]
     Realtime(Scheduling),
 }
 
-/// A robot whose hardware was moved and, when its host stopped, may not be at rest.
+/// A robot whose hardware was moved and may not be at rest after its host stopped.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the devices of `{robot}` may not be at rest: {reason}")]
 #[non_exhaustive]
 pub struct NotAtRest {
     /// Id of the robot.
     pub robot: RobotId,
-    /// Why its devices may not rest, as a sentence without a full stop.
+    /// Why its devices may not be at rest, as a sentence without a full stop.
     pub reason: String,
 }
 
-/// What comes back on a link.
+/// An event on a link from the robot.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "nearly all values are messages")]
 pub enum LinkEvent {
-    /// The robot says something.
+    /// A message from the robot.
     Message(Message),
     /// The robot has closed the link.
     Closed,
@@ -109,7 +109,7 @@ pub struct Host {
     thread: Option<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
     log_lost: Option<oneshot::Receiver<HostError>>,
-    /// With the index of their robot.
+    /// Each with the index of its robot.
     drivers: Vec<(usize, DriverThread)>,
     mailboxes: Vec<Arc<Mailbox>>,
 }
@@ -151,8 +151,8 @@ impl Host {
     /// Starts the robots.
     ///
     /// # Errors
-    /// [`HostError`] when the log cannot be written, or the system gives no thread or not what is required. Then nothing
-    /// was connected to or moved.
+    /// [`HostError`] if the log cannot be written, the system cannot create a thread, or the required scheduling is not granted. In these
+    /// cases no hardware was connected or moved.
     pub fn start<R: Into<Hosted>>(robots: Vec<R>, options: HostOptions) -> Result<Self, HostError> {
         let hosted: Vec<Hosted> = robots.into_iter().map(Into::into).collect();
         let ids: Arc<[RobotId]> = hosted.iter().map(|hosted| hosted.id().clone()).collect();
@@ -192,50 +192,50 @@ impl Host {
             drivers.extend(thread.map(|thread| (index, thread)));
         }
         let mailboxes: Vec<_> = robots.iter().filter_map(Body::mailbox).collect();
-        // The thread waits for nothing else.
+        // The thread is waiting only for the robots.
         let _always_taken = ready.send(robots);
         Ok(Self { handle, scheduling, thread: Some(thread), writer, log_lost, drivers, mailboxes })
     }
 
-    /// Waits until every driver has tried to connect once, so that the next answer states the result. Returns whether all of
-    /// them have.
+    /// Waits until every driver has tried to connect once, so that the next answer states the result. Returns whether all drivers have.
     #[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
     pub fn await_hardware(&self, patience: Duration) -> bool {
         let until = std::time::Instant::now() + patience;
         self.mailboxes.iter().all(|mailbox| mailbox.await_tried(until))
     }
 
-    /// What the precise thread was granted.
+    /// Returns the scheduling that the precise thread was granted.
     #[must_use]
     pub const fn scheduling(&self) -> &Scheduling {
         &self.scheduling
     }
 
-    /// Opens links to these robots.
+    /// Returns a handle that opens links to these robots.
     #[must_use]
     pub fn handle(&self) -> HostHandle {
         self.handle.clone()
     }
 
-    /// How often peers were refused, slowed down or hung up on, and why.
+    /// Returns how often peers were refused, slowed down or disconnected, and why.
     #[must_use]
     pub fn refusals(&self) -> &Refusals {
         &self.handle.refusals
     }
 
-    /// Counts of its robots, which change as they play.
+    /// Returns the metrics of its robots, which change while they play.
     #[must_use]
     pub fn figures(&self) -> Arc<Figures> {
         Arc::clone(&self.handle.figures)
     }
 
-    /// Hears why the log ends ahead of the robots, which continue without it; nothing where it does not. To be taken once.
+    /// Returns a receiver for the error, if the log ends before the robots, which then continue without it. `None` without a log, and
+    /// after the first call.
     pub const fn log_lost(&mut self) -> Option<oneshot::Receiver<HostError>> {
         self.log_lost.take()
     }
 
-    /// Stops the robots where they are and completes the log. Hardware that moves comes to rest; returns the robots of which that
-    /// is not certain.
+    /// Stops the robots where they are and completes the log. Brings moving hardware to rest, and returns the robots for which that is
+    /// not certain.
     pub fn stop(mut self) -> Vec<NotAtRest> {
         self.shut_down()
     }
@@ -257,7 +257,7 @@ impl Host {
     }
 }
 
-/// A generous upper bound on the bytes of a command for one of these devices: a step with one value takes fewer than 200.
+/// Returns a generous upper bound of the bytes of a command for one of these devices: a step with one value takes fewer than 200.
 fn longest_command(block: &InitializationBlock) -> usize {
     const STEP: usize = 512;
     let of_device = |device: &Device| {
@@ -278,25 +278,25 @@ impl Drop for Host {
 }
 
 impl HostHandle {
-    /// The robots, in the order of their indices.
+    /// Returns the robots, in the order of their indices.
     #[must_use]
     pub fn robots(&self) -> &[RobotId] {
         &self.robots
     }
 
-    /// The maximum length of a command for the robot of this link, in bytes.
+    /// Returns the maximum length of a command for the robot of this link, in bytes.
     pub(crate) fn longest_command(&self, link: &RobotLink) -> usize {
         self.longest.get(link.robot).copied().unwrap_or(LINE_BYTES_MAX)
     }
 
-    /// Opens a link to a robot from within this process; `None` when there is no such robot or the host has stopped.
+    /// Opens a link to a robot from within this process; `None` if the robot does not exist or the host has stopped.
     #[must_use]
     pub fn connect(&self, robot: usize) -> Option<RobotLink> {
         self.connect_as(robot, Peer::in_process())
     }
 
-    /// Opens a link to a robot for a peer; `None` when there is no such robot or the host has stopped. What the peer leaves
-    /// unread is bounded, unless it is in this process, and a session that it claims belongs to its name.
+    /// Opens a link to a robot for a peer; `None` if the robot does not exist or the host has stopped. The peer's unread messages are
+    /// bounded, unless it is in this process. A session that it claims belongs to its name.
     #[must_use]
     pub fn connect_as(&self, robot: usize, peer: Peer) -> Option<RobotLink> {
         if robot >= self.robots.len() {
@@ -311,46 +311,46 @@ impl HostHandle {
         Some(link)
     }
 
-    /// Counts of the robots, which change as they play.
+    /// Returns the metrics of the robots, which change while they play.
     #[must_use]
     pub fn figures(&self) -> Arc<Figures> {
         Arc::clone(&self.figures)
     }
 
-    /// Whether the precise thread answers within this time.
+    /// Whether the precise thread answers within `patience`.
     pub async fn answers_within(&self, patience: Duration) -> bool {
         let (answer, answered) = oneshot::channel();
         let asked = self.orders.send(Order::Beat { answer }).is_ok();
         asked && tokio::time::timeout(patience, answered).await.is_ok_and(|answered| answered.is_ok())
     }
 
-    /// Whether no robot runs here any more.
+    /// Whether the host has stopped.
     pub(crate) fn has_stopped(&self) -> bool {
         self.orders.is_disconnected()
     }
 
-    /// How often peers were refused, slowed down or hung up on, and why.
+    /// Returns how often peers were refused, slowed down or disconnected, and why.
     #[must_use]
     pub fn refusals(&self) -> &Refusals {
         &self.refusals
     }
 
-    /// What all peers share that have no robot of this host.
+    /// Returns the budget that all peers without a robot of this host share.
     pub(crate) fn strangers(&self) -> Arc<Strangers> {
         Arc::clone(&self.strangers)
     }
 
-    /// Scripts that came last: often several robots of a host get the same one.
+    /// Returns the most recent scripts: often several robots of a host receive the same one.
     pub(crate) const fn scripts(&self) -> &KnownScripts {
         &self.scripts
     }
 
-    /// To whom a robot belongs, or belonged last, as it changes.
+    /// Returns a watch on the current or last owner of a robot.
     pub(crate) fn owner(&self, robot: usize) -> Option<watch::Receiver<Option<Claimant>>> {
         self.owners.get(robot).cloned()
     }
 
-    /// Lets a robot look whether its session is over. Back when it has, or the host has stopped.
+    /// Makes a robot check whether its session is over. Returns when it has, or when the host has stopped.
     pub(crate) async fn look(&self, robot: usize) {
         let (permit, looked) = oneshot::channel();
         let _stopped = self.orders.send(Order::Look { robot, permit });
@@ -359,7 +359,8 @@ impl HostHandle {
 }
 
 impl RobotLink {
-    /// Sends a message to the robot, and hashes here what the robot has to compare. A host that has stopped takes none; [`RobotLink::recv`] says so.
+    /// Sends a message to the robot, and computes here the hash that the robot compares. A stopped host ignores it; [`RobotLink::recv`]
+    /// then returns `None`.
     pub fn send(&self, message: Message) {
         self.order(Input::read(message));
     }
@@ -369,12 +370,12 @@ impl RobotLink {
         let _stopped = self.orders.send(order);
     }
 
-    /// What the robot says next; `None` once the host has stopped.
+    /// Receives the robot's next event; `None` once the host has stopped.
     pub async fn recv(&mut self) -> Option<LinkEvent> {
         self.incoming.recv().await
     }
 
-    /// What the robot has said already.
+    /// Returns an event that is already available.
     pub(crate) fn try_recv(&mut self) -> Option<LinkEvent> {
         self.incoming.try_recv()
     }
@@ -388,7 +389,7 @@ impl RobotLink {
 impl LinkSender {
     /// Sends once the robot keeps up, so that a peer can never make the host hold more than [`WINDOW`] of its inputs.
     pub(crate) async fn send(&self, input: Input) {
-        // The window is never closed, so there always is a permit in the end.
+        // The window is never closed, so a permit always becomes available.
         let permit = Arc::clone(&self.window).acquire_owned().await.ok();
         let _stopped = self.orders.send(Order::Input { robot: self.robot, link: self.link, input, permit });
     }

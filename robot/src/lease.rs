@@ -6,17 +6,17 @@ use urrcp::{Millis, Robot, StopCondition, Timestamp};
 
 use crate::ids::LinkId;
 
-/// When each party was last heard. Links that are down stay silent, so their leases run out.
+/// The time of each party's last message. Links that are down stay silent, so their leases run out.
 #[derive(Clone, Debug)]
 pub(crate) struct LastHeard {
     at: BTreeMap<LinkId, Timestamp<Robot>>,
-    /// The one that was heard last is nearly always the one that is asked for, at every step of every device.
+    /// The latest party is nearly always the one that is looked up, at every step of every device.
     latest: Option<(LinkId, Timestamp<Robot>)>,
-    /// With more entries than this, parties that hold nothing are forgotten.
+    /// If there are more entries than this, parties that hold nothing are forgotten.
     room: usize,
 }
 
-/// The silence of at least this many parties is remembered.
+/// The last message of at least this many parties is remembered.
 const PARTIES_MIN: usize = 1_024;
 
 impl Default for LastHeard {
@@ -26,7 +26,7 @@ impl Default for LastHeard {
 }
 
 impl LastHeard {
-    /// A message arrived. Returns whether it is time to [`LastHeard::keep`] only the parties that hold something.
+    /// Records a message. Returns whether it is time to [`LastHeard::keep`] only the parties that hold something.
     #[must_use]
     pub(crate) fn heard(&mut self, party: LinkId, now: Timestamp<Robot>) -> bool {
         self.at.insert(party, now);
@@ -34,14 +34,14 @@ impl LastHeard {
         self.at.len() > self.room
     }
 
-    /// Forgets all others. Nothing is lost by it: a lease counts from its own begin where nothing was heard since.
+    /// Forgets all other parties. This loses nothing: without an entry, a lease counts from its own begin.
     pub(crate) fn keep(&mut self, holding: &HashSet<LinkId>) {
         self.at.retain(|party, _| holding.contains(party));
         self.latest = None;
         self.room = PARTIES_MIN.max(2 * self.at.len());
     }
 
-    /// When a party was last heard.
+    /// Returns the time of a party's last message.
     pub(crate) fn last(&self, party: LinkId) -> Option<Timestamp<Robot>> {
         match self.latest {
             Some((latest, at)) if latest == party => Some(at),
@@ -49,7 +49,7 @@ impl LastHeard {
         }
     }
 
-    /// When a lease of this length runs out; `None` without a lease.
+    /// Returns when a lease ends; `None` without a limit.
     pub(crate) fn ends(&self, lease: &Lease) -> Option<Timestamp<Robot>> {
         let silence = lease.silence?.span();
         let heard = self.last(lease.link).unwrap_or(lease.granted);
@@ -57,7 +57,7 @@ impl LastHeard {
     }
 }
 
-/// The lease under which a command is held at the moment.
+/// The current lease of a command.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lease {
     pub(crate) link: LinkId,
@@ -66,12 +66,12 @@ pub(crate) struct Lease {
     pub(crate) silence: Option<Millis>,
 }
 
-/// The limit before the start.
+/// Returns the limit before the start.
 pub(crate) fn pending(stop_condition: Option<StopCondition>) -> Option<Millis> {
     stop_condition.and_then(|lease| lease.pending)
 }
 
-/// The limit while a step is current; the step's own wins over the command's.
+/// Returns the limit while a step is current; the step's own takes precedence over the command's.
 pub(crate) fn running(command: Option<StopCondition>, step: Option<StopCondition>) -> Option<Millis> {
     step.or(command).and_then(|lease| lease.running)
 }

@@ -1,10 +1,10 @@
-//! What a robot says to its peers, whether hardware or a simulated world is around it.
+//! A robot's output to its peers, with hardware or in a simulated world.
 
 use urrcp::Message;
 
 use crate::ids::LinkId;
 
-/// What leaves a robot.
+/// An outgoing message, or the end of a link.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "nearly all values are messages")]
 pub enum Outgoing {

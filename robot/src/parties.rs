@@ -1,7 +1,7 @@
-//! The parties that use the links, and the one to which the robot belongs.
+//! The parties that use the links, and the party that owns the robot.
 //!
-//! A session is one run of a scheduler. It may use several links, one after another or at once: leases, answers and
-//! stops go with the session. A link that names no session is a party of its own.
+//! A session is one run of a scheduler. It may use several links, in sequence or simultaneously: leases, answers and stops belong to the
+//! session. A link that names no session is a party of its own.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -13,52 +13,52 @@ use urrcp::Proof;
 
 /// An idle robot whose session has been silent for this long may be claimed by another.
 const CLAIM_SILENCE: Span = Span::from_millis(5_000);
-/// Sessions that are remembered.
+/// Maximum number of remembered sessions.
 pub(crate) const SESSIONS_MAX: usize = 256;
 
-/// To whom a robot may belong. The name of a session is a secret of the peers that use it; where a peer has proven a name of
-/// its own, its session is another one than that of the same name of any other peer.
+/// A possible owner of the robot. The name of a session is a secret of the peers that use it. If a peer has proven a name of its own, its
+/// session differs from a session of the same name of any other peer.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Claimant {
     pub(crate) session: SessionId,
     pub(crate) peer: Option<Label>,
 }
 
-/// Parties are named by their first link, as long as that has no other.
+/// The parties. A party is identified by its first link, unless that link already identifies another party.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Parties {
     of_link: BTreeMap<LinkId, LinkId>,
     of_session: HashMap<Claimant, LinkId>,
-    /// What the peers of links have proven.
+    /// The proofs of the links' peers.
     proof_of: BTreeMap<LinkId, Proof>,
-    /// Where a party was last heard.
+    /// The link of each party's last message.
     route: BTreeMap<LinkId, LinkId>,
     owner: Option<(Claimant, LinkId)>,
-    /// From whom the robot was seized last, and by whom.
+    /// The previous owner at the last seizure, and the name of the operator that seized the robot.
     seized: Option<(Claimant, Label)>,
-    /// How often the owner has changed.
+    /// Number of owner changes.
     changes: u64,
-    /// Parties that were given a name of their own, counted down from the largest so that no link has it.
+    /// Number of parties with an id of their own, counted down from the largest so that no link has it.
     named: u64,
 }
 
 impl Parties {
-    /// Who talks on a link.
+    /// Returns the party that uses a link.
     pub(crate) fn party(&self, link: LinkId) -> LinkId {
         self.of_link.get(&link).copied().unwrap_or(link)
     }
 
-    /// The link on which a party is reached.
+    /// Returns the link on which a party is reached.
     pub(crate) fn route(&self, party: LinkId) -> LinkId {
         self.route.get(&party).copied().unwrap_or(party)
     }
 
-    /// The peer of this link has proven who it is.
+    /// Records the proven identity of this link's peer.
     pub(crate) fn proven(&mut self, link: LinkId, proof: Proof) {
         self.proof_of.insert(link, proof);
     }
 
-    /// What the peer of a link has proven; `None` where nothing is asked for a proof.
+    /// Returns the proof of a link's peer; `None` if no proof is required.
     pub(crate) fn proof(&self, link: LinkId) -> Option<&Proof> {
         self.proof_of.get(&link)
     }
@@ -67,17 +67,17 @@ impl Parties {
         self.proof(link).map(|proof| &proof.name)
     }
 
-    /// Who names this session on this link.
+    /// Returns the claimant for this session on this link.
     pub(crate) fn claimant(&self, link: LinkId, session: &SessionId) -> Claimant {
         Claimant { session: session.clone(), peer: self.name(link).cloned() }
     }
 
-    /// Whether the one who names this session on this link is this one.
+    /// Whether this session on this link is this claimant.
     pub(crate) fn is_claimant(&self, link: LinkId, session: &SessionId, claimant: &Claimant) -> bool {
         claimant.session == *session && claimant.peer.as_ref() == self.name(link)
     }
 
-    /// A message of this session came on this link.
+    /// Records a message of this session on this link, and returns its party.
     pub(crate) fn join(&mut self, link: LinkId, session: &SessionId) -> LinkId {
         let claimant = self.claimant(link, session);
         let party = match self.of_session.get(&claimant) {
@@ -86,7 +86,7 @@ impl Parties {
                 if self.of_session.len() >= SESSIONS_MAX {
                     self.forget_oldest();
                 }
-                // A link that spoke for another session before becomes a new party, under a name that no other one has or had.
+                // A link that belonged to another session before becomes a new party, with an id that no other party has or had.
                 let taken = self.of_session.values().any(|party| *party == link);
                 self.named += u64::from(taken);
                 let party = if taken { LinkId(u64::MAX - self.named) } else { link };
@@ -108,7 +108,7 @@ impl Parties {
         self.leave(party, link);
     }
 
-    /// A link no longer speaks for a party, which is reached on another one from now on, if it has one.
+    /// Removes a link from a party. The party is then reached on another of its links, if it has one.
     fn leave(&mut self, party: LinkId, link: LinkId) {
         if self.route.get(&party) == Some(&link) {
             self.route.remove(&party);
@@ -117,8 +117,8 @@ impl Parties {
         }
     }
 
-    /// The session to which the robot belongs, as far as that still holds: it holds something, or it was heard lately
-    /// on a link that stands.
+    /// Returns the session that owns the robot. It remains the owner while the robot holds something, or if its last message was recent
+    /// and one of its links is up.
     pub(crate) fn owner(
         &self,
         now: Timestamp<Robot>,
@@ -131,7 +131,7 @@ impl Parties {
         })
     }
 
-    /// From now on the robot belongs to this session.
+    /// Makes this session the owner.
     pub(crate) fn claim(&mut self, claimant: Claimant, party: LinkId) {
         if self.owner.as_ref().is_none_or(|(owner, _)| *owner != claimant) {
             self.owner = Some((claimant, party));
@@ -139,48 +139,48 @@ impl Parties {
         }
     }
 
-    /// What the peer has proven to be called to whose session the robot belongs, or belonged last.
+    /// Returns the proven name of the peer whose session owns the robot, or owned it last.
     pub(crate) fn owner_name(&self) -> Option<&Label> {
         self.owner.as_ref().and_then(|(owner, _)| owner.peer.as_ref())
     }
 
-    /// From now on the robot belongs to this session, whose peer has proven this name, and no longer to the one that had it.
+    /// Transfers the robot from its owner to this session, whose peer has proven this name.
     pub(crate) fn seize(&mut self, claimant: Claimant, party: LinkId, by: Label) {
         self.seized = self.owner.take().map(|(before, _)| (before, by));
         self.claim(claimant, party);
     }
 
-    /// By whom the robot was seized from the one who names this session on this link.
+    /// Returns the name of the operator that seized the robot from this session on this link.
     pub(crate) fn seized_by(&self, link: LinkId, session: &SessionId) -> Option<&Label> {
         let (_, by) = self.seized.as_ref().filter(|(from, _)| self.is_claimant(link, session, from))?;
         Some(by)
     }
 
-    /// It belongs to no session any more.
+    /// Releases the robot: no session owns it.
     pub(crate) fn release(&mut self) {
         if self.owner.take().is_some() {
             self.changes += 1;
         }
     }
 
-    /// To whom the robot belongs, or belonged last.
+    /// Returns the current or last owner.
     #[cfg(feature = "host")]
     pub(crate) fn last_claimant(&self) -> Option<&Claimant> {
         self.owner.as_ref().map(|(claimant, _)| claimant)
     }
 
-    /// A number that is another one whenever [`Parties::last_claimant`] is.
+    /// Returns a number that changes with [`Parties::last_claimant`].
     #[cfg(feature = "host")]
     pub(crate) const fn changes(&self) -> u64 {
         self.changes
     }
 
-    /// The party to which the robot belongs, or belonged last.
+    /// Returns the party that owns the robot, or owned it last.
     pub(crate) fn last_owner(&self) -> Option<LinkId> {
         self.owner.as_ref().map(|(_, party)| *party)
     }
 
-    /// How many entries it keeps about parties.
+    /// Returns the number of entries about parties.
     #[cfg(test)]
     pub(crate) fn remembered(&self) -> usize {
         self.of_link.len() + self.of_session.len() + self.route.len() + self.proof_of.len()
@@ -192,7 +192,7 @@ impl Parties {
             !owns && !self.route.contains_key(*party)
         });
         let oldest = silent.min_by_key(|(_, party)| **party).map(|(claimant, _)| claimant.clone());
-        // All links stand: then the number of links bounds the sessions.
+        // If all links are up, the number of links bounds the sessions.
         oldest.and_then(|claimant| self.of_session.remove(&claimant));
     }
 }
@@ -230,7 +230,7 @@ mod tests {
         parties.link_down(TWO);
         assert_eq!((parties.party(TWO), parties.route(ONE)), (TWO, THREE));
         parties.link_down(THREE);
-        assert_eq!(parties.route(ONE), ONE, "there is none");
+        assert_eq!(parties.route(ONE), ONE, "no link is left");
     }
 
     #[test]

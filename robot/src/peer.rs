@@ -1,4 +1,4 @@
-//! Who is at the other end of a link.
+//! The peer at the other end of a link.
 
 use std::fmt;
 use std::net::{IpAddr, SocketAddr};
@@ -8,7 +8,7 @@ use urrcp::Label;
 
 use urrcp::Proof;
 
-/// Who is at the other end of a link, as far as this is known: from where it connects, and under which name if it has proven one.
+/// A peer at the other end of a link, as far as it is known: its origin, and its name if it has proven one.
 ///
 /// A session belongs to the name of the peer that claims it: another name, or none, with the same session is another session.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
@@ -17,7 +17,7 @@ pub struct Peer {
     proof: Option<Proof>,
 }
 
-/// From where a peer connects.
+/// The origin of a peer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 enum Origin {
     #[default]
@@ -28,32 +28,32 @@ enum Origin {
 }
 
 impl Peer {
-    /// A part of this process. It is trusted: no quota or budget holds for it.
+    /// Returns a part of this process. It is trusted: it has no quota or budget.
     #[must_use]
     pub const fn in_process() -> Self {
         Self { origin: Origin::InProcess, proof: None }
     }
 
-    /// A stranger that connects from there.
+    /// Returns a stranger that connects from this address.
     #[must_use]
     pub const fn at(address: SocketAddr) -> Self {
         Self { origin: Origin::Address(address), proof: None }
     }
 
-    /// A stranger that comes through a network in which it has this name and no address.
+    /// Returns a stranger that connects through a network that gives it this name and no address.
     #[must_use]
     pub fn through(network: &str) -> Self {
         Self { origin: Origin::Network(network.into()), proof: None }
     }
 
-    /// The same peer, which has proven who it is, for example by a certificate.
+    /// Returns the same peer with a proven identity, for example from a certificate.
     #[must_use]
     pub fn with_proof(mut self, proof: Proof) -> Self {
         self.proof = Some(proof);
         self
     }
 
-    /// From where it connects; `None` for a part of this process, and where a network hides it.
+    /// Returns its address; `None` for a part of this process, and if a network hides it.
     #[must_use]
     pub const fn address(&self) -> Option<SocketAddr> {
         match self.origin {
@@ -62,13 +62,13 @@ impl Peer {
         }
     }
 
-    /// The name that it has proven.
+    /// Returns its proven name.
     #[must_use]
     pub fn name(&self) -> Option<&Label> {
         self.proof.as_ref().map(|proof| &proof.name)
     }
 
-    /// What it has proven.
+    /// Returns its proof.
     #[must_use]
     pub const fn proof(&self) -> Option<&Proof> {
         self.proof.as_ref()
@@ -80,8 +80,8 @@ impl Peer {
         matches!(self.origin, Origin::InProcess)
     }
 
-    /// What quotas are counted by: the host that it connects from. `None` where one address stands for many peers, or none is
-    /// known: within this process, on the loopback interface, and through networks that hide addresses.
+    /// Returns the host from which it connects, for quotas. `None` if one address represents many peers or is unknown: within this
+    /// process, on the loopback interface, and through networks that hide addresses.
     #[must_use]
     pub fn quota_key(&self) -> Option<IpAddr> {
         self.address().map(|address| address.ip().to_canonical()).filter(|ip| !ip.is_loopback())

@@ -1,7 +1,6 @@
-//! Scripts that a driver is told ahead of their time and times by itself, and what it has said of them so far.
+//! Scripts that a driver receives ahead of their time and times by itself, and the driver's reports about them.
 //!
-//! The device's machine plays the same script in thought: it decides on leases, overlaps and stops. What is reported is what the
-//! driver says.
+//! The device's machine simulates the same script: it decides on leases, overlaps and stops. The robot reports what the driver reports.
 
 use std::collections::BTreeMap;
 
@@ -12,80 +11,80 @@ use crate::ids::CommandId;
 use crate::late_steps::LateSteps;
 use crate::tolerance::Tolerance;
 
-/// Names a script, or a single value, that was handed over to a driver.
+/// Identifies a script, or a single value, that was handed over to a driver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlanId(pub u64);
 
-/// How far ahead a driver is told the steps of a device's scripts.
+/// How far ahead a driver receives the steps of a device's scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lookahead {
-    /// All of them as soon as the script is accepted.
+    /// All steps, as soon as the script is accepted.
     Script,
-    /// Each of them at least this long before the way to it begins, or as soon as the script is accepted.
+    /// Each step at least this long before the movement to it begins, or as soon as the script is accepted.
     Horizon(Span),
 }
 
-/// Steps of a script that are handed over together. Times are those of the clock `C`.
+/// Steps of a script that are handed over together. Times are on the clock `C`.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct PlanPart<C> {
-    /// Names the script.
+    /// Identifies the script.
     pub plan: PlanId,
-    /// Which device.
+    /// Device of the script.
     pub device: DeviceId,
-    /// When the script starts.
+    /// Start of the script.
     pub start: Timestamp<C>,
-    /// After this instant it must not begin.
+    /// Latest instant at which it may begin.
     pub begin_by: Timestamp<C>,
-    /// What the device does between two steps.
+    /// Behaviour of the device between two steps.
     pub interpolation: Interpolation,
-    /// Index of the first of these steps in the script; 0 begins a plan, anything else continues it.
+    /// Index of the first of these steps in the script; 0 begins a plan, any other index continues it.
     pub first: usize,
-    /// The steps, in the order of their times. At least one.
+    /// The steps in the order of their times, at least one.
     pub steps: Vec<PlanStep<C>>,
     /// Whether the script ends with these steps.
     pub is_last: bool,
 }
 
-/// A step of a script with its absolute time.
+/// A step of a script, with its absolute time.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct PlanStep<C> {
-    /// When the value is due. With linear interpolation the device arrives at it then.
+    /// Time when the value is due. With linear interpolation, the device then arrives at it.
     pub at: Timestamp<C>,
-    /// What is to be set.
+    /// The value to set.
     pub setpoint: Setpoint,
 }
 
-/// A script that a driver has is over before its end.
+/// The cancellation of a driver's script before its end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PlanCancel {
-    /// Names the script.
+    /// Identifies the script.
     pub plan: PlanId,
-    /// Which device.
+    /// Device of the script.
     pub device: DeviceId,
-    /// What the device does instead.
+    /// Behaviour of the device instead.
     pub then: Then,
-    /// Why, for people.
+    /// Reason, for people.
     pub why: String,
 }
 
-/// What a device does when one of its scripts is over before its end.
+/// Behaviour of a device after one of its scripts is cancelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
     /// The same as without that script: another one may run.
     Keep,
     /// It stays where it is.
     Hold,
-    /// It comes to rest, or goes to its default state, by values that follow.
+    /// It comes to rest, or moves to its default state, by subsequent values.
     Rest,
-    /// It slows down as it can, by values that follow.
+    /// It slows down within its limits, by subsequent values.
     Slow,
 }
 
 impl Then {
-    /// Its word in the protocol for programs.
+    /// Returns its keyword in the protocol for programs.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -97,64 +96,64 @@ impl Then {
     }
 }
 
-/// What a driver says of a script that it times by itself.
+/// A driver's report about a script that it times by itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlanEvent {
     /// The first value is set, or the device has begun to move to it linearly.
     Began,
-    /// The step of this index is done, and with it all before.
+    /// The step of this index is done, and all steps before it.
     Step(u32),
     /// All steps are done.
     Done,
-    /// By the driver's clock the script has begun or continues. The hardware has not shown it.
+    /// By the driver's clock, the script has begun or continues. The hardware has not shown it.
     AssumedRunning,
-    /// By the driver's clock all steps are done. The hardware has not shown it.
+    /// By the driver's clock, all steps are done. The hardware has not shown it.
     AssumedDone,
-    /// It is over before its end, for this reason.
+    /// The script ended early, for this reason.
     Failed(String),
     /// It was cancelled.
     Cancelled,
 }
 
-/// How far a driver may be off when it names a time: what it says was not later than now.
+/// Tolerance for reported times: a report must not lie further than this in the future.
 const GRAIN: Span = Span::from_millis(10);
-/// An edge that looks for a report so much too late was itself held up, and the report may still wait for it.
+/// If an edge checks for a report with more delay than this, the edge itself was delayed, and the report may still wait for it.
 const HELD_UP: Span = Span::from_millis(100);
 
-/// How far a script is, as the device's machine sees it.
+/// Progress of a script in the device's machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
     Waiting,
     Begun,
     /// Its last step was due.
     Over,
-    /// The driver is asked to end it; then this is told.
+    /// The driver must end it; afterwards this error is reported.
     Cancelling(ControlError),
 }
 
-/// A script that the driver of a device times by itself.
+/// A script that a device's driver times by itself.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     pub(crate) index: usize,
     pub(crate) command: CommandId,
-    /// As it was accepted.
+    /// The command as accepted.
     held: Held,
     device: DeviceId,
     interpolation: Interpolation,
     lookahead: Lookahead,
-    /// So many steps were handed over.
+    /// Number of steps that were handed over.
     pub(crate) given: usize,
     pub(crate) stage: Stage,
     pub(crate) began: Option<Timestamp<Robot>>,
     pub(crate) began_told: bool,
-    /// The driver assumes that the script has begun.
+    /// Whether the driver assumes that the script has begun.
     assumed: bool,
     pub(crate) done: Option<Timestamp<Robot>>,
     pub(crate) steps_done: u32,
     pub(crate) late: LateSteps,
-    /// The driver has ended it by itself, or never took it.
+    /// Whether the driver has ended it by itself, or never took it.
     pub(crate) is_over_there: bool,
-    /// Reports are awaited until then, because the edge was held up.
+    /// Extended time limit for reports, after the edge was delayed.
     extended: Option<Timestamp<Robot>>,
     tolerance: Tolerance,
 }
@@ -168,7 +167,7 @@ impl Plan {
         &self.device
     }
 
-    /// When the device sets out for a step.
+    /// Returns when the device begins to move to a step.
     fn sets_out(&self, step: usize) -> Option<Timestamp<Robot>> {
         self.held.time_of(step)?;
         step.checked_sub(1).map_or(Some(self.held.start), |before| self.held.time_of(before))
@@ -178,7 +177,7 @@ impl Plan {
         matches!(self.stage, Stage::Waiting | Stage::Begun)
     }
 
-    /// When the next steps are to be handed over.
+    /// Returns when the next steps must be handed over.
     fn next_handover(&self) -> Option<Timestamp<Robot>> {
         let sets_out = self.sets_out(self.given).filter(|_| self.is_open() && !self.is_over_there)?;
         Some(match self.lookahead {
@@ -187,7 +186,7 @@ impl Plan {
         })
     }
 
-    /// By how much it is too late to hand over the next steps.
+    /// Returns by how much the handover of the next steps is too late; `None` if it is in time.
     pub(crate) fn handover_late(&self, now: Timestamp<Robot>) -> Option<Span> {
         self.next_handover()?;
         let sets_out = self.sets_out(self.given)?;
@@ -195,7 +194,7 @@ impl Plan {
         (now - sets_out > most).then(|| now - sets_out)
     }
 
-    /// The steps that are to be handed over now: a quarter of a horizon at a time, or what is left of it.
+    /// Returns the steps that must be handed over now: a quarter of a horizon at a time, or the rest of it.
     pub(crate) fn hand_over(&mut self, id: PlanId, now: Timestamp<Robot>) -> Option<PlanPart<Robot>> {
         self.next_handover().filter(|at| *at <= now)?;
         let first = self.given;
@@ -221,7 +220,7 @@ impl Plan {
         })
     }
 
-    /// By when the driver must have said more.
+    /// Returns the time limit of the driver's next report.
     fn report_due(&self) -> Option<Timestamp<Robot>> {
         let due = match (&self.stage, self.began, self.done) {
             (Stage::Cancelling(_), ..) | (_, _, Some(_)) => return None,
@@ -231,7 +230,7 @@ impl Plan {
         Some(self.extended.map_or(due, |extended| due.max(extended)))
     }
 
-    /// Whether the driver has not said in time what it had to say. One look that comes too late itself grants more time.
+    /// Whether the driver has missed the time limit of a report. A check that is itself too late extends the limit.
     fn is_unreported(&mut self, now: Timestamp<Robot>) -> bool {
         let Some(due) = self.report_due().filter(|due| *due <= now) else { return false };
         if now - due > HELD_UP {
@@ -241,10 +240,10 @@ impl Plan {
         true
     }
 
-    /// Takes what the driver says, with the instant at which the step was to be done if it is one.
+    /// Records a driver's report. Returns the instant at which the step was due, if the report is about a step.
     ///
     /// # Errors
-    /// Why it cannot be true.
+    /// Why the report cannot be true.
     pub(crate) fn note(
         &mut self,
         now: Timestamp<Robot>,
@@ -252,20 +251,23 @@ impl Plan {
         event: &PlanEvent,
     ) -> Result<Timestamp<Robot>, String> {
         if at > now + GRAIN {
-            return Err(format!("it names a time that is {} ahead", at - now));
+            return Err(format!("its time is {} in the future", at - now));
         }
         if at < self.held.accepted - GRAIN {
-            return Err(format!("it names a time that is {} before it had it", self.held.accepted - at));
+            return Err(format!("its time is {} before the script was accepted", self.held.accepted - at));
         }
         let at = at.min(now);
         match event {
             PlanEvent::Began => self.began = self.began.or(Some(at)),
             PlanEvent::Step(_) | PlanEvent::Done if !self.has_begun() => {
-                return Err("it goes on, and was not said to have started".to_owned());
+                return Err("it reports progress, but no start was reported".to_owned());
             }
             PlanEvent::Step(step) => self.note_step(at, *step)?,
             PlanEvent::Done if self.held.time_of(self.given).is_some() => {
-                return Err(format!("it is done, and only {} of its steps were handed over", self.given));
+                return Err(format!(
+                    "it reports the end, but only {} of its steps were handed over",
+                    self.given
+                ));
             }
             PlanEvent::Done => {
                 self.done = self.done.or(Some(at));
@@ -285,7 +287,7 @@ impl Plan {
     fn note_step(&mut self, at: Timestamp<Robot>, step: u32) -> Result<(), String> {
         let due = self.held.time_of(step as usize).filter(|_| (step as usize) < self.given);
         let Some(due) = due else {
-            return Err(format!("it names step {step}, and {} were handed over", self.given));
+            return Err(format!("it reports step {step}, but {} were handed over", self.given));
         };
         if step >= self.steps_done {
             self.steps_done = step + 1;
@@ -294,12 +296,12 @@ impl Plan {
         Ok(())
     }
 
-    /// The driver no longer follows it. A driver that still had time to report a start has not begun it.
+    /// Records that the driver no longer follows the script. If the driver still had time to report a start, it has not begun.
     pub(crate) fn is_withdrawn(&mut self, now: Timestamp<Robot>) {
         self.is_over_there |= now < self.held.starts(self.interpolation) + self.tolerance.report;
     }
 
-    /// Whether it is unknown whether it began: the hardware had it at its start and has not shown a start.
+    /// Whether the script may have begun: the hardware had it at its start and has not shown a start.
     pub(crate) fn may_have_begun(&self, now: Timestamp<Robot>) -> bool {
         let had_it = self.given > 0 && !self.is_over_there && now >= self.held.starts(self.interpolation);
         self.began.is_none() && (self.assumed || had_it)
@@ -310,7 +312,7 @@ impl Plan {
         self.began.is_some() || self.assumed
     }
 
-    /// In which step it is, for people.
+    /// Returns its progress, for people.
     pub(crate) fn place(&self) -> String {
         match self.began {
             None if !self.assumed => "before its start".to_owned(),
@@ -319,14 +321,14 @@ impl Plan {
     }
 }
 
-/// The scripts that drivers time by themselves, of one robot.
+/// The scripts of one robot that drivers time by themselves.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Plans {
     plans: BTreeMap<PlanId, Plan>,
     last: u64,
-    /// What the machine thinks to be over, and is to be cancelled with the device's next change.
+    /// Scripts that are over for the machine, and must be cancelled with the device's next change.
     failing: Vec<(PlanId, ControlError)>,
-    /// Of each that is added.
+    /// For each added script.
     pub(crate) tolerance: Tolerance,
 }
 
@@ -335,7 +337,7 @@ impl Plans {
         self.plans.is_empty()
     }
 
-    /// A command was accepted whose steps the driver times.
+    /// Adds an accepted command whose steps the driver times.
     pub(crate) fn add(
         &mut self,
         index: usize,
@@ -367,7 +369,7 @@ impl Plans {
         self.plans.insert(PlanId(self.last), plan);
     }
 
-    /// Whether there has been such a plan.
+    /// Whether such a plan has ever existed.
     pub(crate) const fn has_been(&self, id: PlanId) -> bool {
         id.0 >= 1 && id.0 <= self.last
     }
@@ -389,17 +391,17 @@ impl Plans {
         self.plans.iter().find(|(_, plan)| is_it(plan)).map(|(id, _)| *id)
     }
 
-    /// Of a request that has not ended.
+    /// Returns the plan of a request that has not ended.
     pub(crate) fn of_request(&self, id: &RequestId) -> Option<&Plan> {
         self.plans.values().find(|plan| plan.held.request_id.as_ref() == Some(id))
     }
 
-    /// Of a device, the oldest first.
+    /// Returns the plans of a device, oldest first.
     pub(crate) fn of_device(&self, index: usize) -> Vec<PlanId> {
         self.plans.iter().filter(|(_, plan)| plan.index == index).map(|(id, _)| *id).collect()
     }
 
-    /// The machine has begun a command, or has come to its end.
+    /// Records that the machine has begun a command, or has reached its end.
     pub(crate) fn come_to(&mut self, index: usize, command: CommandId, stage: Stage) {
         let Some(plan) = self.find(index, command).and_then(|id| self.plans.get_mut(&id)) else { return };
         plan.stage = stage;
@@ -410,18 +412,18 @@ impl Plans {
         self.plans.values().filter_map(at).min()
     }
 
-    /// Those with steps that are to be handed over now.
+    /// Returns the plans with steps that must be handed over now.
     pub(crate) fn to_hand_over(&self, now: Timestamp<Robot>) -> Vec<PlanId> {
         let due = |plan: &Plan| plan.next_handover().is_some_and(|at| at <= now);
         self.plans.iter().filter(|(_, plan)| due(plan)).map(|(id, _)| *id).collect()
     }
 
-    /// Those of which the driver has not said in time what it had to say.
+    /// Returns the plans whose driver has missed the time limit of a report.
     pub(crate) fn unreported(&mut self, now: Timestamp<Robot>) -> Vec<PlanId> {
         self.plans.iter_mut().filter_map(|(id, plan)| plan.is_unreported(now).then_some(*id)).collect()
     }
 
-    /// It is to be cancelled with the next change of its device.
+    /// Schedules the plan for cancellation with the next change of its device.
     pub(crate) fn will_fail(&mut self, id: PlanId, error: ControlError) {
         self.failing.push((id, error));
     }
@@ -432,7 +434,7 @@ impl Plans {
 }
 
 impl<C> PlanPart<C> {
-    /// The same on another clock, which shows this much more.
+    /// Returns the same part on another clock, which is ahead by this much.
     #[cfg(feature = "host")]
     pub(crate) fn on_clock<D>(self, ahead: Span) -> PlanPart<D> {
         let there = |at: Timestamp<C>| (at + ahead).assume_clock();
@@ -453,7 +455,7 @@ impl<C> PlanPart<C> {
     }
 }
 
-// By hand: a clock in the type needs neither.
+// Implemented by hand: a derived implementation would require the clock type to be `Clone`.
 impl<C> Clone for PlanPart<C> {
     fn clone(&self) -> Self {
         Self { device: self.device.clone(), steps: self.steps.clone(), ..*self }

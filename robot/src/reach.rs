@@ -4,28 +4,28 @@ use urrcp::{ControlError, ErrorCode, Millis, Robot, Span, StopCondition, Timesta
 
 use crate::held::Steps;
 
-/// A command starts no later than this from its receipt. Without a `running` limit it also ends within it.
+/// A command starts at most this long after its receipt. Without a `running` limit, it also ends within this time.
 pub(crate) const REACH_MAX: Span = Span::from_millis(24 * 3_600_000);
-/// No limit of a `stop_condition` is longer: it would be none.
+/// Maximum of a `stop_condition` limit: a longer one would be no limit.
 pub(crate) const SILENCE_MAX: Span = REACH_MAX;
-/// The first command of a device that starts later than this from its receipt needs a `pending` limit.
+/// The first command of a device needs a `pending` limit if it starts later than this after its receipt.
 pub(crate) const START_WITHOUT_LEASE_MAX: Span = Span::from_millis(3_600_000);
 
-/// What reaches into the future.
+/// A command whose reach is checked.
 pub(crate) struct Reach<'a> {
     pub(crate) start: Timestamp<Robot>,
     pub(crate) end: Timestamp<Robot>,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) steps: &'a Steps,
-    /// Whether the device holds nothing else, on which it would depend.
+    /// Whether the device holds no other command on which this one would depend.
     pub(crate) is_first: bool,
 }
 
 impl Reach<'_> {
-    /// Whether it stays within bounds, for a command that comes now.
+    /// Checks the reach of a command that is received now.
     ///
     /// # Errors
-    /// `out_of_range`, with what is too far and how far it may be.
+    /// `out_of_range`, with the excessive value and its limit.
     pub(crate) fn check(&self, now: Timestamp<Robot>) -> Result<(), ControlError> {
         let silence = self.limits().map(Millis::span).max().filter(|silence| *silence > SILENCE_MAX);
         let (ahead, until_end) = (self.start - now, self.end - now);
@@ -33,20 +33,20 @@ impl Reach<'_> {
         let message = if let Some(silence) = silence {
             format!("a limit of its stop_condition is {silence}, expected at most {SILENCE_MAX}")
         } else if ahead > REACH_MAX {
-            format!("the start lies {ahead} ahead, expected at most {REACH_MAX}")
+            format!("the start is {ahead} ahead, expected at most {REACH_MAX}")
         } else if ahead > START_WITHOUT_LEASE_MAX && self.is_first && lease.pending.is_none() {
             format!(
-                "the start lies {ahead} ahead; more than {START_WITHOUT_LEASE_MAX} needs a `pending` stop_condition"
+                "the start is {ahead} ahead; more than {START_WITHOUT_LEASE_MAX} requires a `pending` stop_condition"
             )
         } else if until_end > REACH_MAX && lease.running.is_none() {
-            format!("the end lies {until_end} ahead; more than {REACH_MAX} needs a `running` stop_condition")
+            format!("the end is {until_end} ahead; more than {REACH_MAX} requires a `running` stop_condition")
         } else {
             return Ok(());
         };
         Err(ControlError::new(ErrorCode::OutOfRange, message))
     }
 
-    /// All limits that ever apply to it.
+    /// Returns all limits that ever apply to the command.
     fn limits(&self) -> impl Iterator<Item = Millis> + '_ {
         let of_steps = match self.steps {
             Steps::One(_) => &[][..],
@@ -67,7 +67,7 @@ mod tests {
         Timestamp::from_nanos(0) + after
     }
 
-    /// What is said of a single value that is to be set so much later, under these limits.
+    /// Returns the error for a single value that must be set `ahead` from now, under these limits.
     fn says(ahead: Span, ends: Span, limits: [Option<Span>; 2], is_first: bool) -> Option<String> {
         let [pending, running] = limits.map(|limit| limit.map(Millis::from_span));
         let steps = Steps::One(urrcp::Setpoint::new(urrcp::ControlType::Position, 1.0));
@@ -99,17 +99,20 @@ mod tests {
         let lease = [Some(Span::from_millis(300)), None];
         let without = START_WITHOUT_LEASE_MAX;
         check(says(without, without, [None; 2], true), None);
-        check(says(without + GRAIN, without + GRAIN, [None; 2], true), Some("needs a `pending`"));
+        check(
+            says(without + GRAIN, without + GRAIN, [None; 2], true),
+            Some("requires a `pending` stop_condition"),
+        );
         check(says(without + GRAIN, without + GRAIN, [None; 2], false), None);
         check(says(without + GRAIN, without + GRAIN, lease, true), None);
         check(says(REACH_MAX, REACH_MAX, lease, true), None);
-        check(says(REACH_MAX + GRAIN, REACH_MAX + GRAIN, lease, true), Some("the start lies"));
+        check(says(REACH_MAX + GRAIN, REACH_MAX + GRAIN, lease, true), Some("the start is"));
     }
 
     #[test]
     fn an_end_far_ahead_needs_a_running_limit() {
         check(says(GRAIN, REACH_MAX, [None; 2], true), None);
-        check(says(GRAIN, REACH_MAX + GRAIN, [None; 2], true), Some("needs a `running`"));
+        check(says(GRAIN, REACH_MAX + GRAIN, [None; 2], true), Some("requires a `running` stop_condition"));
         check(says(GRAIN, REACH_MAX + GRAIN, [None, Some(Span::from_millis(300))], true), None);
     }
 }

@@ -1,4 +1,4 @@
-//! How often peers were refused, slowed down or hung up on, and why.
+//! Counts of peers that were refused, slowed down or disconnected, and why.
 #![expect(clippy::disallowed_methods, reason = "logs each reason once a second of real time")]
 
 use std::fmt;
@@ -9,7 +9,7 @@ use crate::peer::Peer;
 
 macro_rules! reasons {
     ($($(#[$doc:meta])* $reason:ident = $sentence:literal,)*) => {
-        /// Why a peer was refused, slowed down or hung up on.
+        /// Why a peer was refused, slowed down or disconnected.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[non_exhaustive]
         pub enum Reason {
@@ -17,7 +17,7 @@ macro_rules! reasons {
         }
 
         impl Reason {
-            /// All of them.
+            /// All reasons.
             pub const ALL: &[Self] = &[$(Self::$reason,)*];
         }
 
@@ -32,38 +32,38 @@ macro_rules! reasons {
 }
 
 reasons! {
-    /// Hung up on: what was said to it and not read is more than its share.
-    Unread = "a peer that does not read what it is told is hung up on",
-    /// Hung up on: it took no bytes for 10 s.
-    Stuck = "a peer that takes no bytes is hung up on",
-    /// Hung up on: no whole message in the first 5 s.
-    SaidNothing = "a connection that brings no message is closed",
-    /// Hung up on: a message was begun and not ended within 10 s.
-    HalfAMessage = "a connection that ends no message that it begins is closed",
-    /// Hung up on: another connection needed its place.
-    MadeRoom = "a connection without the session of the robot gives way",
-    /// Hung up on: too many connections from one host.
+    /// Disconnected: its unread messages exceed its share.
+    Unread = "a peer that does not read its messages is disconnected",
+    /// Disconnected: it took no bytes for 10 s.
+    Stuck = "a peer that accepts no bytes is disconnected",
+    /// Disconnected: no complete message in the first 5 s.
+    SaidNothing = "a connection without a message is closed",
+    /// Disconnected: a message was begun and not completed within 10 s.
+    HalfAMessage = "a connection with an incomplete message is closed",
+    /// Disconnected: another connection needed its place.
+    MadeRoom = "a connection without the session of the robot is closed to make room",
+    /// Disconnected: too many connections from one host.
     ManyFromOneHost = "one host has too many connections: one of them is closed",
     /// Slowed down: it sends more than its share.
-    Paused = "a peer that sends too much is read more slowly",
-    /// Refused: a line longer than a peer may send that does not have the session of the robot.
+    Paused = "a peer that sends too much is throttled",
+    /// Refused: the line is longer than a peer without the robot's session may send.
     LongLine = "a long line of a peer without the session of the robot is skipped",
-    /// Hung up on: it has not proven, by TLS or a pass, who it is.
-    NotProven = "a peer that does not prove who it is is hung up on",
-    /// Hung up on: bytes came that the peer did not send, or not in this order.
-    Altered = "a connection with something altered, repeated or put in another order is closed",
+    /// Disconnected: it has not proven its identity by TLS or a pass.
+    NotProven = "a peer that does not prove its identity is disconnected",
+    /// Disconnected: bytes arrived that the peer did not send, or not in this order.
+    Altered = "a connection with altered, repeated or reordered data is closed",
     /// Refused: the robot belongs to another session, or holds as much as it can.
     Busy = "a peer is refused because the robot is busy",
 }
 
-/// How often each reason applied, since the host was started.
+/// How often each reason applied since the start of the host.
 #[derive(Debug)]
 pub struct Refusals {
     counts: [AtomicU64; Reason::ALL.len()],
-    /// When each was logged last, in milliseconds since `begin`, plus one; 0: never.
+    /// Time of each reason's last log line, in milliseconds since `begin`, plus one; 0: never.
     logged: [AtomicU64; Reason::ALL.len()],
     begin: Instant,
-    /// Whom each applied to, as often as it did.
+    /// The peers to which each reason applied, one entry per case.
     #[cfg(test)]
     peers: std::sync::Mutex<Vec<(Reason, String)>>,
 }
@@ -81,29 +81,29 @@ impl Default for Refusals {
     }
 }
 
-/// Between two lines in the log about one reason, in milliseconds.
+/// Interval between two log lines about one reason, in milliseconds.
 const LOG_INTERVAL_MS: u64 = 1_000;
 
 impl Refusals {
-    /// How often this applied.
+    /// Returns how often this reason applied.
     #[must_use]
     pub fn count(&self, reason: Reason) -> u64 {
         self.counts[reason as usize].load(Ordering::Relaxed)
     }
 
-    /// Each reason that applied, with how often.
+    /// Returns each reason that applied, with its count.
     pub fn iter(&self) -> impl Iterator<Item = (Reason, u64)> + '_ {
         Reason::ALL.iter().map(|reason| (*reason, self.count(*reason))).filter(|(_, count)| *count > 0)
     }
 
-    /// Whom this applied to, each of them once.
+    /// Returns the peers to which this reason applied, without duplicates.
     #[cfg(test)]
     pub(crate) fn peers(&self, reason: Reason) -> std::collections::BTreeSet<String> {
         let peers = self.peers.lock().unwrap();
         peers.iter().filter(|(noted, _)| *noted == reason).map(|(_, peer)| peer.clone()).collect()
     }
 
-    /// Counts, and logs once a second at most. Returns whether it was logged.
+    /// Counts a case, and logs at most once a second. Returns whether it was logged.
     pub(crate) fn note(&self, reason: Reason, peer: &Peer) -> bool {
         self.note_at(reason, peer, u64::try_from(self.begin.elapsed().as_millis()).unwrap_or(u64::MAX))
     }

@@ -1,4 +1,4 @@
-//! A robot as a machine: messages and the time in, answers and values out.
+//! A robot as a state machine: it receives messages and the time, and returns answers and values.
 
 mod control;
 mod driven;
@@ -29,24 +29,24 @@ use crate::plans::{PlanCancel, PlanPart, Plans};
 use crate::tolerance::Tolerance;
 use urrcp::Proof;
 
-/// What reaches a robot on a link.
+/// An input of a robot on a link.
 #[derive(Clone, Debug)]
 pub enum Input {
     /// A message.
     Message(Message),
-    /// A request with the hash of what it carries, computed where it was read: a long script takes long.
+    /// A request with the hash of its content, computed where it was read: hashing a long script takes long.
     Hashed(ControlRequest, ContentHash),
-    /// The peer of the link has proven who it is; before its messages.
+    /// The peer of the link has proven its identity; precedes its messages.
     Proven(Proof),
-    /// A line that is no message. It is answered and renews no lease: noise on a line is no server.
+    /// A line that is no message. It is answered and renews no lease: noise on a line does not prove a live server.
     Undecodable(DecodeError),
-    /// The link broke. Its silence counts from its last message on.
+    /// The link broke. Its silence counts from its last message.
     LinkDown,
 }
 
 impl Input {
-    /// Of a message that was read. Computes the hash that the robot has to compare, so that the robot's own thread, on
-    /// which others live too, need not.
+    /// Wraps a message that was read. Computes the hash that the robot compares, so that the robot's thread, which it shares with others,
+    /// need not.
     #[must_use]
     pub fn read(message: Message) -> Self {
         match message {
@@ -59,7 +59,7 @@ impl Input {
     }
 }
 
-/// What a robot wants done.
+/// An action that a robot requests.
 #[derive(Clone, Debug)]
 pub enum Output {
     /// Send a message on a link.
@@ -71,31 +71,31 @@ pub enum Output {
     },
     /// Drive a device.
     Set(SetValue),
-    /// Say by [`Robot::confirmed`] when the hardware has taken what it was told of this device so far. Only for a robot that is
+    /// Report by [`Robot::confirmed`] when the hardware has taken all earlier values of this device. Only for a robot that is
     /// [`Robot::confirmed_by_its_driver`].
     Confirm {
-        /// Names the question.
+        /// Identifies the question.
         ticket: Ticket,
-        /// Which device.
+        /// The device.
         device: DeviceId,
     },
-    /// Read a sensor of the hardware; [`Robot::reading_came`] takes what it reads.
+    /// Read a sensor of the hardware; [`Robot::reading_came`] takes the result.
     Read {
-        /// Names the reading.
+        /// Identifies the reading.
         reading: ReadingId,
-        /// Which sensor.
+        /// The sensor.
         sensor: DeviceId,
     },
-    /// Hand over steps of a script to a driver that times them by itself, see [`Robot::plans_ahead`]. [`Robot::plan_reported`]
-    /// takes what it says of them, [`Robot::plan_refused`] that it does not take them.
+    /// Hand over steps of a script to a driver that times them by itself, see [`Robot::plans_ahead`]. [`Robot::plan_reported`] takes the
+    /// driver's reports about them, [`Robot::plan_refused`] its refusal.
     Plan(PlanPart<urrcp::Robot>),
-    /// Have the driver end such a script. [`Robot::plan_cancelled`] takes that it has.
+    /// End such a script. [`Robot::plan_cancelled`] takes the driver's confirmation.
     Cancel(PlanCancel),
-    /// The driver has said that a step of such a script was done: for a log.
+    /// The driver has reported that a step of such a script was done: for a log.
     Played {
-        /// What was set.
+        /// The value that was set.
         set: SetValue,
-        /// When, as the driver says.
+        /// Its time, as the driver reports.
         at: Timestamp<urrcp::Robot>,
     },
 }
@@ -104,11 +104,11 @@ pub enum Output {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SetValue {
-    /// Which device.
+    /// The device.
     pub device: DeviceId,
-    /// What to do.
+    /// The instruction.
     pub motion: Motion,
-    /// When it was due.
+    /// Time when it was due.
     pub due: Timestamp<urrcp::Robot>,
     /// The request behind it; `None` for coming to rest and for the default state.
     pub request_id: Option<RequestId>,
@@ -116,7 +116,7 @@ pub struct SetValue {
     pub step: Option<u32>,
 }
 
-/// The machine of one robot.
+/// State machine of one robot.
 #[derive(Clone, Debug)]
 pub struct Robot {
     block: InitializationBlock,
@@ -130,24 +130,24 @@ pub struct Robot {
     answers: Answers,
     readings: HashMap<DeviceId, f64>,
     hardware: Hardware,
-    /// Ends that the hardware has yet to confirm; `None` if they are told at once.
+    /// Ends that the hardware has yet to confirm; `None` if they are reported at once.
     unconfirmed: Option<Unconfirmed>,
     /// Scripts that the driver times by itself.
     plans: Plans,
     tolerance: Tolerance,
-    /// Something has been set since the start.
+    /// Whether anything has been set since the start.
     moved: bool,
     effects: Vec<Effect>,
-    /// All but what it holds now.
+    /// All counts except `held`.
     counts: Counts,
-    /// What is to be told, of which device, and when it happened.
+    /// Pending reports, each with its device and the time of the event.
     reports: Vec<(usize, Now, Effect)>,
 }
 
 type Now = Timestamp<urrcp::Robot>;
 
 impl Robot {
-    /// A robot at rest, as its initialization block describes it.
+    /// Creates a robot at rest, as its initialization block describes it.
     #[must_use]
     pub fn new(block: InitializationBlock) -> Self {
         let devices: Vec<_> = block.devices.iter().cloned().map(DeviceMachine::new).collect();
@@ -174,8 +174,7 @@ impl Robot {
         }
     }
 
-    /// The same robot with these limits of the movements to rest and home, if they are tighter than those that its devices
-    /// declare.
+    /// Sets the limits of the movements to rest and home, if they are tighter than those that its devices declare.
     #[must_use]
     pub fn with_limits(mut self, limits: &BTreeMap<DeviceId, MotionLimits>) -> Self {
         for device in &mut self.devices {
@@ -184,7 +183,7 @@ impl Robot {
         self
     }
 
-    /// How it describes itself.
+    /// Returns its description.
     #[must_use]
     pub const fn block(&self) -> &InitializationBlock {
         &self.block
@@ -199,7 +198,7 @@ impl Robot {
             && self.devices.iter().all(DeviceMachine::is_idle)
     }
 
-    /// What it holds now, and what has become of its commands so far.
+    /// Returns its command counts.
     #[must_use]
     pub fn counts(&self) -> Counts {
         let held = self.devices.iter().map(|device| device.held() as u64).sum();
@@ -212,7 +211,7 @@ impl Robot {
         self.hardware.answers()
     }
 
-    /// The value of a signal, linear movements included.
+    /// Returns the value of a signal, including linear movements.
     #[must_use]
     pub fn value(&self, device: &str, control_type: ControlType, now: Now) -> Option<f64> {
         self.devices[*self.index_of.get(device)?].value(control_type, now)
@@ -225,24 +224,24 @@ impl Robot {
         }
     }
 
-    /// What its sensors read by themselves.
+    /// Returns the values of the sensors that the machine reads by itself.
     pub(crate) fn readings(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
         self.readings.iter().map(|(sensor, reading)| (sensor, *reading))
     }
 
-    /// What a sensor reads from now on.
+    /// Sets the value that a sensor reads.
     pub fn set_reading(&mut self, device: DeviceId, reading: f64) {
         self.readings.insert(device, reading);
     }
 
-    /// When [`Robot::advance`] is next due, or a little earlier.
+    /// Returns when [`Robot::advance`] is next due, or a little earlier.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Now> {
         let device = self.wakeups.first().map(|(at, _)| *at);
         device.into_iter().chain(self.hardware.next_wakeup()).chain(self.plans.next_wakeup()).min()
     }
 
-    /// Does everything due at or before `now`: all movements stand ahead of all reports.
+    /// Executes everything due at or before `now`: all movements precede all reports.
     pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
         self.advance_movements(now, out);
         self.give_up_unreported(now, out);
@@ -250,8 +249,8 @@ impl Robot {
         self.give_up_readings(now, out);
     }
 
-    /// The movements due at or before `now`, without their reports: for a driver that moves many robots at one instant
-    /// before it spends time on words.
+    /// Executes the movements due at or before `now`, without their reports: for a caller that moves many robots at one instant before it
+    /// spends time on messages.
     pub(crate) fn advance_movements(&mut self, now: Now, out: &mut Vec<Output>) {
         while let Some(&(at, index)) = self.wakeups.first() {
             if at > now {
@@ -264,7 +263,7 @@ impl Robot {
         self.hand_over(now, out);
     }
 
-    /// Takes what reached the robot at `now`, after everything that was due until then.
+    /// Handles an input that reached the robot at `now`, after everything that was due until then.
     pub fn handle(&mut self, now: Now, link: LinkId, input: Input, out: &mut Vec<Output>) {
         self.advance(now, out);
         if let Input::Message(message) = &input
@@ -309,7 +308,7 @@ impl Robot {
         }
     }
 
-    /// What an inquiry renews is no claim: a robot whose session is over does not belong to it again by one.
+    /// Releases the robot if its session is over. An inquiry's renewal is no claim: it must not give the robot back to an ended session.
     pub(crate) fn release_if_over(&mut self, now: Now) {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         if self.parties.owner(now, idle, &self.heard).is_none() {
@@ -317,19 +316,19 @@ impl Robot {
         }
     }
 
-    /// To whom the robot belongs, or belonged last, with the number of changes of this so far.
+    /// Returns the number of owner changes, and the current or last owner.
     #[cfg(feature = "host")]
     pub(crate) fn last_claimant(&self) -> (u64, Option<&Claimant>) {
         (self.parties.changes(), self.parties.last_claimant())
     }
 
-    /// Whether it belongs, or belonged last, to the party of this link.
+    /// Whether the robot belongs, or belonged last, to the party of this link.
     #[cfg(feature = "host")]
     pub(crate) fn is_owner(&self, link: LinkId) -> bool {
         self.parties.last_owner() == Some(self.parties.party(link))
     }
 
-    /// However many strangers speak, only their silence is forgotten, and never that of those whose commands are held.
+    /// Forgets parties that hold nothing, however many strangers send messages. The last messages of parties with held commands are kept.
     fn forget_who_holds_nothing(&mut self) {
         let holding = self.devices.iter().flat_map(DeviceMachine::parties);
         let holding = holding.chain(self.parties.last_owner()).collect();
@@ -386,14 +385,14 @@ impl Robot {
         out.push(Output::Send { link, message });
     }
 
-    /// Ends all that a device holds or does, and brings it to rest.
+    /// Ends all commands that a device holds or runs, and brings it to rest.
     fn stop(&mut self, now: Now, index: usize, why: &str, rest: Rest, out: &mut Vec<Output>) {
         let error = ControlError::new(ErrorCode::Cancelled, why);
         self.devices[index].stop(now, &error, rest, &mut self.effects);
         self.settle(now, index, out);
     }
 
-    /// After a device has been changed from outside: its next wake-up, its movements, its reports.
+    /// Updates the wake-up, the movements and the reports of a device that was changed from outside.
     fn settle(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         self.refresh_wakeup(index);
         self.move_device(now, index, out);
@@ -426,7 +425,7 @@ impl Robot {
         }
     }
 
-    /// Puts out a device's movements and keeps its reports for later, so that no movement waits for a report.
+    /// Outputs a device's movements and keeps its reports for later, so that no movement waits for a report.
     fn move_device(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         if self.devices[index].lookahead.is_some() {
             return self.plan_effects(now, index, out);
@@ -444,7 +443,7 @@ impl Robot {
         }
     }
 
-    /// Whether something is still to be told.
+    /// Whether reports are pending.
     pub(crate) const fn has_reports(&self) -> bool {
         !self.reports.is_empty()
     }
@@ -452,7 +451,7 @@ impl Robot {
     pub(crate) fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
         let mut reports = std::mem::take(&mut self.reports);
         for (index, happened, report) in reports.drain(..) {
-            // Where the driver itself has said that a script is over, nothing is left to be confirmed.
+            // If the driver itself has reported the end of a script, no confirmation is needed.
             let is_told = self.devices[index].lookahead.is_some();
             let unconfirmed = self.unconfirmed.as_mut().filter(|_| !is_told);
             if let (Effect::Ended { .. }, Some(unconfirmed)) = (&report, unconfirmed) {
@@ -462,7 +461,7 @@ impl Robot {
                 self.report(now, index, happened, report, out);
             }
         }
-        // Back goes the empty vector, so that its memory serves again.
+        // Returns the emptied vector to reuse its allocation.
         self.reports = reports;
     }
 
@@ -502,7 +501,7 @@ impl Robot {
     }
 }
 
-/// Sends an answer that a repetition of its request need not have again.
+/// Sends an answer that is not remembered for a repetition of its request.
 fn tell(link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
     out.push(Output::Send { link, message: Message::ControlResponse(answer) });
 }

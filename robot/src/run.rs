@@ -1,4 +1,4 @@
-//! A robot as a whole program: one call that returns when the program is asked to end.
+//! A robot as a complete program: one call that returns when the program is asked to end.
 
 use std::io;
 use std::net::{TcpListener, ToSocketAddrs};
@@ -8,11 +8,11 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::host::{Host, HostError, HostOptions, Hosted, NotAtRest};
 use crate::serve::serve;
 
-/// Why a robot did not run, or not to a good end.
+/// Why a robot did not run, or did not end properly.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RunError {
-    /// The address cannot be listened on, or the system has no room for another task.
+    /// The address cannot be listened on, or the system has no resources for another task.
     #[error("cannot listen: {0}")]
     Listen(io::Error),
     /// The host could not be started. Nothing was moved.
@@ -23,13 +23,13 @@ pub enum RunError {
     NotAtRest(#[from] NotAtRest),
 }
 
-/// Runs one robot on a port until Ctrl-C or SIGTERM, and then brings its devices to rest. The whole of a program;
-/// use [`Host`] and [`serve()`] for several robots, or next to other tasks.
+/// Runs one robot on a port until Ctrl-C or SIGTERM, and then brings its devices to rest. This is a complete program; for several robots,
+/// or next to other tasks, use [`Host`] and [`serve()`].
 ///
-/// It tells nothing by itself: install a `tracing` subscriber to see what happens.
+/// It prints nothing by itself: install a `tracing` subscriber to see its events.
 ///
 /// # Errors
-/// [`RunError`]; before the first server can connect unless it is [`RunError::NotAtRest`].
+/// [`RunError`]. All errors except [`RunError::NotAtRest`] occur before the first server can connect.
 pub fn run(
     robot: impl Into<Hosted>,
     address: impl ToSocketAddrs,

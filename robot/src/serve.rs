@@ -1,4 +1,4 @@
-//! Messages over TCP round a robot of a host: lines of JSON, or frames of MessagePack to a peer that writes these.
+//! Messages over TCP for a robot of a host: lines of JSON, or frames of MessagePack for a peer that sends them.
 
 mod connection;
 mod described;
@@ -29,20 +29,20 @@ use downbeat_sealed as sealed;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 use urrcp::Proof;
 
-/// How often a new connection asks for room again, where all others are as new.
+/// Retry interval of a new connection for which there is no room, because all others are equally new.
 const ROOM_RETRY: Duration = Duration::from_millis(5);
-/// Before the next try when the system has no file descriptor left: others must close first.
+/// Delay before the next attempt if the system has no file descriptor left: other connections must close first.
 const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 
-/// Accepts servers for one robot of a host, by its index in the list that the host was started with, until the host stops.
+/// Accepts servers for one robot of a host until the host stops. `robot` is its index in the list that the host was started with.
 ///
 /// # Errors
-/// When the listening socket fails.
+/// If the listening socket fails.
 pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io::Result<()> {
     serve_with(listener, host, robot, Patience::default(), Door::Open).await
 }
 
-/// The same for those alone whom the door lets in.
+/// The same for the peers that the door admits.
 ///
 /// # Errors
 /// As [`serve()`].
@@ -55,11 +55,11 @@ pub async fn serve_behind(
     serve_with(listener, host, robot, Patience::default(), door).await
 }
 
-/// Accepts servers for one robot of a host at its key in a Zenoh network, until the host stops. Who may open a connection is for
-/// the network to say.
+/// Accepts servers for one robot of a host at its key in a Zenoh network, until the host stops. The network decides which peers may open
+/// a connection.
 ///
 /// # Errors
-/// When the Zenoh session ends.
+/// If the Zenoh session ends.
 #[cfg(feature = "zenoh")]
 pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot: usize) -> io::Result<()> {
     let patience = Patience::default();
@@ -86,7 +86,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
     }
 }
 
-/// Waits until a new connection is taken in.
+/// Waits until a new connection is admitted.
 async fn ticket(places: &Arc<Places>, peer: &Peer) -> Ticket {
     loop {
         match places.admit(peer) {
@@ -96,7 +96,7 @@ async fn ticket(places: &Arc<Places>, peer: &Peer) -> Ticket {
     }
 }
 
-/// Who may come in.
+/// The peers that are admitted.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub enum Door {
@@ -130,8 +130,8 @@ async fn serve_with(
             return Ok(());
         }
         let (shared, door) = (shared.clone(), door.clone());
-        // One task a connection, so that a slow or broken peer harms only itself; ends when either side closes, or when
-        // its place is needed.
+        // One task per connection, so that a slow or broken peer harms only itself. It ends when either side closes, or when its place is
+        // needed.
         tokio::spawn(async move {
             if let Err(error) = admit(stream, door, peer.clone(), robot, ticket, shared).await {
                 tracing::debug!(%peer, "connection ended: {error}");
@@ -140,7 +140,7 @@ async fn serve_with(
     }
 }
 
-/// Carries a connection, once its peer has proven who it is where that is asked for.
+/// Carries a connection, after its peer has proven its identity if the door requires that.
 async fn admit(
     stream: TcpStream,
     door: Door,
@@ -194,7 +194,7 @@ where
     })
 }
 
-/// Whether a connection ended because something came that its peer has not sent so.
+/// Whether a connection ended because data arrived that its peer did not send in this form.
 #[cfg(any(feature = "sealed", feature = "tls"))]
 fn is_altered(error: &io::Error) -> bool {
     let Some(inner) = error.get_ref() else { return false };
@@ -209,14 +209,14 @@ fn is_altered(error: &io::Error) -> bool {
     false
 }
 
-/// The next connection. One that breaks before it is accepted, or a system short of file descriptors, is no reason to
-/// stop serving.
+/// Accepts the next connection. Serving continues if a connection breaks before it is accepted, or if the system is short of file
+/// descriptors.
 async fn accept(listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {
     loop {
         match listener.accept().await {
             Ok(accepted) => return Ok(accepted),
             Err(error) if is_passing(&error) => {
-                tracing::warn!("a connection was not accepted: {error}");
+                tracing::warn!("cannot accept a connection: {error}");
                 tokio::time::sleep(ACCEPT_RETRY).await;
             }
             Err(error) => return Err(error),

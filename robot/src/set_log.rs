@@ -1,4 +1,4 @@
-//! What a robot set, and when: the truth against which reports are held.
+//! The values that a robot set, and their times: the truth against which reports are checked.
 
 use std::fmt;
 
@@ -15,13 +15,13 @@ use crate::robot::SetValue;
 pub enum MotionKind {
     /// The value changes at once.
     Set,
-    /// The value begins to change linearly, and is reached when the step is due.
+    /// The value begins to change linearly, and reaches its target when the step is due.
     Ramp,
     /// A position slows down and comes to rest, at the declared acceleration.
     Slow,
     /// A stop keeps the present value, or sets a speed or an acceleration to zero.
     Rest,
-    /// The device goes to its default state.
+    /// The device moves to its default state.
     Default,
 }
 
@@ -37,23 +37,23 @@ impl fmt::Display for MotionKind {
     }
 }
 
-/// One value set.
+/// An entry of the log: one value that was set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct LogEntry {
-    /// When, by the one true clock of the host, in nanoseconds since the Unix epoch.
+    /// Time by the one true clock of the host, in nanoseconds since the Unix epoch.
     pub true_ns: i64,
-    /// When, by the robot's own clock.
+    /// Time by the robot's own clock.
     pub set_at: Timestamp<Robot>,
-    /// When it was due by the robot's own clock.
+    /// Time when it was due, by the robot's own clock.
     pub due: Timestamp<Robot>,
-    /// Which device.
+    /// The device.
     pub device: DeviceId,
     /// How the value changes.
     pub motion: MotionKind,
-    /// position, speed, acceleration or custom_N.
+    /// `position`, `speed`, `acceleration` or `custom_N`.
     pub control_type: String,
-    /// The value set, or where the ramp ends.
+    /// The value that was set, or the target of the ramp.
     pub value: f64,
     /// Index of the script's step.
     pub step: Option<u32>,
@@ -68,7 +68,7 @@ impl LogEntry {
         matches!(self.motion, MotionKind::Set)
     }
 
-    /// Whether a step of a script was set, and not the way to the next one.
+    /// Whether a step of a script was set, as opposed to the movement to the next step.
     #[cfg(feature = "host")]
     pub(crate) const fn is_a_step(&self) -> bool {
         self.step.is_some() && self.is_set()

@@ -1,8 +1,8 @@
-//! One signal of a device: where it rests, or how it moves.
+//! One signal of a device: its resting value, or its movement.
 
 use urrcp::{ControlType, Device, Limits, Robot, Setpoint, Span, Timestamp};
 
-/// A signal under way or at rest.
+/// A signal, moving or at rest.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Signal {
     from: f64,
@@ -12,16 +12,16 @@ pub(crate) struct Signal {
     slowing: Option<Slowing>,
 }
 
-/// Coming to rest: down to a standstill, and from there to the target by speeding up, going on and slowing down.
+/// Coming to rest: braking to a standstill, and then to the target by speeding up, constant speed and slowing down.
 #[derive(Clone, Copy, Debug)]
 struct Slowing {
     phases: [Phase; 4],
-    /// Rounding must not lead beyond what the device can take.
+    /// Bounds, since rounding must not exceed the device's limits.
     least: f64,
     largest: f64,
 }
 
-/// A time of constant acceleration; lasts until the next one begins.
+/// A phase of constant acceleration; it lasts until the next one begins.
 #[derive(Clone, Copy, Debug)]
 struct Phase {
     since: Timestamp<Robot>,
@@ -30,12 +30,12 @@ struct Phase {
     acceleration: f64,
 }
 
-/// How fast a device may change one of its signals, in the signal's unit.
+/// Maximum rates of change of a device's signal, in the signal's unit.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rates {
-    /// A second.
+    /// Per second.
     pub(crate) speed: Option<f64>,
-    /// A second squared.
+    /// Per second squared.
     pub(crate) acceleration: Option<f64>,
 }
 
@@ -48,17 +48,17 @@ impl Signal {
         Self { from, since, to, until, slowing: None }
     }
 
-    /// Whether it is under way.
+    /// Whether it is moving.
     pub(crate) fn moves(&self, now: Timestamp<Robot>) -> bool {
         self.since <= now && now < self.until
     }
 
-    /// Where it rests in the end.
+    /// Returns its final value.
     pub(crate) const fn target(&self) -> f64 {
         self.to
     }
 
-    /// When it rests there.
+    /// Returns when it reaches its final value.
     pub(crate) const fn rests_at(&self) -> Timestamp<Robot> {
         self.until
     }
@@ -78,18 +78,18 @@ impl Signal {
             way if way.is_finite() => {
                 (self.from + way * part).clamp(self.from.min(self.to), self.from.max(self.to))
             }
-            // Both ends are numbers, the way between them is beyond any.
+            // Both ends are finite, but their difference is not.
             _ => self.from * (1.0 - part) + self.to * part,
         }
     }
 
-    /// Whether it goes to its target at one speed.
+    /// Whether it moves to its target at a constant speed.
     #[cfg(feature = "host")]
     pub(crate) const fn is_linear(&self) -> bool {
         self.slowing.is_none()
     }
 
-    /// Its change a second.
+    /// Returns its change per second.
     fn rate(&self, now: Timestamp<Robot>) -> f64 {
         if now >= self.until || now < self.since {
             return 0.0;
@@ -101,9 +101,8 @@ impl Signal {
         (self.to - self.from) / ((self.until - self.since).as_millis_f64() / 1_000.0)
     }
 
-    /// The way to rest from where it is: with constant deceleration to a standstill, then, where there is a target, to it.
-    /// `None` where it is there already, or where the way is beyond all numbers. A standstill beyond `limits` is
-    /// avoided by braking harder.
+    /// Returns the movement to rest from the current state: constant deceleration to a standstill, then to the target, if any. `None` if
+    /// it is already there, or if the movement exceeds the range of numbers. A standstill beyond `limits` is avoided by braking harder.
     pub(crate) fn brought_to_rest(
         &self,
         now: Timestamp<Robot>,
@@ -165,7 +164,7 @@ impl Signal {
             .then(|| Self::ramp(from, now, to, now + Span::from_millis_f64(seconds * 1_000.0)))
     }
 
-    /// The way of a speed to `to` at constant acceleration. `None` where it is there already.
+    /// Returns the movement of a speed to `to` at constant acceleration. `None` if it is already there.
     pub(crate) fn slowed_to(&self, now: Timestamp<Robot>, to: f64, acceleration: f64) -> Option<Self> {
         let from = self.value(now);
         let seconds = (to - from).abs() / acceleration;
@@ -174,14 +173,14 @@ impl Signal {
 }
 
 impl Slowing {
-    /// The phase at an instant, and the seconds since its begin.
+    /// Returns the phase at an instant, and the seconds since its begin.
     fn at(&self, now: Timestamp<Robot>) -> (Phase, f64) {
         let phase = self.phases.iter().rev().find(|phase| phase.since <= now).unwrap_or(&self.phases[0]);
         (*phase, (now - phase.since).as_millis_f64().max(0.0) / 1_000.0)
     }
 }
 
-/// Whether it is a signal under which the device continues moving after its last command.
+/// Whether the device continues moving under this signal after its last command.
 #[cfg(feature = "host")]
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Position)
@@ -253,7 +252,7 @@ mod tests {
     fn coming_to_rest_keeps_to_the_acceleration_and_the_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: Some(10.0), acceleration: Some(20.0) };
-        // 8 a second upwards, stopped at 4 s: 1.6 further in 0.4 s, then back to 0.
+        // 8 per second upwards, stopped at 4 s: 1.6 further in 0.4 s, then back to 0.
         let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
         let stopped = moving.brought_to_rest(at(4_000), Some(0.0), rates, None).unwrap();
         assert!((stopped.value(at(4_400)) - 33.6).abs() < 1e-9);
@@ -285,7 +284,7 @@ mod tests {
     fn a_ramp_that_begins_elsewhere_than_at_zero_comes_to_rest_from_its_own_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: None, acceleration: Some(20.0) };
-        // 4 a second, up and down: 0.4 further in 0.2 s.
+        // 4 per second, up and down: 0.4 further in 0.2 s.
         for (to, standstill) in [(140.0, 120.4), (60.0, 79.6)] {
             let moving = Signal::ramp(100.0, at(0), to, at(10_000));
             let stopped = moving.brought_to_rest(at(5_000), None, rates, None).unwrap();
@@ -309,13 +308,13 @@ mod tests {
     fn a_device_below_its_top_speed_goes_to_its_target_by_speeding_up_and_slowing_down() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let resting = Signal::resting(10.0, at(0));
-        // 5 with 20 a second squared: half of the way in half a second each; no time at a speed of its own.
+        // A distance of 5 with 20 per second squared: half of it in half a second each, without a phase of constant speed.
         let free = Rates { speed: None, acceleration: Some(20.0) };
         let back = resting.brought_to_rest(at(0), Some(5.0), free, None).unwrap();
         assert_eq!(back.rests_at(), at(1_000));
         let values = [0, 250, 500, 750, 1_000].map(|millis| back.value(at(millis)));
         assert_eq!(values, [10.0, 9.375, 7.5, 5.625, 5.0]);
-        // At 2 a second: 0.1 s each way for 0.1, and 2.4 s for the rest.
+        // At 2 per second: 0.1 s each for accelerating and braking over 0.1, and 2.4 s for the rest.
         let slow = Rates { speed: Some(2.0), acceleration: Some(20.0) };
         let back = resting.brought_to_rest(at(0), Some(5.0), slow, None).unwrap();
         assert_eq!(back.rests_at(), at(2_600));
@@ -331,7 +330,7 @@ mod tests {
         let rates = Rates { speed: None, acceleration: Some(1.0) };
         let stopped = moving.brought_to_rest(at(700), None, rates, Some(&limits)).unwrap();
         assert!((stopped.target() - 2.0).abs() < 1e-9, "{}", stopped.target());
-        // 1 is left at 10 a second: 0.2 s.
+        // The remaining 1 at 10 per second: 0.2 s.
         assert_eq!(stopped.rests_at(), at(900));
         assert!((700..1_000).all(|millis| stopped.value(at(millis)) >= 2.0));
     }

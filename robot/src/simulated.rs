@@ -1,4 +1,5 @@
-//! A simulated robot: the real machine behind a clock, a link and faults of its own. Pure like the machine itself.
+//! A simulated robot: the real machine behind a clock, a link and faults of its own. It does no I/O and reads no clock, like the machine
+//! itself.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap, VecDeque};
@@ -24,30 +25,30 @@ pub use body::Moves;
 
 mod body;
 
-/// The one true clock of a simulated world: on a host, the host's.
+/// The one true clock of a simulated world; on a host, the host's clock.
 #[derive(Clone, Copy, Debug)]
 pub enum True {}
 
-/// How a simulated robot differs from a perfect one.
+/// Deviations of a simulated robot from a perfect one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// Its raw clock minus the true one.
+    /// Offset of its raw clock from the true one.
     pub clock_offset: Span,
-    /// How much faster than true time its raw clock runs, in parts per million.
+    /// Drift of its raw clock relative to true time, in parts per million; positive if it runs fast.
     pub drift_ppm: f64,
-    /// Largest random error of the times that it states in availability responses.
+    /// Maximum random error of the times in its availability responses.
     pub jitter: Span,
-    /// Its NTP discipline knows the raw clock's error up to this; `None`: no NTP, the raw clock shows.
+    /// Maximum error of its NTP discipline's estimate of the raw clock's error; `None`: no NTP, the raw clock is used.
     pub ntp_error: Option<Span>,
-    /// Least and largest delay of every message, each way.
+    /// Minimum and maximum delay of every message, in each direction.
     pub delay: Option<(Span, Span)>,
-    /// What it does wrong.
+    /// Its fault, if any.
     pub fault: Option<Fault>,
-    /// How its body follows its devices, as far as it does not at once.
+    /// How its body follows its devices, for devices that it does not follow at once.
     pub moves: Vec<Moves>,
     /// Limits of the movements to rest and home, if they are tighter than those that its devices declare.
     pub limits: BTreeMap<DeviceId, MotionLimits>,
-    /// Seed of its random draws.
+    /// Seed of its random numbers.
     pub seed: u64,
 }
 
@@ -67,21 +68,21 @@ impl Default for Settings {
     }
 }
 
-/// What a simulated robot does wrong.
+/// A fault of a simulated robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// Refuses every script with `busy`.
     Refuse,
     /// Never answers a control request, and does not execute it.
     Silent,
-    /// Closes the link right after it has accepted a script, and is not to be reached any more.
+    /// Closes the link right after it has accepted a script, and is unreachable afterwards.
     Disconnect,
 }
 
 /// Simulated hardware behind the machine, as behind an edge.
 #[derive(Clone, Debug, Default)]
 struct Hands {
-    /// It does nothing and answers nothing any more.
+    /// Since when it no longer acts or answers.
     dead_since: Option<Timestamp<True>>,
     readings: HashMap<DeviceId, f64>,
 }
@@ -99,24 +100,23 @@ enum InFlight {
     Out(Outgoing),
 }
 
-/// One direction of one link.
 type LaneId = (LinkId, Way);
 
-/// What travels one way on one link. Messages keep their order, as on TCP. Gone when nothing travels.
+/// State of one direction of one link. Messages keep their order, as on TCP. Removed when no message is in flight.
 #[derive(Clone, Debug)]
 struct Lane {
     last: Timestamp<True>,
     travelling: usize,
-    /// Too much travelled: the link is being closed, and takes no more.
+    /// Too many messages were in flight: the link is being closed, and accepts no further ones.
     closing: bool,
 }
 
-/// Messages that may travel one way on one link: a request for each device of the largest robot, and its reports.
+/// Maximum number of messages in flight in one direction of one link: a request for each device of the largest robot, and its reports.
 const TRAVELLING_MAX: usize = 4 * DEVICES_MAX;
-/// Fastest drift, either way, that a simulated clock has: beyond any real one, and the clock still runs forward.
+/// Maximum drift of a simulated clock in either direction: beyond any real one, but the clock still runs forward.
 const DRIFT_PPM_MAX: f64 = 100_000.0;
 
-/// A robot machine with a clock, a delayed link and faults. Everything is keyed on the true time.
+/// A robot machine with a clock, a delayed link and faults. All times are true times.
 #[derive(Clone, Debug)]
 pub struct SimulatedRobot {
     robot: Robot,
@@ -124,19 +124,19 @@ pub struct SimulatedRobot {
     ntp_residue: Span,
     rng: fastrand::Rng,
     epoch: Option<Timestamp<True>>,
-    /// An instant by its clock and by the true one, looked up last: asked for again and again until it has come.
+    /// Cached pair of an instant by its clock and by the true one: it is requested repeatedly until it is reached.
     shown: Cell<Option<(Timestamp<RobotClock>, Timestamp<True>)>>,
-    /// The same for what its clock shows at an instant.
+    /// The same for its clock's time at an instant.
     read: Cell<Option<(Timestamp<True>, Timestamp<RobotClock>)>>,
-    /// When it is next due, as long as nothing has changed since it was looked up.
+    /// Cached time of its next wake-up, as long as nothing has changed.
     wakes: Cell<Option<Option<Timestamp<True>>>>,
-    /// What travels, and when it arrives; in that order, and in the order in which it was sent.
+    /// Messages in flight with their arrival times, ordered by arrival, and then by sending.
     in_flight: VecDeque<(Timestamp<True>, LaneId, InFlight)>,
-    /// A few: only those on which something travels.
+    /// Only directions with messages in flight: a few.
     lanes: Vec<(LaneId, Lane)>,
     log: Vec<LogEntry>,
     outputs: Vec<Output>,
-    /// It has hung up for good.
+    /// Whether it has closed its links permanently.
     gone: bool,
     /// `None`: the robot itself moves.
     hands: Option<Hands>,
@@ -144,7 +144,7 @@ pub struct SimulatedRobot {
 }
 
 impl SimulatedRobot {
-    /// A robot at rest, which says that it understands what this crate reads.
+    /// Creates a robot at rest, whose description lists all encodings and inquiries that this crate supports.
     #[must_use]
     pub fn new(block: InitializationBlock, settings: Settings) -> Self {
         let mut rng = fastrand::Rng::with_seed(settings.seed);
@@ -170,13 +170,13 @@ impl SimulatedRobot {
         }
     }
 
-    /// The same robot with these limits of lateness.
+    /// Sets the limits of lateness.
     #[cfg(all(test, feature = "host"))]
     pub(crate) fn tolerating(self, tolerance: Tolerance) -> Self {
         Self { robot: self.robot.tolerating(tolerance), ..self }
     }
 
-    /// A robot whose values drive simulated hardware, which is there at `now`.
+    /// Creates a robot that drives simulated hardware, which is connected at `now`.
     #[must_use]
     pub fn with_hardware(block: InitializationBlock, settings: Settings, now: Timestamp<True>) -> Self {
         let mut robot = Self::new(block, settings);
@@ -186,14 +186,14 @@ impl SimulatedRobot {
         robot
     }
 
-    /// The hardware no longer answers, and its connection stays open.
+    /// Makes the hardware stop answering; its connection stays open.
     pub fn hardware_dies(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &mut self.hands {
             hands.dead_since.get_or_insert(now);
         }
     }
 
-    /// Its connection with the hardware has ended.
+    /// Ends the connection to the hardware.
     pub fn hardware_lost(&mut self, now: Timestamp<True>, reason: &str) {
         self.hardware_dies(now);
         if self.hands.is_some() {
@@ -202,7 +202,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// The hardware is there, or there again.
+    /// Connects the hardware, or connects it again.
     pub fn hardware_found(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &mut self.hands {
             hands.dead_since = None;
@@ -211,7 +211,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// The machine inside.
+    /// Returns the machine.
     #[must_use]
     pub const fn robot(&self) -> &Robot {
         &self.robot
@@ -225,7 +225,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// What a sensor reads from now on.
+    /// Sets the value that a sensor reads.
     pub fn set_reading(&mut self, sensor: DeviceId, reading: f64) {
         if let Some(hands) = &mut self.hands {
             hands.readings.insert(sensor.clone(), reading);
@@ -233,13 +233,13 @@ impl SimulatedRobot {
         self.robot.set_reading(sensor, reading);
     }
 
-    /// Whether nothing is held, runs or travels.
+    /// Whether nothing is held, runs or is in flight.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.in_flight.is_empty() && self.robot.is_idle()
     }
 
-    /// Its process begins again at `now`: it has forgotten everything but what its sensors read, and its clock has gone on.
+    /// Restarts its process at `now`: it has forgotten everything except the readings of its sensors, and its clock has continued.
     #[must_use]
     pub fn restarted(&self, now: Timestamp<True>) -> Self {
         let settings = Settings {
@@ -256,24 +256,24 @@ impl SimulatedRobot {
         robot
     }
 
-    /// What it does wrong from now on; returns what it did wrong before.
+    /// Replaces its fault, and returns the previous one.
     pub const fn replace_fault(&mut self, fault: Option<Fault>) -> Option<Fault> {
         std::mem::replace(&mut self.settings.fault, fault)
     }
 
-    /// Its clock is set forward or back while it runs.
+    /// Steps its clock forward or back while it runs.
     pub fn step_clock(&mut self, by: Span) {
         self.settings.clock_offset += by;
         self.ntp_residue += by;
         self.forget_times();
     }
 
-    /// What was set since the last call.
+    /// Takes the log entries since the last call.
     pub fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)
     }
 
-    /// Looks whether the session to which the robot belonged is over.
+    /// Releases the robot if its session is over.
     #[cfg(feature = "host")]
     pub(crate) fn look(&mut self, now: Timestamp<True>) {
         let at = self.robot_from_true(now);
@@ -285,7 +285,7 @@ impl SimulatedRobot {
         !self.log.is_empty()
     }
 
-    /// Something was sent to the robot at `now`; it arrives after the link's delay.
+    /// Sends an input to the robot at `now`; it arrives after the link's delay.
     pub fn receive(&mut self, now: Timestamp<True>, link: LinkId, input: Input) {
         if self.gone {
             return self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Close { link }));
@@ -293,7 +293,7 @@ impl SimulatedRobot {
         self.dispatch(now, (link, Way::In), InFlight::In(link, input));
     }
 
-    /// Does everything due at or before `now`: first what the machine does by itself, then deliveries.
+    /// Executes everything due at or before `now`: first the machine's own events, then deliveries.
     pub fn advance(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
         if self.epoch.is_none() {
             self.epoch = Some(now);
@@ -316,7 +316,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// The movements due at or before `now`, as far as no delivery comes first. Their reports go out with the next
+    /// Executes the movements due at or before `now`, unless a delivery is due earlier. Their reports are sent with the next
     /// [`SimulatedRobot::advance`].
     #[cfg(feature = "host")]
     pub(crate) fn advance_movements(&mut self, now: Timestamp<True>) {
@@ -328,13 +328,13 @@ impl SimulatedRobot {
         }
     }
 
-    /// Whether the machine has something to do at or before `by`, apart from deliveries.
+    /// Whether the machine has work at or before `by`, not counting deliveries.
     #[cfg(feature = "host")]
     pub(crate) fn moves_by(&self, by: Timestamp<True>) -> bool {
         self.due_movement(by).is_some()
     }
 
-    /// As an edge does, before anything else. While hardware answers, this changes nothing but what is due.
+    /// Checks the hardware before any other work, as an edge does. While hardware answers, this only executes due events.
     fn look_after_hardware(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &self.hands {
             let at = self.robot_from_true(now);
@@ -343,7 +343,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Whether [`SimulatedRobot::advance`] has anything to do: hardware that does not answer is looked after whenever there is time.
+    /// Whether [`SimulatedRobot::advance`] has work: silent hardware is checked whenever there is time.
     #[must_use]
     pub fn is_due(&self, now: Timestamp<True>) -> bool {
         let silent = self.hands.as_ref().is_some_and(|hands| hands.dead_since.is_some());
@@ -351,13 +351,13 @@ impl SimulatedRobot {
         silent || self.epoch.is_none() || self.robot.has_reports() || due()
     }
 
-    /// When the machine's next wake-up was due, if it is.
+    /// Returns the due time of the machine's next wake-up, if it is due.
     fn due_movement(&self, now: Timestamp<True>) -> Option<Timestamp<True>> {
         let due = self.robot.next_wakeup().filter(|at| *at <= self.robot_from_true(now))?;
         Some(self.true_from_robot(due))
     }
 
-    /// When [`SimulatedRobot::advance`] is next due.
+    /// Returns when [`SimulatedRobot::advance`] is next due.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Timestamp<True>> {
         if let Some(wakes) = self.wakes.get() {
@@ -389,7 +389,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// A sensor that shows a body has its reading from it.
+    /// Updates the reading of a sensor that shows a body.
     fn look_at_body(&mut self, now: Timestamp<True>, input: &Input) {
         let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = input else {
             return;
@@ -406,7 +406,7 @@ impl SimulatedRobot {
         self.set_reading(sensor, reading);
     }
 
-    /// How long the sensor takes whose reading this is.
+    /// Returns the delay of the sensor that gave this reading.
     fn sensor_delay(&self, message: &Message) -> Option<Span> {
         let Message::ControlResponse(response) = message else { return None };
         let of = |body: &&MovedBody| body.moves.sensor == response.device_id && body.moves.delay > Span::ZERO;
@@ -414,7 +414,7 @@ impl SimulatedRobot {
         Some(body.moves.delay)
     }
 
-    /// What is left of an input after the robot's own fault.
+    /// Applies the robot's fault to an input, and returns the rest of it.
     fn through_fault(&mut self, now: Timestamp<True>, link: LinkId, input: Input) -> Option<Input> {
         let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = &input else {
             return Some(input);
@@ -432,7 +432,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Carries out what the machine wants, which may have changed.
+    /// Executes the machine's outputs, which may have changed its next wake-up.
     fn perform(&mut self, now: Timestamp<True>) {
         self.wakes.set(None);
         if self.outputs.is_empty() {
@@ -441,7 +441,7 @@ impl SimulatedRobot {
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
-                // Its hardware takes everything at once, so nothing is asked.
+                // Its hardware takes everything at once, so no confirmation is needed.
                 Output::Confirm { .. } => {}
                 // It times everything by itself.
                 Output::Plan(_) | Output::Cancel(_) | Output::Played { .. } => {}
@@ -464,11 +464,11 @@ impl SimulatedRobot {
                 }
             }
         }
-        // Back goes the empty vector, so that its memory serves again.
+        // Returns the emptied vector to reuse its allocation.
         self.outputs = outputs;
     }
 
-    /// Living hardware answers at once. A robot without any answers readings by itself.
+    /// Answers a reading of hardware at once, if the hardware is alive. A robot without hardware answers readings by itself.
     fn hardware_reads(&mut self, now: Timestamp<True>, reading: ReadingId, sensor: &DeviceId) {
         let Some(hands) = self.hands.as_ref().filter(|hands| hands.dead_since.is_none()) else { return };
         let value = hands.readings.get(sensor).copied().unwrap_or(0.0);
@@ -506,7 +506,7 @@ impl SimulatedRobot {
         );
     }
 
-    /// Sends something on its way, behind what travels there already.
+    /// Sends a message after those that are already in flight in this direction.
     fn dispatch(&mut self, now: Timestamp<True>, lane_id: LaneId, mut in_flight: InFlight) {
         let arrival = now + self.draw_delay();
         let place = self.lanes.iter().position(|(id, _)| *id == lane_id).unwrap_or_else(|| {
@@ -544,7 +544,7 @@ impl SimulatedRobot {
         (least + Span::from_nanos(self.rng.i64(0..=width))).max(Span::ZERO)
     }
 
-    /// What the robot believes the time to be: its raw clock, less what its NTP discipline knows of it.
+    /// Returns the time that the robot assumes: its raw clock, minus the error that its NTP discipline knows.
     #[must_use]
     pub fn robot_from_true(&self, now: Timestamp<True>) -> Timestamp<RobotClock> {
         match self.read.get() {
@@ -557,7 +557,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Its clock is another one from now on.
+    /// Clears the cached times, because its clock has changed.
     fn forget_times(&self) {
         self.shown.set(None);
         self.read.set(None);
@@ -577,12 +577,12 @@ impl SimulatedRobot {
         Span::from_millis_f64(since.as_millis_f64() * self.drift())
     }
 
-    /// As a fraction of true time.
+    /// Returns the drift as a fraction of true time.
     fn drift(&self) -> f64 {
         self.settings.drift_ppm.clamp(-DRIFT_PPM_MAX, DRIFT_PPM_MAX) * 1e-6
     }
 
-    /// The first instant at which the robot's clock shows `at`.
+    /// Returns the first instant at which the robot's clock shows `at`.
     fn true_from_robot(&self, at: Timestamp<RobotClock>) -> Timestamp<True> {
         match self.shown.get() {
             Some((shown, when)) if shown == at => when,
@@ -602,7 +602,7 @@ impl SimulatedRobot {
         guess = guess - self.settings.clock_offset;
         let since = self.epoch.map_or(Span::ZERO, |epoch| guess - epoch);
         guess = guess - Span::from_millis_f64(since.as_millis_f64() * self.drift() / (1.0 + self.drift()));
-        // What is left is the rounding to nanoseconds; a bounded search, since at the end of time no instant may fit.
+        // The rest is the rounding to nanoseconds. The search is bounded, since at the end of time no instant may fit.
         for _ in 0..8 {
             match self.compute_robot_from_true(guess) {
                 shown if shown < at => guess = guess + Span::from_nanos(1),
@@ -627,7 +627,7 @@ fn bodies(block: &InitializationBlock, settings: &Settings) -> Vec<MovedBody> {
     let body = |(index, moves): (usize, &Moves)| {
         let sensor = block.device(moves.sensor.as_str()).and_then(|d| d.available_control_types.sensor());
         let range = sensor.map_or((f64::MIN, f64::MAX), |sensor| (sensor.min_value, sensor.max_value));
-        // Draws of their own, so that other draws stay as they are.
+        // A separate random generator, so that other random numbers do not change.
         let seed = settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(index as u64 + 1);
         let device = block.device(moves.device.as_str());
         let at_first = device.and_then(|device| device.default_value).unwrap_or_default();

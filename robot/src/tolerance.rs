@@ -1,4 +1,4 @@
-//! By how much a robot may be late before it ends what is out of sync.
+//! How late a robot may be before it ends commands that are out of sync.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 pub(crate) const STALE: Duration = Duration::from_millis(250);
 /// The driver reports a start or an end within this time.
 pub(crate) const REPORT_WAIT: Span = Span::from_millis(750);
-/// Silence of the hardware that counts if it holds something, in addition to twice the duration of its calls.
+/// Maximum silence of the hardware while it holds something, in addition to twice the duration of its calls.
 pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 
 /// Limits of lateness, of the robot, the thread that runs it and its hardware. Products use the defaults; a test whose machine may be
@@ -43,7 +43,7 @@ impl Default for Tolerance {
 
 #[cfg(all(test, feature = "host"))]
 impl Tolerance {
-    /// Of a test that is not about lateness: however slow the machine is, nothing is too late.
+    /// For tests that do not depend on lateness: however slow the machine is, nothing is too late.
     pub(crate) const AN_HOUR: Self = Self {
         start: Span::from_millis(3_600_000),
         step: Span::from_millis(3_600_000),

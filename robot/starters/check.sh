@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # check.sh 'PROGRAM ARGUMENTS' [OPTIONS]: starts a robot on a free port and runs `downbeat conformance OPTIONS` against it.
-# SCHEME=tls or hmac speaks so, as DOWNBEAT_IDENTITY.
-# The program takes --listen HOST:PORT and says `listening on HOST:PORT`, or `listens on`. DOWNBEAT names another downbeat than the built one.
+# SCHEME=tls or hmac uses this scheme, with DOWNBEAT_IDENTITY as the identity.
+# The program takes --listen HOST:PORT and prints `listening on HOST:PORT`, or `listens on`. DOWNBEAT names another downbeat than the
+# built one.
 set -euo pipefail
 downbeat=${DOWNBEAT:-$(cd "$(dirname "$0")/../.." && pwd)/target/release/downbeat}
 read -ra program <<<"$1"

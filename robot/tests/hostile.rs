@@ -1,5 +1,5 @@
-//! Robots behind real sockets, and a peer that means no good: it is told what is wrong, its link goes on where it can,
-//! other links and other robots notice nothing, and memory stays bounded. A process of its own, whose memory it measures.
+//! Robots behind real sockets, and a hostile peer: it receives an error, its link continues if possible, other links and robots are not
+//! affected, and memory stays bounded. A separate process, which measures its own memory.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::net::SocketAddr;
@@ -12,7 +12,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Mutex, MutexGuard};
 use urrcp::{ControlResponse, ErrorCode, InitializationBlock, LINE_BYTES_MAX, Message, Status};
 
-/// One test at a time, so that each measures what it took itself.
+/// One test at a time, so that each measures only its own memory.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
 const ARM: &str = r#""name": "arm", "available_control_types": {
@@ -20,7 +20,7 @@ const ARM: &str = r#""name": "arm", "available_control_types": {
     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}"#;
 const ASK: &[u8] = b"{\"availability_request\": {}}\n";
 const CLAIM: &[u8] = b"{\"availability_request\": {\"session\": \"hostile\"}}\n";
-/// The longest wait for an answer, however busy the machine is.
+/// Maximum wait for an answer, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const MIB: usize = 1024 * 1024;
 
@@ -31,7 +31,7 @@ fn robot(id: &str, devices: usize) -> SimulatedRobot {
     SimulatedRobot::new(serde_json::from_str::<InitializationBlock>(&block).unwrap(), Settings::default())
 }
 
-/// Two robots of one host, the second of many devices, and a well-behaved server of each.
+/// Two robots of one host, the second with many devices, and a well-behaved server of each.
 struct Stage {
     _host: Host,
     addresses: Vec<SocketAddr>,
@@ -55,7 +55,7 @@ impl Stage {
         stage
     }
 
-    /// One that has claimed the robot, so that its lines may be long.
+    /// Returns a peer that has claimed the robot, so that its lines may be long.
     async fn hostile(&self) -> Peer {
         let mut peer = Peer::connected(self.addresses[0]).await;
         peer.write(CLAIM).await;
@@ -94,7 +94,7 @@ impl Peer {
         assert_eq!(response.status, Status::Ok);
     }
 
-    /// Exactly one refusal, and the link goes on.
+    /// Exactly one refusal, and the link continues.
     async fn is_refused(&mut self, says: &str) {
         let error = match self.read().await {
             Message::AvailabilityResponse(response) => response.error,
@@ -113,14 +113,14 @@ fn forget_peak() {
     std::fs::write("/proc/self/clear_refs", "5").unwrap();
 }
 
-/// A line of the process's status, in bytes.
+/// Returns a value of the process's status, in bytes.
 fn memory(line: &str) -> usize {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let found = status.lines().find_map(|l| l.strip_prefix(line)).unwrap();
     found.trim().trim_end_matches(" kB").parse::<usize>().unwrap() * 1024
 }
 
-/// By how much the process was larger at its peak than it is to begin with.
+/// Growth of the process from its begin to its peak.
 struct Growth(usize);
 
 impl Growth {
@@ -151,14 +151,14 @@ async fn lines_that_are_no_message_are_refused_and_the_link_goes_on() {
     let many: Vec<_> =
         (0..32_001).map(|i| format!(r#"{{"id":"{i}","name":"","available_control_types":{{}}}}"#)).collect();
     let cases = [
-        (r#"{"control_request":"#.repeat(100_000), "not JSON"),
-        (r#"{"control_request":{"x":"#.repeat(100_000), "not JSON"),
+        (r#"{"control_request":"#.repeat(100_000), "invalid JSON"),
+        (r#"{"control_request":{"x":"#.repeat(100_000), "invalid JSON"),
         ("[".repeat(100_000), ""),
         (deep.clone(), ""),
         (request(&format!(r#""control_value":{deep}"#)), "at `control_request"),
         (request(r#""control_value":1e999"#), "number out of range"),
         (request(r#""control_value":-1e999"#), "number out of range"),
-        (request(r#""control_value":NaN"#), "not JSON"),
+        (request(r#""control_value":NaN"#), "invalid JSON"),
         (request(r#""control_value":1,"control_value":2"#), "duplicate field `control_value`"),
         (format!("{ping},\"availability_request\":{{}}}}"), "2 keys, expected exactly one"),
         (format!("{ping},\"initialization_request\":{{}}}}"), "2 keys, expected exactly one"),
@@ -174,7 +174,7 @@ async fn lines_that_are_no_message_are_refused_and_the_link_goes_on() {
         peer.is_refused(says).await;
     }
     peer.write(b"{\"availability_request\"\xc3\x28:{}}\n").await;
-    peer.is_refused("not UTF-8 after byte 23").await;
+    peer.is_refused("invalid UTF-8 after byte 23").await;
     stage.others_notice_nothing().await;
 }
 
@@ -213,7 +213,7 @@ async fn a_line_beyond_the_limit_is_refused_once_and_takes_no_more_than_a_few_li
         peer.write(b"\n").await;
         peer.is_refused("a line longer than 16777216 bytes").await;
     }
-    // A line while it grows, and the one before that is copied into it.
+    // A line while it grows, and its shorter predecessor, which is copied into it.
     growth.is_at_most(4 * LINE_BYTES_MAX);
 }
 

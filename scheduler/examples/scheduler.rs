@@ -13,14 +13,14 @@ use downbeat::report::Report;
 use downbeat::run::run;
 use downbeat::server_clock::ServerClock;
 use downbeat::session::{Session, SessionKey};
-use downbeat::show::report_text;
+use downbeat::show::{Detail, report_text};
 use downbeat::stop_lane::Operator;
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Folder, Source, compile, read_fleet, render};
 use tokio::sync::mpsc;
 use urrcp::Span;
 
-/// Plays it to its end. What is sent on `operator` reaches the mission while it runs.
+/// Plays it to its end. Messages on `operator` reach the mission while it runs.
 pub async fn play(
     fleet: &Path,
     scenario: &Path,
@@ -60,6 +60,6 @@ async fn main() -> Result<(), Box<dyn Error>> {
         }
     });
     let report = play(fleet.as_ref(), scenario.as_ref(), orders).await?;
-    print!("{}", report_text(&report, 100));
+    print!("{}", report_text(&report, Detail::Brief, 100));
     Ok(())
 }

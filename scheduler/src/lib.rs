@@ -10,15 +10,15 @@
 //!                     Report
 //! ```
 //!
-//! [`run`](run::run) plays a [`Mission`](mission::Mission) on real robots, and [`dry_run`] in virtual time; `examples/scheduler.rs` is
-//! a scheduler to copy. The crate `downbeat-scripts` compiles choreographies, and [`fleet`] turns what a fleet file says into the
-//! participants of a mission.
+//! [`run`](run::run) plays a [`Mission`](mission::Mission) on real robots, and [`dry_run`] in virtual time. `examples/scheduler.rs` is a
+//! scheduler to copy. The crate `downbeat-scripts` compiles choreographies, and [`fleet`] turns a fleet file into the participants of a
+//! mission.
 //!
-//! To drive the machine with a loop of your own, implement [`World`](drive::World) and call [`drive`](drive::drive()). If you call the
-//! machine yourself, keep one rule: **[`advance`](mission::Mission::advance) follows every
-//! [`handle`](mission::Mission::handle)**, at the same instant and once no further event of that instant waits. An event changes what is
-//! known; what follows from it, such as the decision to start, may be left to `advance`. Perform the actions of both in order. Then
-//! wait until [`next_wakeup`](mission::Mission::next_wakeup) or the next event, whichever comes first.
+//! To drive the machine with your own loop, implement [`World`](drive::World) and call [`drive`](drive::drive()). If you call the machine
+//! yourself, follow one rule: **[`advance`](mission::Mission::advance) follows every [`handle`](mission::Mission::handle)**, at the same
+//! instant and once no further event of that instant is waiting. An event only updates the mission's knowledge; consequences, such as the
+//! decision to start, may be left to `advance`. Perform the actions of both in order. Then wait until
+//! [`next_wakeup`](mission::Mission::next_wakeup) or the next event, whichever comes first.
 //!
 //! | module | |
 //! |---|---|
@@ -34,7 +34,7 @@
 //! | [`conformance`] | whether a robot meets the requirements of the protocol |
 //! | [`calibrate`], [`downbeat_onset`] | the time from a command to visible motion of a device |
 //! | [`session`] | the operator on whose behalf robots are driven |
-//! | [`clock`], [`zone`], [`open_files`] | how far a robot's clock is off; local times; the limit of open files, raised for many sockets |
+//! | [`clock`], [`zone`], [`open_files`] | the error of a robot's clock; local times; the limit of open files, raised for many sockets |
 
 pub mod calibrate;
 mod cli;

@@ -1,6 +1,6 @@
 //! The program `downbeat`.
 
-/// Messages are made by one thread and dropped by another, for which the system's allocator takes locks: `benches/fan_out.rs`.
+/// One thread creates messages and another drops them. The system allocator takes locks for that: `benches/fan_out.rs`.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

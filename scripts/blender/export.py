@@ -16,7 +16,7 @@ import sys
 
 import bpy
 
-# A turn that is larger between two lines may have gone the other way round.
+# A turn that is larger between two lines may have been in the opposite direction.
 TURN_MAX = math.radians(120)
 # Smaller changes are the noise of single precision.
 STILL = 1e-6
@@ -166,7 +166,7 @@ def of_colour(item, graph):
 
 
 def chosen(scene, names):
-    """The objects that are asked for, or all that can be seen."""
+    """The requested objects, or all visible ones."""
     if names is None:
         return [item for item in scene.objects if not item.hide_render]
     unknown = [name for name in names if name not in scene.objects]
@@ -223,7 +223,7 @@ def main():
         for group in moving:
             if getattr(group, "fast", False):
                 note(f"`{item.name}`: {', '.join(group.names)} turn by more than 120 degrees between two lines, "
-                     "and may have gone the other way round: raise --rate")
+                     "and may have been in the opposite direction: raise --rate")
             columns.append((robot_name(item.name), group))
     if not columns:
         sys.exit("error: nothing moves")
@@ -236,7 +236,7 @@ def main():
     print(f'next: downbeat import csv {options.output} --time "Time [ms]" --map "*=*"{colours}')
 
 
-# Blender goes on, and ends well, after an error in a script.
+# Blender continues after an error in a script, and exits with code 0.
 try:
     main()
 except SystemExit:

@@ -1,4 +1,4 @@
-//! Compiles a scenario and prints how many steps each device is sent, or what is wrong.
+//! Compiles a scenario and prints the number of steps for each device, or the findings.
 //!
 //! `cargo run --example compile -- ../fleet.yaml examples/swap.yaml`
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
@@ -12,7 +12,7 @@ fn compiled(fleet: &Path, scenario: &Path) -> Result<Choreography, String> {
     let (fleet, findings) = read_fleet(fleet);
     let fleet = fleet.ok_or_else(|| render(&findings, false))?;
     let source = Source::read(scenario).map_err(|finding| render(&[finding], false))?;
-    // Files that the scenario names are looked for in its folder.
+    // Files that the scenario names are read from its folder.
     let folder = Folder::new(scenario.parent().unwrap_or(Path::new("")).to_owned());
     let compiled = compile(&source, &fleet, &folder);
     compiled.choreography.ok_or_else(|| render(&compiled.findings, false))

@@ -32,7 +32,7 @@ impl Approach {
 
 const NAME: &str = "approach";
 
-/// Adds an act ahead of `first` that moves devices to their first positions in that act and those that follow it. Returns the
+/// Adds an act before `first` that moves devices to their first positions in that act and those that follow it. Returns the
 /// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as
 /// far as bodies are known, without collisions. Lamps, and devices that are there already, are not moved. If no device has to
 /// move, no act is added.
@@ -70,7 +70,8 @@ pub fn add_approach(
 }
 
 /// Plans an act that moves devices from these positions to their first positions, in the act `to` or in those that follow it. The act is
-/// planned like that of [`plan_home`](crate::plan_home), and its settings are those of `to`. If `to` waits for the operator, the new act waits, too.
+/// planned like that of [`plan_home`](crate::plan_home), and its settings are those of `to`. If `to` waits for the operator, the new act
+/// waits, too.
 ///
 /// Returns `None` if no device has to move.
 ///
@@ -202,20 +203,20 @@ acts:
     fn after_a_stop_devices_move_to_the_first_positions_of_another_act_as_fast_as_they_may() {
         let (mut show, fleet) = show();
         show.acts[1].wait = Wait::Operator;
-        // It returns from `one` to `two`, and only its first position counts.
+        // It returns from `one` to `two`; only its first position matters.
         show.acts[1].next = Way::Act(0);
         let ahead = plan_approach(&show, 1, &fleet, &approach(0, 80.0).from).unwrap().unwrap();
         assert_eq!((ahead.name.as_str(), &ahead.wait, ahead.next), ("approach", &Wait::Operator, Way::End));
         let [script] = ahead.plan.robots[0].scripts.as_slice() else { panic!("only the joint moves") };
         let steps = script.script.steps();
         assert_eq!([steps[0].setpoint.value, steps[steps.len() - 1].setpoint.value], [80.0, 30.0]);
-        // 1.875 * 50 / 60 = 1.5625 s, and 2 %.
+        // 1.875 * 50 / 60 = 1.5625 s, plus 2 %.
         assert_eq!(script.script.duration().as_millis_f64().round(), 1_594.0);
         assert_eq!(plan_approach(&show, 1, &fleet, &approach(0, 30.0).from).unwrap(), None);
     }
 
-    /// The acts that are planned for the arm, which stands at 80 degrees, before the show and after a stop. Another robot has come to
-    /// rest at 40 degrees, on a rail at a distance of `y` metres from that of the arm.
+    /// The acts that are planned for the arm, which is at 80 degrees, before the show and after a stop. Another robot has stopped at 40
+    /// degrees, on a rail `y` metres away from the arm's.
     fn past_another(y: f64) -> [Result<Act, Vec<Finding>>; 2] {
         let (show, mut fleet) = show();
         let mut other = fleet.robots[0].clone();

@@ -1,4 +1,4 @@
-//! Plans acts that move devices from the positions at which they have stopped to their default positions or to others.
+//! Plans acts that move devices from the positions at which they stopped to their default positions or to others.
 
 use std::collections::HashMap;
 
@@ -13,17 +13,17 @@ use crate::plan::{Act, Choreography, FailurePolicy, OnFailure, Positions};
 const NAME: &str = "home";
 /// The shortest duration of the act.
 const SHORTEST: Span = Span::from_millis(1_000);
-/// The shortest duration if the act moves a device linearly whose largest speed is unknown.
+/// The shortest duration if the act linearly moves a device whose largest speed is unknown.
 const WITHOUT_LIMIT: Span = Span::from_millis(5_000);
 /// On a grid, some steps are faster than the movement by up to this fraction.
 const SLACK: f64 = 0.02;
-/// The maximum number of times that the duration is doubled if a device cannot move that fast.
+/// The maximum number of times that the duration is doubled if a device cannot move fast enough.
 const DOUBLED_MAX: u32 = 4;
 
-/// Plans an act that moves devices from these positions to their default positions. The act is compiled like any other:
-/// within the limits of the devices and, as far as bodies are known, without collisions. It takes the time that the largest
-/// speeds demand, but at least 1 s, and at least 5 s if a device moves linearly and its largest speed is unknown. Devices without a
-/// default position do not move. Leases and tolerances are those of the act `like`.
+/// Plans an act that moves devices from these positions to their default positions. The act is compiled like any other: within the limits
+/// of the devices and, as far as bodies are known, without collisions. Its duration follows from the largest speeds. It is at least 1 s,
+/// and at least 5 s if a device moves linearly and its largest speed is unknown. Devices without a default position do not move. Leases
+/// and tolerances are those of the act `like`.
 ///
 /// Returns `None` if every device is at its default position.
 ///
@@ -155,13 +155,13 @@ acts:
         assert!(steps > 2, "{steps}");
         let (first, last, _) = of("lamp");
         assert_eq!((first, last), (40.0, 0.0));
-        // 1.875 * 150 / 60 = 4.6875 s, and 2 %.
+        // 1.875 * 150 / 60 = 4.6875 s, plus 2 %.
         let lasts = scripts.iter().map(|script| script.script.duration()).max().unwrap();
         assert_eq!(lasts.as_millis_f64().round(), 4_781.0);
     }
 
-    /// The way home of the arm from 80 degrees. Another robot, whose joint has no default position, has come to rest at 40 degrees, on a
-    /// rail at a distance of `y` metres from that of the arm.
+    /// The act that moves the arm home from 80 degrees. Another robot, whose joint has no default position, has stopped at 40 degrees, on
+    /// a rail `y` metres away from the arm's.
     fn home_past_another(y: f64) -> Result<Act, Vec<Finding>> {
         let (show, mut fleet) = show();
         let mut other = fleet.robots[0].clone();

@@ -1,4 +1,4 @@
-//! What a scenario offers to use: its moves and sequences with their parameters, for people who write cues.
+//! Lists the moves and sequences that a scenario offers, with their parameters, for authors of cues.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,20 +20,20 @@ pub struct Offer {
     pub kind: &'static str,
     /// The name by which the scenario uses it.
     pub name: String,
-    /// What it does, as its `doc` says.
+    /// Its description, from its `doc`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub doc: Option<String>,
     /// In the order of the file.
     pub parameters: Vec<Parameter>,
-    /// The devices that a move moves by itself, in their order; without those of moves whose name is a parameter.
+    /// The devices that a move uses, in their order. Devices of a played move whose name is a parameter are not included.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub devices: Vec<String>,
     /// The moves and sequences that it uses, in their order.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub uses: Vec<String>,
-    /// The file in which it stands.
+    /// The file that contains it.
     pub file: String,
-    /// Its line, from 1.
+    /// Its line in that file, from 1.
     pub line: usize,
 }
 
@@ -42,14 +42,14 @@ pub struct Offer {
 pub struct Parameter {
     /// Its name.
     pub name: String,
-    /// Its default as it is written; `None` if it has none.
+    /// Its default as written; `None` if it has none.
     pub default: Option<String>,
 }
 
-/// The moves and sequences of a scenario with all files that it includes, by kind and name.
+/// Returns the moves and sequences of a scenario and of all files that it includes, by kind and name.
 ///
 /// # Errors
-/// The findings if one of the files cannot be read or is not YAML. What is wrong within them is for [`crate::compile`].
+/// The findings if one of the files cannot be read or is not YAML. Errors within the entries are left to [`crate::compile`].
 pub fn inventory(source: &Source, files: &dyn Files) -> Result<Vec<Offer>, Vec<Finding>> {
     let documents = scenario::documents(source, files)?;
     let fleet = Fleet::default();
@@ -96,7 +96,7 @@ fn text(node: &Node, key: &str) -> Option<String> {
     }
 }
 
-/// The devices of its own tracks, each once.
+/// The devices of its own tracks, without duplicates.
 fn devices(node: &Node) -> Vec<String> {
     let mut devices: Vec<String> = Vec::new();
     let tracks =
@@ -123,7 +123,7 @@ fn parameters(node: &Node) -> Vec<Parameter> {
     entries.iter().map(|(name, node)| Parameter { name: name.clone(), default: written(node) }).collect()
 }
 
-/// What a move plays, or what the cues of a sequence use, each once.
+/// The moves or sequences that it plays or that its cues use, without duplicates.
 fn uses(node: &Node) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for item in entries_of(node) {
@@ -136,7 +136,7 @@ fn uses(node: &Node) -> Vec<String> {
     names
 }
 
-/// The entries of `play`, those of its inner lists too, or the cues of a sequence.
+/// The entries of `play`, including those of its inner lists, or the cues of a sequence.
 fn entries_of<'n>(node: &'n Node) -> Vec<&'n Node> {
     let lists = [entry(node, "play"), entry(node, "cues")].into_iter().flatten();
     let inner = |item: &'n Node| if matches!(item, Node::List(_)) { items(item) } else { vec![item] };
@@ -150,7 +150,7 @@ fn items(node: &Node) -> Vec<&Node> {
     }
 }
 
-/// A move also moves the devices of the moves that it plays.
+/// Adds to each move the devices of the moves that it plays.
 fn add_played_devices(offers: &mut [Offer]) {
     let index_of: BTreeMap<String, usize> = offers
         .iter()

@@ -1,4 +1,4 @@
-//! The scenario language of Downbeat: read a fleet and a choreography, find everything that would not work, and compile them.
+//! The scenario language of Downbeat: reads a fleet and a choreography, reports everything that would not work, and compiles them.
 //!
 //! ```text
 //!   fleet.yaml ── read_fleet ──▶ Fleet ─┐
@@ -6,15 +6,15 @@
 //!   show.yaml ─── Source::read ─────────┘         └──▶ findings, each with its line, what is expected, how to fix it
 //! ```
 //!
-//! [`compile`] returns a [`Choreography`] only if nothing is wrong; [`render()`] shows findings with the lines that they concern. The
-//! README has both in a few lines, and `examples/compile.rs` is a program to copy. The crate
-//! `downbeat-import` makes scenarios of the files of other tools, and `downbeat-export` writes what a scenario compiles to as theirs.
+//! [`compile`] returns a [`Choreography`] only if there are no errors; [`render()`] shows findings with the affected lines. The README
+//! demonstrates both in a few lines, and `examples/compile.rs` is a program to copy. The crate `downbeat-import` turns files of other
+//! tools into scenarios, and `downbeat-export` writes compiled scenarios to files of other tools.
 //!
-//! The modules are layers: none imports one above it. From the bottom:
+//! The modules form layers: none imports from a layer above it. From the bottom:
 //!
 //! 1. `downbeat-yaml`, a crate: trees, places and findings.
 //! 2. `downbeat-motion`, a crate: exact numbers, expressions, and the steps of movements.
-//! 3. `downbeat-space`, a crate: bodies, places, and ways between them.
+//! 3. `downbeat-space`, a crate: bodies, places, and routes between them.
 //! 4. `downbeat-reader`, a crate: reads values of a tree, with hints.
 //! 5. `downbeat-import` and `downbeat-fleet`, crates: files of other tools; robots.
 //! 6. `downbeat-plan`, a crate: the result. `ensemble`: the movements of groups. `scenario`: from tree to meaning.
@@ -86,7 +86,7 @@ pub use inventory::{Offer, Parameter, inventory};
 pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
 pub use schema::{Schema, all_maps, schema};
 
-/// Words for messages, shared with the program.
+/// Wording for messages, shared with the program.
 #[doc(hidden)]
 pub use {
     downbeat_fleet::address::address_fault, downbeat_yaml::duration::written,

@@ -1,8 +1,8 @@
-//! JSON Schemas (2020-12) of the files that people write, for editors and for programs that write such files.
+//! JSON Schemas (2020-12) of user-written files, for editors and for programs that generate such files.
 
 pub use maps::all_maps;
 
-/// What a schema describes.
+/// The kind of file that a schema describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Schema {
@@ -14,7 +14,7 @@ pub enum Schema {
     World,
 }
 
-/// The schema as JSON text.
+/// Returns the schema as JSON text.
 #[must_use]
 pub const fn schema(of: Schema) -> &'static str {
     match of {

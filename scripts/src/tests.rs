@@ -1,4 +1,4 @@
-//! Laws of the whole compiler: nothing panics, findings are in the text, places survive aliases.
+//! Laws of the whole compiler: it never panics, findings refer to the text, and places survive aliases.
 
 use proptest::prelude::*;
 
@@ -45,7 +45,7 @@ impl Files for Included {
     }
 }
 
-/// Every finding names a line of the text, and there is a plan exactly when there are none.
+/// Checks that every finding names a line of the text, and that there is a plan exactly if there are no findings.
 fn check_laws(text: &str) {
     check_laws_with(text, "");
 }
@@ -67,7 +67,7 @@ fn a_fault_of_the_yaml_is_placed_by_the_lines_that_editors_show() {
     let compiled = compile_text("a: \u{2028}x\u{85}y\n- b: [ö, c\n");
     let finding = &compiled.findings[0];
     assert!(finding.line <= 3 && compiled.choreography.is_none(), "{finding:?}");
-    // A line for the parser, and not for an editor.
+    // A line break for the parser, but not for an editor.
     for (text, line) in
         [("key:\u{2028}word", 1), ("a: 1\nkey:\u{2028}word", 2), ("a: 1\r\nkey:\u{85}word", 2)]
     {
@@ -144,7 +144,7 @@ proptest! {
     }
 }
 
-/// Values that may stand somewhere, right and wrong ones.
+/// Possible values, valid and invalid ones.
 const VALUES: [&str; 53] = [
     "$v * 2",
     "$index * 500ms",

@@ -1,6 +1,6 @@
 """Compares an imported scenario with Blender's own curves: `blender -b FILE.blend --python compare.py -- SCENARIO.yaml`.
 
-The exporter has Blender evaluate whole objects; here the curves of their channels are asked one by one.
+The exporter has Blender evaluate complete objects; this script evaluates the curves of their channels one by one.
 """
 
 import math
@@ -10,14 +10,14 @@ import sys
 import bpy
 import mathutils
 
-# What single precision leaves of values of this size.
+# The error of single precision at values of this size.
 ALLOWED = {"m": 2e-6, "degrees": 4e-4, "of 255": 5e-2}
 AXES = {"x": ("location", 0), "y": ("location", 1), "z": ("location", 2),
         "rx": ("rotation_euler", 0), "ry": ("rotation_euler", 1), "rz": ("rotation_euler", 2)}
 
 
 def keyframes(path):
-    """Of each robot and device: seconds and values."""
+    """Seconds and values per robot and device."""
     found, robot, device = {}, None, None
     for line in open(path, encoding="utf-8"):
         if match := re.match(r"\s*(?:- )?robots: (.+)", line):
@@ -33,7 +33,7 @@ def keyframes(path):
 
 
 def encoded(linear):
-    """As sRGB encodes a part of a colour."""
+    """A color component in sRGB encoding."""
     return mathutils.Color((linear, 0, 0)).from_scene_linear_to_srgb().r
 
 
@@ -43,7 +43,7 @@ def unit_of(device):
 
 
 def curve(robot, device):
-    """What the device should do at a frame, by the curves of its own channel; none where it has none."""
+    """A function from the frame to the device's expected value, from the curves of the device's own channel; zero if it has no curve."""
     item = bpy.data.objects[robot]
     if robot == "Rider":
         table = bpy.data.objects["Table"].animation_data.action.fcurves[0]

@@ -8,7 +8,7 @@ import bpy
 
 
 def key(target, path, index, frames, interpolation="BEZIER"):
-    """Keyframes of one channel, with handles that overshoot a little where they are Bezier curves."""
+    """Sets the keyframes of one channel. The handles of Bezier curves overshoot a little."""
     for frame, value in frames:
         vector = getattr(target, path)
         if index is None:
@@ -47,7 +47,7 @@ def arm():
 
 
 def turntable():
-    """What rides on another object turns with it: its angles come from a matrix and are unwrapped."""
+    """An object that rides on another turns with it: its angles come from a matrix and are unwrapped."""
     # Below the drones, which the import compares with it.
     bpy.ops.object.empty_add(location=(0, 0, -1))
     table = bpy.context.active_object
@@ -71,7 +71,7 @@ bpy.ops.object.select_all(action="SELECT")
 bpy.ops.object.delete()
 scene = bpy.context.scene
 scene.frame_start, scene.frame_end = 1, 150
-# 30000/1001 frames a second, so that no frame falls on a whole millisecond.
+# 30000/1001 frames per second, so that no frame falls on a whole millisecond.
 scene.render.fps, scene.render.fps_base = 30, 1.001
 drone("Drone 1", 0)
 drone("Drone 2", 1)

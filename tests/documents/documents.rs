@@ -1,4 +1,4 @@
-//! The documents tell the truth about the program.
+//! The documents match the program.
 
 use std::process::Command;
 
@@ -12,7 +12,7 @@ fn read(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-/// The blocks of a document that open with this line.
+/// Returns the blocks of a document that open with this line.
 fn blocks(text: &str, opening: &str) -> Vec<String> {
     let mut blocks = Vec::new();
     let mut lines = text.lines();
@@ -35,7 +35,7 @@ pub fn scenarios_of(document: &str) -> Vec<String> {
     blocks(&read(document), "```yaml scenario")
 }
 
-/// Blocks that open with "```yaml file NAME": files that the scenarios of the document use.
+/// Blocks that open with "```yaml file NAME": files that the scenarios of the document use. As (name, content).
 fn files(text: &str) -> Vec<(String, String)> {
     let openings = text.lines().filter(|line| line.starts_with("```yaml file "));
     openings
@@ -48,18 +48,32 @@ fn files(text: &str) -> Vec<(String, String)> {
 
 #[test]
 fn every_scenario_in_the_documents_is_sound() {
-    let document = read("docs/scenario.md");
-    let scenarios = blocks(&document, "```yaml scenario");
-    assert!(!scenarios.is_empty(), "it shows no scenario");
-    for scenario in scenarios {
-        let session = Session::new();
-        session.file("test.yaml", &scenario);
-        for (name, content) in files(&document) {
-            session.file(&name, content);
+    for page in ["docs/scenario.md", "docs/cookbook.md"] {
+        let document = read(page);
+        let scenarios = blocks(&document, "```yaml scenario");
+        assert!(!scenarios.is_empty(), "{page} shows no scenario");
+        for scenario in scenarios {
+            let session = Session::new();
+            session.file("test.yaml", &scenario);
+            for (name, content) in files(&document) {
+                session.file(&name, content);
+            }
+            let fleet = root().join("fleet.yaml");
+            let ran = session.run(&["check", "test.yaml", "--fleet", fleet.to_str().unwrap()]);
+            assert_eq!(ran.code(), 0, "{page}\n{scenario}\n{}", ran.text());
         }
-        let fleet = root().join("fleet.yaml");
-        let ran = session.run(&["check", "test.yaml", "--fleet", fleet.to_str().unwrap()]);
-        assert_eq!(ran.code(), 0, "{scenario}\n{}", ran.text());
+    }
+}
+
+#[test]
+fn the_readme_shows_lines_of_a_scenario_as_they_are() {
+    const OPENING: &str = "```yaml excerpt scripts/examples/sky.yaml";
+    let scenario = read("scripts/examples/sky.yaml");
+    let excerpts = blocks(&read("README.md"), OPENING);
+    assert_eq!(excerpts.len(), 1, "README.md has no block that opens with {OPENING}");
+    for line in excerpts[0].lines().filter(|line| !line.trim_start().starts_with('#')) {
+        let without_comment = line.split("  # ").next().unwrap().trim_end();
+        assert!(scenario.lines().any(|line| line == without_comment), "`{without_comment}`");
     }
 }
 
@@ -115,12 +129,12 @@ fn the_messages_in_the_protocol_document_are_messages() {
     assert_eq!(kinds.len(), 8, "every message is shown");
 }
 
-/// The time of day of a line in an exchange, on the day of the examples.
+/// A time of day in an exchange, on the day of the examples.
 fn instant(time: &str) -> Timestamp<urrcp::Robot> {
     serde_json::from_str(&format!("\"2026-11-20T{time}Z\"")).unwrap_or_else(|e| panic!("{time}: {e}"))
 }
 
-/// Lets a robot do what is due until then, each at its own time, and notes what it says.
+/// Advances the robot to `until`, waking it at each time that it requested, and notes its output.
 fn advance(robot: &mut Robot, until: Timestamp<urrcp::Robot>, said: &mut Vec<String>) {
     while let Some(at) = robot.next_wakeup().filter(|at| *at <= until) {
         let mut out = Vec::new();
@@ -206,8 +220,9 @@ fn the_frame_in_the_document_is_the_frame_of_its_message() {
 }
 
 #[test]
-fn every_command_of_the_readme_exists() {
-    for line in read("README.md").lines().filter(|line| line.starts_with("downbeat ")) {
+fn every_command_of_the_readme_and_the_cookbook_exists() {
+    let pages = read("README.md") + &read("docs/cookbook.md");
+    for line in pages.lines().filter(|line| line.starts_with("downbeat ")) {
         let words: Vec<_> = line
             .split_whitespace()
             .skip(1)
@@ -223,7 +238,7 @@ fn every_command_is_in_the_table_of_the_readme() {
     let readme = read("README.md");
     let rows: String = readme.lines().filter(|line| line.starts_with("| `")).collect();
     let commands = super::help::commands();
-    // A group of commands has a row for each of them.
+    // A command with subcommands has no row of its own; each subcommand has one.
     let is_group = |command: &String| commands.iter().any(|other| other.starts_with(&format!("{command} ")));
     for command in commands.iter().filter(|command| !command.is_empty() && !is_group(command)) {
         assert!(rows.contains(&format!("`{command}`")), "README.md does not list `{command}`");

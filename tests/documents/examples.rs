@@ -1,4 +1,4 @@
-//! The examples do what they are there for.
+//! The examples do what they are meant to show.
 
 use std::process::Command;
 
@@ -46,7 +46,7 @@ fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
     }
 }
 
-/// Where a drone is at every millisecond, from the requests that it is sent.
+/// Positions of a drone at every millisecond, from the requests sent to it.
 fn flown(requests: &serde_json::Value) -> [Vec<f64>; 3] {
     ["x", "y", "z"].map(|axis| {
         let request = requests.as_array().unwrap().iter().map(|request| &request["control_request"]);
@@ -102,12 +102,12 @@ fn the_picture_of_a_dry_run_shows_every_device() {
     let path = folder.path().join("swap.svg");
     downbeat(&["dry-run", "scripts/examples/swap.yaml", "--picture", path.to_str().unwrap()]).says(0, &[]);
     let svg = std::fs::read_to_string(path).unwrap();
-    // A lane has its planned values in one path, and its dots in another.
+    // A lane draws its planned values in one path and its dots in another.
     assert_eq!(svg.matches("<path class='line'").count(), 24);
     assert_eq!(dots(&svg), 432);
 }
 
-/// Dots in the lanes of a picture; the legend has them in a class before its path.
+/// Number of dots in the lanes of a picture. In the legend, the class precedes the path, so its dots are not counted.
 fn dots(svg: &str) -> usize {
     svg.split("<path class='dots")
         .skip(1)

@@ -1,4 +1,4 @@
-//! Help texts at any width of the terminal: no line is longer than the terminal, and no line ends before it is full.
+//! Help texts at any terminal width: no line is longer than the terminal, and no line breaks before it is full.
 
 use std::process::Command;
 
@@ -6,7 +6,7 @@ use stage::play::SOON;
 use stage::session::program;
 use stage::terminal::Terminal;
 
-/// All commands of the program, as its own help lists them, and those below them.
+/// All commands and subcommands of the program, as listed in its own help.
 pub fn commands() -> Vec<String> {
     let mut commands = vec![String::new()];
     let mut next = 0;
@@ -14,7 +14,7 @@ pub fn commands() -> Vec<String> {
         let help = Command::new(program()).args(command.split_whitespace()).arg("-h").output().unwrap();
         let help = String::from_utf8(help.stdout).unwrap();
         let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1);
-        // A description that needs several lines is indented further.
+        // Further lines of a long description are indented more than the names.
         let listed = listed.take_while(|line| !line.is_empty()).filter(|line| indentation(line) == 2);
         let names = listed.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help");
         commands.extend(names.map(|name| format!("{command} {name}").trim().to_owned()));
@@ -23,17 +23,17 @@ pub fn commands() -> Vec<String> {
     commands
 }
 
-/// Wider terminals get no longer lines: those are hard to read.
+/// Help lines stay within this width even in wider terminals, because longer lines are hard to read.
 const WIDEST: usize = 100;
 
-/// What a command's help looks like in a terminal of so many columns.
+/// Help text of a command in a terminal with this many columns.
 fn help(command: &str, option: &str, columns: u16) -> String {
     let terminal = Terminal::new(columns, 50);
     let watched = terminal.watch();
     let mut program = Command::new(program());
     program.args(command.split_whitespace()).arg(option);
     terminal.attach(&mut program);
-    // What is read ends with a line that no help has.
+    // Marks the end of the output with a line that no help text contains.
     assert!(program.env("NO_COLOR", "1").status().unwrap().success(), "{command}");
     Command::new("echo").arg("THE END").stdout(terminal.end()).status().unwrap();
     watched.shows("THE END", SOON);
@@ -45,7 +45,7 @@ fn indentation(line: &str) -> usize {
     line.len() - line.trim_start().len()
 }
 
-/// Lines of which each says something of its own: headings, lists, examples, defaults.
+/// Whether a line is not part of a paragraph: headings, list items, examples, defaults.
 fn stands_alone(line: &str) -> bool {
     let text = line.trim_start();
     let listed = ["- ", "[", "downbeat ", "Usage: ", "-"].iter().any(|start| text.starts_with(start));
@@ -58,7 +58,7 @@ fn check_that_it_fills(command: &str, option: &str, columns: u16) {
     let width = usize::from(columns);
     assert!(text.contains("Usage: downbeat"), "{command}: {text}");
     for line in text.lines() {
-        // A usage is one piece.
+        // A usage line is never wrapped, so it may exceed the width.
         let words = if line.starts_with("Usage: ") { 1 } else { line.split_whitespace().count() };
         assert!(line.chars().count() <= width || words <= 1, "{command} at {columns}: `{line}`\n{text}");
     }
@@ -66,7 +66,7 @@ fn check_that_it_fills(command: &str, option: &str, columns: u16) {
     for pair in lines.windows(2) {
         let (line, next) = (pair[0], pair[1]);
         let together = !line.trim().is_empty() && !next.trim().is_empty();
-        // Within examples and lists, which are indented by two, each line is an entry.
+        // Examples and lists are indented by two; there, each line is an entry.
         let paragraph = indentation(line) == indentation(next) && indentation(line) != 2;
         if !together || !paragraph || stands_alone(line) || stands_alone(next) {
             continue;

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use stage::session::root;
 
-/// The imports of each top-level module of a crate outside its tests, as paths that begin with `crate::`. The root imports anything.
+/// Imports of each top-level module of a crate, as paths that begin with `crate::`. Tests and the crate root are left out: the root may
+/// import anything.
 fn imports(source: &Path) -> BTreeMap<String, BTreeSet<String>> {
     let mut imports = BTreeMap::new();
     collect(source, None, &mut imports);
@@ -32,7 +33,7 @@ fn collect(folder: &Path, module: Option<&str>, imports: &mut BTreeMap<String, B
     }
 }
 
-/// The modules after `crate::` in code before the tests of the file.
+/// Names of the modules after `crate::` in the code before the tests of the file.
 fn imported(text: &str) -> BTreeSet<String> {
     let code = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
     let code: Vec<_> = code.lines().map(|line| line.split("//").next().unwrap_or_default()).collect();
@@ -43,7 +44,7 @@ fn imported(text: &str) -> BTreeSet<String> {
     code.join("\n").split("crate::").skip(1).map(first).filter(|name| !name.is_empty()).collect()
 }
 
-/// Removes modules that import no other remaining one, again and again. The rest imports each other in circles.
+/// Repeatedly removes modules that import no remaining module. The remaining modules import each other in cycles.
 fn circles(mut imports: BTreeMap<String, BTreeSet<String>>) -> BTreeMap<String, BTreeSet<String>> {
     loop {
         let names: BTreeSet<_> = imports.keys().cloned().collect();

@@ -1,6 +1,6 @@
-//! Each sentence of `docs/mission.md` and `docs/protocol.md` that promises a behaviour has a judge, which finds a violation, and a
-//! planted fault that this judge finds. `promises/table.txt` has the sentences, as [`sentences`] reads them, in the order of their
-//! documents, each followed by its judges, or by the reason why it promises nothing.
+//! Each sentence of `docs/mission.md` and `docs/protocol.md` that promises a behaviour has a judge, which detects a violation, and a
+//! planted fault that this judge detects. `promises/table.txt` lists the sentences as [`sentences`] reads them, in document order. Each
+//! is followed by its judges, or by the reason why it promises nothing.
 
 mod sentences;
 
@@ -15,29 +15,29 @@ use sentences::sentences;
 const TABLE: &str = include_str!("promises/table.txt");
 const DOCUMENTS: [&str; 2] = ["docs/mission.md", "docs/protocol.md"];
 
-/// A sentence of the table.
+/// A row of the table: a sentence and its judges.
 struct Row {
     document: &'static str,
     sentence: &'static str,
     judges: Vec<Judge>,
-    /// Why it promises nothing.
+    /// Why the sentence promises nothing, if it has no judges.
     reason: Option<&'static str>,
 }
 
-/// What finds a violation of a promise, and what shows that it does.
+/// Detects a violation of a promise, and is itself tested by a planted fault.
 #[derive(Clone, Copy, Debug)]
 enum Judge {
-    /// The simulation, by this invariant. It is violated if this patch in `scheduler/simulation/planted` is applied.
+    /// The simulation, by this invariant. Applying this patch of `scheduler/simulation/planted` violates it.
     Simulation(&'static str, &'static str),
-    /// The simulation, by this invariant. This test of `scheduler/simulation/src/check/tests.rs` makes a mission violate it.
+    /// The simulation, by this invariant. This test in `scheduler/simulation/src/check/tests.rs` makes a mission violate it.
     Falsified(&'static str, &'static str),
-    /// The conformance test, by this requirement. This robot or door of `tests/processes/conformance` fails it.
+    /// The conformance test, by this requirement. This faulty robot or door of `tests/processes/conformance` fails it.
     Conformance(&'static str, &'static str),
     /// A test, written as `file::name`, that fails if the promise is broken.
     Test(&'static str),
 }
 
-/// The words by which these documents promise.
+/// Words that mark a sentence of these documents as a promise.
 const PROMISING: [&str; 12] = [
     "never",
     "no robot",
@@ -57,7 +57,7 @@ const PROMISING: [&str; 12] = [
 const PLANTED: &str = "scheduler/simulation/planted";
 /// Tests of the simulation's invariants.
 const FALSIFIED: &str = "scheduler/simulation/src/check/tests.rs";
-/// The robots and doors with faults.
+/// The faulty robots and doors.
 const FAULTY: &str = "tests/processes/conformance";
 
 impl Judge {
@@ -122,17 +122,17 @@ fn each_sentence_is_in_its_document_and_once_in_the_table() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Whether a source has a test with this name.
+/// Whether a source contains a test with this name.
 fn has_test(source: &str, name: &str) -> bool {
     let Some((before, _)) = source.split_once(&format!("fn {name}(")) else { return false };
     let attributes = before.rsplit('}').next().unwrap_or_default();
     attributes.contains("#[test]") || attributes.contains("#[tokio::test")
 }
 
-/// Whether a robot or a door with this fault is expected to fail this requirement.
+/// Whether a robot or door with this fault is expected to fail this requirement.
 fn is_failed_by(sources: &[String], requirement: &str, faulty: &str) -> bool {
     let places = [format!("\"{faulty}\","), format!("Fault::{faulty}, ")];
-    // What a fault fails follows its name.
+    // The requirements that a fault violates follow its name.
     sources.iter().any(|source| {
         let mut after = places.iter().filter_map(|place| Some(source.split_once(place)?.1));
         after.any(|after| {

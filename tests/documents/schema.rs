@@ -1,4 +1,4 @@
-//! The published schemas say what the reader says, as far as a schema can.
+//! The published schemas agree with the parser, as far as a schema can express its rules.
 
 use serde_json::Value;
 

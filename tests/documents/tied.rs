@@ -1,5 +1,5 @@
-//! Facts that stand in several places stand there alike: the keys of messages and files in schemas, documents, vectors and the
-//! dictionaries of the fuzzer. The schemas are the source here; unit tests compare them with what is read.
+//! Facts that are stated in several places agree: the keys of messages and files in schemas, documents, vectors and the fuzzer's
+//! dictionaries. The schemas are the reference here; unit tests compare them with the parser.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
@@ -17,7 +17,7 @@ fn schema(of: &str) -> Value {
     serde_json::from_slice(&printed).unwrap()
 }
 
-/// Names of the keys, or of the required ones, of a definition.
+/// Names of all keys of a definition.
 fn keys(schema: &Value, definition: &str) -> BTreeSet<String> {
     let properties = schema["$defs"][definition]["properties"].as_object();
     properties.unwrap_or_else(|| panic!("no {definition}")).keys().cloned().collect()
@@ -33,8 +33,8 @@ fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
-/// Tables of `docs/protocol.md`: the section, the first cell of the head, what it describes, and keys that stand apart in the
-/// schema, because they depend on other keys.
+/// Tables of `docs/protocol.md`: section, first cell of the head, definition in the schema, and keys that the schema lists elsewhere
+/// because they depend on other keys.
 const TABLES: [(&str, &str, &str, &[&str]); 11] = [
     ("## Availability", "`availability_request`", "AvailabilityRequest", &[]),
     ("## Availability", "`availability_response`", "AvailabilityResponse", &[]),
@@ -42,7 +42,7 @@ const TABLES: [(&str, &str, &str, &[&str]); 11] = [
     ("## Initialization", "device", "Device", &[]),
     ("## Control request", "key", "ControlRequest", &["control_value", "control_value_2"]),
     ("## Control request", "step of a script", "Step", &["control_value_2"]),
-    // `status_value` is required of a robot, and servers do without it.
+    // `status_value` is required of a robot, but servers accept a response without it.
     ("## Control response", "key", "ControlResponse", &["status_value"]),
     ("## Inquiry", "`inquiry`", "Inquiry", &[]),
     ("## Inquiry", "`inquiry_response`", "InquiryResponse", &[]),
@@ -50,7 +50,7 @@ const TABLES: [(&str, &str, &str, &[&str]); 11] = [
     ("## Inquiry", "entry of `devices`", "DeviceReport", &[]),
 ];
 
-/// The keys that a table lists, each with what stands in its column `required`.
+/// The keys that a table lists, each with its cell in column `required`.
 fn table(document: &str, section: &str, head: &str) -> BTreeMap<String, String> {
     let lines = document.lines().skip_while(|line| !line.starts_with(section));
     let lines = lines.skip_while(|line| !line.starts_with(&format!("| {head} | type |"))).skip(2);
@@ -78,7 +78,7 @@ fn the_tables_of_the_protocol_list_the_keys_of_its_schema() {
         let needed = needed.into_iter().filter(|key| !apart.contains(&key.as_str())).collect();
         assert_eq!(yes, needed, "docs/protocol.md, what `{head}` of {section} requires");
     }
-    // What has no table of its own stands in the table of control types, or in a sentence.
+    // A definition without a table of its own is described in the table of control types, or in a sentence.
     for (definition, described_by_name) in schema["$defs"].as_object().unwrap() {
         let Some(keys) = described_by_name["properties"].as_object() else { continue };
         if !described.contains(definition.as_str()) {
@@ -110,7 +110,7 @@ fn the_protocol_lists_every_code_of_an_error_and_every_word_of_a_key() {
     }
 }
 
-/// Notes which keys of which definition stand in a message.
+/// Collects the keys that a message contains, with their definitions.
 fn note(root: &Value, schema: &Value, message: &Value, found: &mut BTreeSet<(String, String)>) {
     if let Some(reference) = schema["$ref"].as_str() {
         let definition = reference.rsplit('/').next().unwrap();
@@ -161,7 +161,7 @@ fn the_vectors_have_every_key_of_every_message() {
 #[test]
 fn the_vectors_with_every_key_have_every_key() {
     let schema = schema("protocol");
-    // `home` belongs to an empty script only.
+    // `home` is valid only in an empty script.
     for (name, kind, definition, apart) in [
         ("control-request-every-key", "control_request", "ControlRequest", "home"),
         ("initialization-block-full", "initialization_block", "InitializationBlock", ""),
@@ -177,7 +177,7 @@ fn the_vectors_with_every_key_have_every_key() {
     }
 }
 
-/// Keys and words of a schema, each with the place of the list that it belongs to.
+/// Collects keys and enum words of a schema, each with the pointer to the list that contains it.
 fn names(pointer: &str, schema: &Value, found: &mut Vec<(String, String)>) {
     match schema {
         Value::Object(map) => {
@@ -196,7 +196,7 @@ fn names(pointer: &str, schema: &Value, found: &mut Vec<(String, String)>) {
     }
 }
 
-/// Which section describes what, by the beginning of the place in the schema; the first that fits counts.
+/// The section that describes a part of a schema, by the beginning of its pointer. The first match is used.
 const SECTIONS: [(&str, &str, &str, &str); 29] = [
     ("scenario", "/$defs/keyframe/properties/ease", "docs/scenario.md", "### Movements"),
     ("scenario", "/$defs/keyframe", "docs/scenario.md", "### A track"),
@@ -229,7 +229,7 @@ const SECTIONS: [(&str, &str, &str, &str); 29] = [
     ("fleet", "", "docs/scenario.md", "### The fleet file"),
 ];
 
-/// The words of the code in a section: what stands in backticks or in a block of code.
+/// The words of the code in a section, in backticks or in code blocks.
 fn code(document: &str, heading: &str) -> BTreeSet<String> {
     let from = match document.rfind(&format!("\n{heading}")) {
         Some(from) => &document[from + 1..],

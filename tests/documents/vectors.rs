@@ -1,4 +1,4 @@
-//! The vectors of the protocol, through our own decoder, encoder and robot, and through the published schema.
+//! Runs the protocol vectors through our own decoder, encoder and robot, and through the published schema.
 
 use std::fs;
 

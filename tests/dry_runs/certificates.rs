@@ -1,4 +1,4 @@
-//! A certificate lets exactly that be played which was tried against every fault, and a refusal names what differs.
+//! A certificate permits exactly the plan that was tried against every fault, and a refusal names the difference.
 
 use std::fs;
 
@@ -72,7 +72,7 @@ fn a_certificate_lists_every_fault_and_what_became_of_it() {
     }
 }
 
-/// What was changed after it was certified keeps the plan from being played, and is named.
+/// Changes a certified plan, and checks that it is refused and that the refusal names the change.
 #[track_caller]
 fn refused(file: &str, from: &str, to: &str, says: &[&str]) {
     let session = certified();
@@ -80,14 +80,14 @@ fn refused(file: &str, from: &str, to: &str, says: &[&str]) {
     for command in ["run", "preflight"] {
         let ran = session.run(&[&[command], &REQUIRED[1..]].concat());
         ran.says(1, says);
-        ran.says(1, &["does not certify what is to be played, so nothing is sent"]);
+        ran.says(1, &["does not certify this plan and this fleet, so nothing is sent"]);
         assert!(!ran.text().contains("show: done"), "{}", ran.text());
     }
 }
 
 #[test]
 fn one_step_more_or_elsewhere_is_refused() {
-    let says = ["act `two`: the scripts of `left/shoulder` are not those that were certified"];
+    let says = ["act `two`: the scripts of `left/shoulder` differ from the certified ones"];
     refused("show.yaml", "{at: 200ms, to: 0}", "{at: 200ms, to: 0.5}", &says);
     refused("show.yaml", "{at: 200ms, to: 0}", "{at: 201ms, to: 0}", &says);
 }
@@ -111,7 +111,7 @@ fn a_limit_a_description_and_a_body_are_named_with_their_robot() {
         "fleet.yaml",
         right,
         "right: {init: arm.yaml, wake_up: 2ms, address: sim",
-        &["`right`: wake_up_ms is 2, certified was 1"],
+        &["`right`: wake_up_ms is 2, but 1 was certified"],
     );
     refused(
         "arm.yaml",
@@ -127,35 +127,35 @@ fn the_ways_between_acts_their_order_and_their_policies_are_named() {
         "show.yaml",
         "next: end",
         "next: end, on_failure: home",
-        &[r#"act `two`: on_failure is "home", certified was "stop""#],
+        &[r#"act `two`: on_failure is "home", but "stop" was certified"#],
     );
     refused("show.yaml", "{act: one,", "{act: one, wait: operator,", &["act `one`: wait is", "operator"]);
     let session = certified();
     let mut lines: Vec<&str> = SHOW.lines().collect();
     lines.swap(3, 4);
-    // The first act begins, so that `one` has to follow now.
+    // The first act in the file starts the mission, so `one` now has to follow `two`.
     let swapped = lines
         .join("\n")
         .replace("next: two", "next: end ")
         .replace("to: 0}]}}], next: end}", "to: 0}]}}], next: one}");
     session.file("show.yaml", swapped);
-    session.run(&REQUIRED).says(1, &["the order of the acts: it is `two`, `one` now"]);
+    session.run(&REQUIRED).says(1, &["the order of the acts is now `two`, `one`"]);
 }
 
 #[test]
 fn other_options_are_named_and_not_every_script_that_they_change() {
     let session = certified();
     let ran = session.run(&[&REQUIRED[..], &["--speed", "0.5"]].concat());
-    ran.says(1, &["--speed: 0.5, certified was 1"]);
+    ran.says(1, &["--speed: 0.5, but certified with 1"]);
     assert!(!ran.text().contains("scripts of"), "{}", ran.text());
     session
         .run(&[&REQUIRED[..], &["--act", "one"]].concat())
-        .says(1, &["--act: `one`, certified was all acts"]);
+        .says(1, &["--act: `one`, but certified with all acts"]);
     session
         .run(&[&REQUIRED[..], &["--only", "left"]].concat())
-        .says(1, &["--only: `left`, certified was all robots"]);
+        .says(1, &["--only: `left`, but certified with all robots"]);
     let json = session.run(&[&REQUIRED[..], &["--speed", "0.5", "--format", "json"]].concat());
-    assert_eq!(json.json()["differences"][0], "--speed: 0.5, certified was 1");
+    assert_eq!(json.json()["differences"][0], "--speed: 0.5, but certified with 1");
 }
 
 #[test]
@@ -176,11 +176,11 @@ fn a_file_that_is_no_whole_certificate_is_refused_with_exit_code_2() {
     let session = certified();
     let whole = fs::read_to_string(session.path("show.cert.json")).unwrap();
     session.file("show.cert.json", &whole[..whole.len() / 2]);
-    session.run(&REQUIRED).says(2, &["not a whole certificate", "--certify"]);
+    session.run(&REQUIRED).says(2, &["is not a complete certificate", "--certify"]);
     session.file("show.cert.json", whole.replacen("\"seed\": 0", "\"seed\": 1", 1));
     session.run(&REQUIRED).says(2, &["was changed after it was written"]);
     session.file("show.cert.json", whole.replacen("\"certificate\": 1", "\"certificate\": 9", 1));
-    session.run(&REQUIRED).says(2, &["version 9", "reads version 1"]);
+    session.run(&REQUIRED).says(2, &["version 9", "expected version 1"]);
     fs::remove_file(session.path("show.cert.json")).unwrap();
     session.run(&REQUIRED).says(2, &["cannot read the certificate `show.cert.json`"]);
 }
@@ -195,7 +195,13 @@ fn a_promise_that_does_not_hold_is_named_and_nothing_is_written() {
         "right: {init: arm.yaml, simulate: {fault: refuse}, address: sim",
     );
     let ran = certify(&session);
-    ran.says(1, &["no fault: without a fault the mission ends as:", "no certificate is written"]);
+    ran.says(
+        1,
+        &[
+            "no fault: without a fault the mission ends as:",
+            "no certificate was written, because a guarantee did not hold",
+        ],
+    );
     assert!(!session.path("show.cert.json").exists());
 }
 
@@ -222,7 +228,7 @@ fn the_certificate_does_not_replace_what_it_is_made_from() {
     let session = session();
     session
         .run(&["dry-run", "show.yaml", "--certify", "show.yaml"])
-        .says(2, &["this would replace `show.yaml`"]);
+        .says(2, &["this would replace its own source `show.yaml`"]);
     session.file("arm.yaml", ARM);
 }
 

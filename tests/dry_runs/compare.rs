@@ -1,5 +1,4 @@
-//! `downbeat graph` and `downbeat diff` at a terminal: what they draw and tell, whatever names look like, and with which code they
-//! end.
+//! `downbeat graph` and `downbeat diff` at a terminal: their output for any kind of name, and their exit codes.
 
 use std::io::Write;
 
@@ -22,7 +21,7 @@ acts:
       - {cue: down, at: 0s, robots: left, tracks: {shoulder: [{at: 0s, to: 40}, {at: 1s, to: 0}]}}
 ";
 
-/// The show, and the show with this instead of that.
+/// The show, and a copy of it with these replacements.
 fn two(change: &[(&str, &str)]) -> Session {
     let session = Session::new();
     let mut changed = SHOW.to_owned();
@@ -145,7 +144,7 @@ fn the_closest_approach_is_better_or_worse() {
         std::fs::read_to_string(fleet).unwrap().replace("init: ", &format!("init: {}/", root().display()));
     assert!(text.contains("radius: 0.07"), "the bodies of the demo fleet: {text}");
     session.file("slim.yaml", text.replace("radius: 0.07", "radius: 0.05"));
-    // The descriptions of the robots are in the repository, and the changed fleet is not.
+    // The robot descriptions are in the repository, but the changed fleet is not.
     let diff = |fleet: &str, other: &str| {
         session.run(&["diff", swap, swap, "--fleet", fleet, "--fleet-b", other, "--project", "/"])
     };
@@ -165,9 +164,13 @@ fn what_cannot_be_compared_ends_with_2() {
     session.file("played/journal", "00000000 {\n");
     session
         .run(&["diff", "a.yaml", "played"])
-        .says(2, &["`played` is a mission that was played and `a.yaml` is not"]);
+        .says(2, &["`played` is a recorded mission, but `a.yaml` is not"]);
     let ran = session.run(&["diff", "a.yaml", "played", "--format", "json"]);
-    assert!(ran.json()["error"].as_str().unwrap().contains("give two scenarios"), "{}", ran.text());
+    assert!(
+        ran.json()["error"].as_str().unwrap().contains("expected two scenarios, or two recordings"),
+        "{}",
+        ran.text()
+    );
 }
 
 #[test]
@@ -183,9 +186,9 @@ fn names_from_outside_drive_no_terminal() {
 fn two_missions_are_compared_by_what_became_of_them() {
     let stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     for name in ["one.mcap", "two.mcap"] {
-        // Late steps are a difference, and no tolerance excuses them.
+        // Late steps are reported as a difference at any tolerance.
         let in_time = |ran: &stage::Ended| {
-            let late = ran.out.contains("late by more than");
+            let late = ran.out.contains("more than 1 ms late");
             if late {
                 drop(writeln!(std::io::stderr(), "played again, because the report names late steps: {ran}"));
             }
@@ -221,7 +224,7 @@ fn a_graph_has_every_cue_and_every_way() {
     assert_eq!(json["acts"][1]["waits_for"], "the operator");
     let course: Vec<_> = json["course"].as_array().unwrap().iter().map(|way| way["kind"].clone()).collect();
     assert_eq!(course, ["next", "next", "on_timeout"]);
-    session.run(&["graph", "a.yaml"]).says(0, &["digraph", "subgraph cluster_a1", "after 5 s without it"]);
+    session.run(&["graph", "a.yaml"]).says(0, &["digraph", "subgraph cluster_a1", "timeout after 5 s"]);
 }
 
 #[test]
@@ -230,9 +233,7 @@ fn a_graph_of_one_act_has_no_course() {
     let ran = session.run(&["graph", "a.yaml", "--act", "fall"]);
     ran.says(0, &["cluster_a1"]);
     assert!(!ran.out().contains("cluster_a0") && !ran.out().contains("end ["), "{}", ran.out());
-    session
-        .run(&["graph", "a.yaml", "--act", "fal"])
-        .says(2, &["there is no act `fal`", "did you mean `fall`?"]);
+    session.run(&["graph", "a.yaml", "--act", "fal"]).says(2, &["unknown act `fal`", "did you mean `fall`?"]);
 }
 
 #[test]
@@ -286,5 +287,7 @@ fn the_page_has_the_first_plan_behind_the_second() {
     let up = differences.iter().find(|difference| difference["subject"] == "up").unwrap();
     assert_eq!((&up["at"], &up["text"]), (&500.0.into(), &"start 0 ms → 500 ms".into()));
     assert!(differences.iter().any(|difference| difference["subject"] == "left/shoulder"), "{differences:?}");
-    session.run(&["diff", "a.yaml", "b.yaml", "--html", "a.yaml"]).says(2, &["this would replace `a.yaml`"]);
+    session
+        .run(&["diff", "a.yaml", "b.yaml", "--html", "a.yaml"])
+        .says(2, &["this would replace its own source `a.yaml`"]);
 }

@@ -1,19 +1,19 @@
-//! Robots whose clocks drift while they play, by the one clock of the virtual world.
+//! Robots whose clocks drift while they play, measured by the one true clock of the virtual world.
 
 use serde_json::Value;
 
 use stage::session::Session;
 
-/// Ten minutes of nods, one a second.
+/// Ten minutes of nods, one per second.
 const NODS: (u32, &str, &str) = (600, "1s", "{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}");
 
-/// Ten minutes in which the device moves all the time.
+/// Ten minutes of constant movement.
 const SLIDES: (u32, &str, &str) = (300, "2s", "{at: 0s, to: 0}, {at: 1s, to: 10}, {at: 2s, to: 0}");
 
 /// Ten minutes of one movement.
 const RIDE: (u32, &str, &str) = (1, "600s", "{at: 0s, to: 0}, {at: 600s, to: 600}");
 
-/// A cue that repeats a movement of these robots.
+/// A cue in which these robots repeat a movement.
 fn cue(robots: &str, (times, every, keyframes): (u32, &str, &str)) -> String {
     format!(
         "  - {{at: 0s, robots: [{robots}], repeat: {{times: {times}, every: {every}}}, tracks: {{rail: [{keyframes}]}}}}\n"
@@ -29,7 +29,7 @@ struct Rail {
 
 const RAIL: Rail = Rail { interpolation: "linear", queue: 2, steps: 250, inquiry: true };
 
-/// Two robots with clocks of ±20 ppm, which are measured.
+/// Two robots with measured clocks of ±20 ppm.
 fn fleet(rail: &Rail) -> Session {
     let Rail { interpolation, queue, steps, inquiry } = rail;
     let init = |id: &str| {
@@ -64,7 +64,7 @@ fn played(cues: &str, rail: &Rail) -> (i32, Value) {
     (ran.code(), ran.json())
 }
 
-/// Largest of the true spreads of starts and of last steps, in milliseconds.
+/// The larger of the true spreads of starts and of last steps, in milliseconds.
 fn spread(report: &Value) -> f64 {
     let of = |key: &str| report[key].as_f64().unwrap_or_else(|| unreachable!("no {key}: {report}"));
     of("true_spread_ms").max(of("true_end_spread_ms"))
@@ -88,7 +88,7 @@ fn robots_whose_clocks_are_measured_stay_together_for_ten_minutes() {
     }
 }
 
-/// How far the report says that robots were apart, in milliseconds.
+/// Distance in time between the robots according to the report, in milliseconds.
 fn out_of_tolerance((code, report): &(i32, Value)) -> f64 {
     assert_eq!(*code, 6, "{report}");
     report["outcome"]["out_of_tolerance"]["spread_ms"].as_f64().unwrap()
@@ -96,7 +96,7 @@ fn out_of_tolerance((code, report): &(i32, Value)) -> f64 {
 
 #[test]
 fn a_mission_whose_clocks_drift_beyond_the_tolerance_is_not_done() {
-    // The device holds one script, so that nothing can be corrected.
+    // The device holds one script, so drift cannot be corrected.
     let played = played(&cue("one, two", NODS), &Rail { queue: 1, steps: 5_000, ..RAIL });
     let (told, true_spread) = (out_of_tolerance(&played), spread(&played.1));
     assert!((23.5..24.1).contains(&true_spread), "{true_spread} ms");

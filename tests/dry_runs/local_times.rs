@@ -12,6 +12,7 @@ fn acts_start_at_the_local_times_for_which_they_wait_with_the_date_on_another_da
     };
     let acts = [act("late", "23:59:50"), act("early", "00:00:30")].concat();
     session.file("night.yaml", format!("scenario: night\nacts:\n{acts}"));
-    let ran = Ran(session.command(&["dry-run", "night.yaml"]).env("TZ", "CET-1").output().unwrap());
+    let ran =
+        Ran(session.command(&["dry-run", "night.yaml", "--verbose"]).env("TZ", "CET-1").output().unwrap());
     ran.says(0, &["23:59:50.000 ", "00:00:30.000 on 2 Jan 2026"]);
 }

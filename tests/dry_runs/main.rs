@@ -1,7 +1,8 @@
-//! Dry runs, their pictures, pages, certificates and trials: no real time.
+//! Dry runs, their pictures, pages, certificates and trials. Nothing runs in real time.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod bound;
+mod brief;
 mod certificates;
 mod compare;
 mod drift;

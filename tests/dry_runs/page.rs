@@ -1,5 +1,5 @@
-//! Pages for a browser: what they show is what the command line says, whatever names look like, and a page is written whole or not
-//! at all. `viewer/test/` opens pages in a browser.
+//! Pages for a browser: they show the same as the command line, for any kind of name, and a page is written completely or not at all.
+//! `viewer/test/` opens pages in a browser.
 
 use std::fs;
 use std::io::Read;
@@ -13,12 +13,12 @@ use serde_json::Value;
 
 use stage::session::{Ran, Session, program, root};
 
-/// In the folder of the project, with the demo fleet.
+/// Runs in the folder of the project, with the demo fleet.
 fn downbeat(args: &[&str]) -> Ran {
     Ran(Command::new(program()).args(args).current_dir(root()).output().unwrap())
 }
 
-/// What a page shows.
+/// Data in a page.
 pub struct Page {
     pub mission: Value,
     columns: Vec<u8>,
@@ -36,7 +36,7 @@ impl Page {
         Self { mission: serde_json::from_slice(json).unwrap(), columns: columns.to_vec() }
     }
 
-    /// The numbers of a column, read independently of the program.
+    /// The numbers of a column, decoded independently of the program.
     pub fn numbers(&self, column: &Value) -> Vec<f64> {
         let mut bytes = self.columns[column["at"].as_u64().unwrap() as usize..].iter().copied();
         let scale = 10.0_f64.powi(column["decimals"].as_i64().unwrap() as i32);
@@ -70,7 +70,7 @@ impl Page {
         lanes.iter().find(|lane| lane["robot"] == index && lane["device"] == device).unwrap()
     }
 
-    /// The steps of a device, by the time from the act's start in milliseconds.
+    /// The steps of a device as (milliseconds since the act's start, value).
     fn steps(&self, robot: &str, device: &str) -> Vec<(f64, f64)> {
         let script = &self.lane(0, robot, device)["scripts"][0];
         let start = script["start"].as_f64().unwrap();
@@ -141,7 +141,7 @@ fn a_body_that_is_driven_by_speed_moves_on_the_page() {
     assert_eq!((&driven["id"], &driven["default"]), (&"x of its drive".into(), &0.0.into()));
     let x = page.steps("rover-1", "x of its drive");
     let y = page.steps("rover-1", "y of its drive");
-    // It starts at (0, -4), comes 1.5 m closer and goes back.
+    // The rover starts at (0, -4), comes 1.5 m closer and goes back.
     assert_eq!((x[0], y[0]), ((0.0, 0.0), (0.0, -4.0)));
     assert!(x.len() < 200 && x.windows(2).all(|pair| pair[0].0 <= pair[1].0), "{x:?}");
     assert!(x.iter().any(|(_, x)| *x > 0.5), "{x:?}");
@@ -196,7 +196,8 @@ fn a_page_never_replaces_what_it_is_made_from_and_a_link_leads_to_the_file_that_
     assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
     assert!(fs::read_to_string(&path).unwrap().starts_with("<!doctype html>"));
     let text = fs::read_to_string(root().join(SWAP)).unwrap();
-    downbeat(&["dry-run", SWAP, "--html", SWAP]).says(2, &["would replace", "give another name"]);
+    downbeat(&["dry-run", SWAP, "--html", SWAP])
+        .says(2, &["this would replace its own source", "choose another name"]);
     downbeat(&["dry-run", SWAP, "--html", "-"]).says(2, &["`-` is not a file"]);
     assert_eq!(fs::read_to_string(root().join(SWAP)).unwrap(), text);
 }
@@ -223,7 +224,7 @@ fn an_act_that_nobody_began_is_not_shown_as_played() {
     }
 }
 
-/// A mission that was recorded, its recording and its journal.
+/// A recorded mission with its recording and its journal.
 fn recorded() -> Session {
     let session = Session::new();
     let (example, fleet) = (root().join(SWAP), root().join("fleet.yaml"));
@@ -268,9 +269,9 @@ fn a_mission_that_was_recorded_is_shown_with_its_steps_and_its_starts() {
     let other = root().join("scripts/examples/tank.yaml").display().to_string();
     session
         .run(&[&with[..], &[&other]].concat())
-        .says(2, &["the scenario is not what was played", "`cf1/x`"]);
+        .says(2, &["the scenario is not the one that was played", "`cf1/x`"]);
     let act = &page.mission["acts"][0];
-    // On a slow machine, the commit may come after the time from which a stop comes too late.
+    // On a slow machine, the commit may come after the last moment at which a stop is still in time.
     for phases in [["sent", "decided", "committed", "start"], ["sent", "decided", "no_return", "start"]] {
         let at = phases.map(|phase| act[phase].as_f64().unwrap());
         assert!(at.windows(2).all(|pair| pair[0] < pair[1]), "{phases:?}: {at:?}");
@@ -286,24 +287,26 @@ fn a_recording_or_a_journal_that_is_not_whole_is_refused_unless_a_part_is_asked_
     session.file("cut.mcap", &whole[..whole.len() * 2 / 3]);
     session
         .run(&["report", "cut.mcap", "--html", "cut.html"])
-        .says(2, &["`cut.mcap` is not whole: after ", "--partial"]);
+        .says(2, &["`cut.mcap` is incomplete: after ", "--partial"]);
     assert!(!session.path("cut.html").exists());
     session
         .run(&["report", "cut.mcap", "--html", "cut.html", "--partial"])
-        .says(0, &["is not whole", "swap: "]);
+        .says(0, &["`cut.mcap` is incomplete: after ", "swap: "]);
     assert_eq!(Page::read(&session.path("cut.html")).mission["acts"][0]["name"], "swap");
     let mut damaged = whole.clone();
     let middle = whole.len() / 2;
     damaged[middle] ^= 1;
     session.file("damaged.mcap", &damaged);
-    session.run(&["report", "damaged.mcap"]).says(2, &["`damaged.mcap` is not whole: after "]);
+    session.run(&["report", "damaged.mcap"]).says(2, &["`damaged.mcap` is incomplete: after "]);
     session.file("none.mcap", &whole[..8]);
-    session.run(&["report", "none.mcap", "--partial"]).says(2, &["give the mission's journal"]);
+    session
+        .run(&["report", "none.mcap", "--partial"])
+        .says(2, &["use the mission's journal if it still exists"]);
     let journal = journal(&session);
     session.run(&["report", journal.parent().unwrap().to_str().unwrap()]).says(0, &["swap: done"]);
     let text = fs::read_to_string(&journal).unwrap();
     session.file("bad", text.replacen("\"checked\"", "\"chocked\"", 1));
-    session.run(&["report", "bad"]).says(2, &["`bad` is not whole: line 3 is damaged"]);
+    session.run(&["report", "bad"]).says(2, &["`bad` is incomplete: line 3 is damaged"]);
     session.run(&["report", "none"]).says(2, &["there is no such file"]);
     session.file("other", b"robots: {}\n");
     session.run(&["report", "other"]).says(2, &["neither a recording nor a journal"]);

@@ -1,4 +1,5 @@
-//! Pictures of dry runs: a show of five minutes on ten robots stays readable, and small. `DOWNBEAT_PICTURE=show.svg` keeps it.
+//! Pictures of dry runs: a five-minute show with ten robots stays readable, and its file small. `DOWNBEAT_PICTURE=show.svg` keeps the
+//! picture.
 
 use std::fmt::Write as _;
 
@@ -6,7 +7,7 @@ use roxmltree::{Document, Node};
 
 use stage::session::Session;
 
-/// Devices of a robot: id, how it gets from step to step, least and largest value.
+/// Devices of a robot: id, interpolation, minimum and maximum value.
 type Devices = [(&'static str, &'static str, i32, i32); 4];
 
 const ARM: Devices = [
@@ -24,7 +25,7 @@ const LIGHT: Devices = [
 const PARTS: [&str; 6] = ["intro", "verse", "bridge", "chorus", "solo", "finale"];
 const VERBS: [&str; 5] =
     ["rises & turns", "waves to the audience", "blinks", "follows the singer <slowly>", "bows"];
-/// Seconds.
+/// Length of a part, in seconds.
 const PART: usize = 50;
 
 fn init(kind: &str, devices: Devices) -> String {
@@ -40,7 +41,7 @@ fn init(kind: &str, devices: Devices) -> String {
     )
 }
 
-/// What the cue of a part lets a device do.
+/// Track of a device in the cue of a part.
 fn track(robot: usize, part: usize, (id, interpolation, least, largest): (&str, &str, i32, i32)) -> String {
     let (middle, most) = ((least + largest) / 2, (largest - least) / (3 + part as i32 % 3));
     let length = [9, 42, 1, 33, 24][(robot * 3 + part) % 5];
@@ -122,7 +123,7 @@ fn a_show_of_five_minutes_on_ten_robots_is_readable() {
     assert_eq!(of_class(&picture, "lane").count(), 40);
     assert_eq!(svg.matches(">2:30<").count(), 2, "a ruler above and one below");
     check_names(&picture, width);
-    // A flick within one pixel goes from the least to the largest value, 22 pixels.
+    // A flick within one pixel spans the minimum to the maximum value, 22 pixels.
     let lane =
         picture.descendants().find(|node| node.text().is_some_and(|text| text.starts_with("arm-1, gripper")));
     let paths =
@@ -134,10 +135,10 @@ fn a_show_of_five_minutes_on_ten_robots_is_readable() {
     );
 }
 
-/// Sixty-one bars with titles; no name runs into another cue of its row, or out of the picture.
+/// Checks that 61 bars have titles, and that no name overlaps another cue of its row or leaves the picture.
 #[track_caller]
 fn check_names(picture: &Document<'_>, width: f64) {
-    // Row, begin, end.
+    // Row, begin and end of each bar.
     let mut extents: Vec<(i64, f64, f64)> = Vec::new();
     let bars = of_class(picture, "cue").filter(|bar| bar.attribute("x").is_some());
     for bar in bars {

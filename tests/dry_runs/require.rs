@@ -1,10 +1,10 @@
-//! What a scenario requires is judged by the commands that can, and what is not met ends them with exit code 1.
+//! The commands that can judge a scenario's requirements do so, and exit with code 1 if one is not met.
 
 use serde_json::{Value, json};
 
 use stage::session::{Ran, Session};
 
-/// Two arms that move, with these requirements. Their bodies are balls; `left` moves from 1.8 m to 1.755 m of the other.
+/// Two moving arms with these requirements. Their bodies are balls; `left` moves from 1.8 m to 1.755 m from the other.
 fn session(require: &str) -> Session {
     let session = Session::new();
     session.file(
@@ -36,7 +36,17 @@ fn a_dry_run_says_of_each_requirement_whether_it_is_met_or_why_that_is_not_known
         "{spread_p99: below 5ms, spread_max: at most 5ms, finishes: at least 99 %, closest: above 1.7m}",
     );
     let ran = session.run(&["dry-run", "show.yaml"]);
-    ran.says(0, &["spread_p99", "not known", "at least 99%", "1.755 m", "--trials", "2 not known"]);
+    ran.says(
+        0,
+        &[
+            "spread_p99",
+            "not known",
+            "at least 99%",
+            "1.755 m",
+            "--trials",
+            "no requirement is known to be unmet; 2 unknown",
+        ],
+    );
     let ran = session.run(&["dry-run", "show.yaml", "--format", "json"]);
     let expected =
         [("spread_p99", "not_known"), ("spread_max", "met"), ("finishes", "not_known"), ("closest", "met")];
@@ -62,7 +72,7 @@ fn a_distance_that_is_not_kept_fails_check_plan_and_dry_run_but_not_the_mission(
     assert_eq!(session.run(&["check", "show.yaml", "--format", "json"]).json()["ok"], json!(false));
     let plan = session.run(&["plan", "show.yaml", "--format", "json"]);
     assert_eq!((plan.code(), results(&plan)), (1, vec![("closest".to_owned(), "not_met".to_owned())]));
-    session.run(&["dry-run", "show.yaml"]).says(1, &["2 requirements NOT met, 1 not known"]);
+    session.run(&["dry-run", "show.yaml"]).says(1, &["1 of 2 requirements NOT met, 1 unknown"]);
     session.play(&["run", "show.yaml"]).says(0, &["DB0056", "show: done"]);
 }
 

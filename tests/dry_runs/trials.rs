@@ -1,4 +1,4 @@
-//! Worlds and trials as a user meets them: what they print, their exit codes, and mistakes in world files.
+//! Worlds and trials as a user sees them: output, exit codes, and mistakes in world files.
 
 use serde_json::Value;
 

@@ -1,4 +1,4 @@
-//! `downbeat export`: what other tools get is what the scenario says, and comes back as it went.
+//! `downbeat export`: other tools get exactly the content of the scenario, and importing it again restores it.
 
 use stage::session::{Session, root};
 
@@ -26,7 +26,7 @@ fn a_drone_show_goes_out_as_csv_and_comes_back_the_same() {
         "{text}"
     );
     let drone = rows(&text);
-    // Up in 2 s, there in 8 s, down in 2 s; the show lasts 16.75 s.
+    // Up in 2 s, across in 8 s, down in 2 s; the show lasts 16.75 s.
     for (row, expected) in
         [(4, [1_000.0, 3.0, 0.0, 2.0]), (24, [6_000.0, 3.0, 3.0, 4.0]), (66, [16_500.0, 3.0, 6.0, 0.0])]
     {

@@ -1,4 +1,4 @@
-//! What Downbeat does on its own host: which files it opens, which programs it starts, who can read what it writes.
+//! Effects of Downbeat on its own host: the files it opens, the programs it starts, and who can read the files it writes.
 
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, symlink};
 use std::path::Path;
@@ -14,10 +14,10 @@ start_tolerance: 1s
 cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 0}, {at: 300ms, to: 20}]}}]
 ";
 
-/// As long as the longest test may wait for a command that must not wait.
+/// Longest duration of a command that must not wait.
 const AT_ONCE: Duration = Duration::from_secs(5);
 
-/// The user that owns nothing.
+/// The user id that owns no files.
 const NOBODY: u32 = 65_534;
 
 fn session() -> Session {
@@ -59,7 +59,7 @@ fn at_once(mut command: Command) -> Ran {
     Ran(child.wait_with_output().unwrap())
 }
 
-/// The folders of missions below a state folder.
+/// The folders of the missions in a state folder.
 fn missions(state: &Path) -> Vec<std::path::PathBuf> {
     std::fs::read_dir(state).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
@@ -95,7 +95,7 @@ fn what_a_mission_leaves_is_for_its_user_alone() {
         SHOW.replace("cues: [", "acts: [{act: one, wait: operator, cues: [").replace("}]\n", "}]}]\n"),
     );
     let mut command = session.command(&["run", "wait.yaml", "--detach"]);
-    // As generous as can be.
+    // The most permissive umask.
     let umask = rustix::process::umask(Mode::empty());
     let ran = Ran(command.output().unwrap());
     rustix::process::umask(umask);
@@ -119,11 +119,9 @@ fn a_state_folder_of_another_user_or_open_to_others_is_refused() {
     assert_eq!(mode(&state), 0o700, "others could still read it");
     permit(0o1777);
     for args in [&["missions"][..], &["stop"], &["resume"], &["go"], &["run", "show.yaml"]] {
-        session.run(args).says(2, &["may be written by other users (mode 1777)", "chmod -R go= "]);
+        session.run(args).says(2, &["is writable by other users (mode 1777)", "chmod -R go= "]);
     }
-    session
-        .play(&["run", "show.yaml", "--no-journal"])
-        .says(0, &["warning: ", "may be written by other users"]);
+    session.play(&["run", "show.yaml", "--no-journal"]).says(0, &["warning: ", "is writable by other users"]);
     permit(0o700);
     let link = session.path("link");
     symlink(&state, &link).unwrap();
@@ -134,7 +132,7 @@ fn a_state_folder_of_another_user_or_open_to_others_is_refused() {
         for args in [&["missions"][..], &["stop"], &["resume"], &["run", "show.yaml"]] {
             session
                 .run(args)
-                .says(2, &["belongs to user 65534, and this process runs as user 0", "set DOWNBEAT_STATE"]);
+                .says(2, &["belongs to user 65534, but this process runs as user 0", "set DOWNBEAT_STATE"]);
         }
     }
 }
@@ -150,7 +148,8 @@ fn a_folder_of_a_mission_that_was_planted_is_named_and_nothing_of_it_is_done() {
     pipe(&state.join("a-pipe/journal"));
     std::fs::create_dir(state.join("linked")).unwrap();
     std::fs::hard_link(folder.join("journal"), state.join("linked/journal")).unwrap();
-    let named = ["a-link is a symbolic link", "a-pipe/journal is no file", "linked/journal has other names"];
+    let named =
+        ["a-link is a symbolic link", "a-pipe/journal is not a file", "linked/journal has other names"];
     at_once(session.command(&["stop"])).says(1, &named);
     at_once(session.command(&["missions", "--all"])).says(0, &named);
     at_once(session.command(&["run", "show.yaml"])).says(0, &named);
@@ -160,7 +159,7 @@ fn a_folder_of_a_mission_that_was_planted_is_named_and_nothing_of_it_is_done() {
     }
 }
 
-/// A fleet of which a program drives one robot; the program leaves a file.
+/// A fleet with one robot that a program drives. The program creates a file when it starts.
 fn programmed() -> Session {
     let session = session();
     let fleet = "robots:
@@ -211,7 +210,7 @@ fn a_command_that_only_looks_starts_no_program_unless_it_is_told_to() {
 
 const SECRET: &str = "root:x:0:0:the secret";
 
-/// A project next to a file that is none of its files, of which nothing may be told.
+/// A project next to a file outside it, whose content must not be disclosed.
 fn outside(fleet: &str, show: &str) -> Session {
     let session = session();
     session.file("secret", SECRET).file("show/arm.yaml", ARM);
@@ -270,15 +269,15 @@ fn the_operator_says_how_wide_a_project_is() {
         let mut command = session.command(args);
         Ran(command.current_dir(session.path("show")).output().unwrap())
     };
-    // The folder above has a fleet file, but the nearest one counts.
+    // The folder above has a fleet file too, but the nearest one is used.
     check(&["check", "show.yaml"]).says(2, &["DB0057", "fleet.yaml:1:23"]);
     check(&["check", "show.yaml", "--project", ".."]).says(0, &["no errors"]);
     check(&["fleet", "ping"]).says(2, &["DB0057"]);
     check(&["fleet", "ping", "--project", ".."]).says(0, &["left"]);
     check(&["run", "show.yaml", "--project", ".."]).says(0, &["show: done"]);
-    check(&["check", "show.yaml", "--project", "none"]).says(2, &["there is no such folder"]);
-    check(&["check", "show.yaml", "--project", "show.yaml"]).says(2, &["this is not a folder"]);
-    // A repository is a project by itself.
+    check(&["check", "show.yaml", "--project", "none"]).says(2, &["the folder does not exist"]);
+    check(&["check", "show.yaml", "--project", "show.yaml"]).says(2, &["it is not a folder"]);
+    // A repository is its own project.
     std::fs::create_dir(session.path(".git")).unwrap();
     check(&["check", "show.yaml"]).says(0, &["no errors"]);
 }

@@ -1,4 +1,4 @@
-//! `downbeat import`, from other people's files to a scenario that passes `downbeat check`.
+//! `downbeat import`: from other programs' files to a scenario that passes `downbeat check`.
 
 use stage::session::{Ran, Session, program, root};
 
@@ -27,7 +27,7 @@ fn check_csv(text: &str, parts: &[&str]) {
     import(&session, &["csv", "test.csv", "--time-unit", "s", "--map", "arm/a=a"]).says(1, parts);
 }
 
-/// Imports into a folder, and checks what is there.
+/// Imports into a folder, and checks the written files.
 #[track_caller]
 fn check_round_trip(args: &[&str], figures: &str) {
     let session = Session::new();
@@ -52,10 +52,10 @@ fn polynomial_pieces_become_a_scenario_that_passes() {
         ],
     );
     let sampled = import(&session, &["crazyswarm", &swap, "--rate", "4"]);
-    sampled.says(0, &["- {at: 250ms, to: -3.300855}", "without --rate the curve itself is kept"]);
+    sampled.says(0, &["- {at: 250ms, to: -3.300855}", "without --rate, the curve itself is kept"]);
 }
 
-/// Every number of a line.
+/// All numbers of a line.
 fn numbers(line: &str, separators: &[char]) -> Vec<f64> {
     line.split(separators).filter_map(|cell| cell.trim().parse().ok()).collect()
 }
@@ -112,12 +112,11 @@ fn the_unit_of_times_is_read_or_asked_for() {
         session.file("log.csv", format!("{header},a\n0,1\n95750,2\n"));
         import(&session, &["csv", "log.csv", "--time", "1", "--map", "arm/a=a"]).says(0, &["at: 95750ms"]);
     }
-    for (header, part) in
-        [("t", "nothing says in which unit"), ("t [jiffies]", "not known"), ("sec.nsec", "not known")]
-    {
+    for header in ["t", "t [jiffies]", "sec.nsec"] {
         session.file("log.csv", format!("{header},a\n0,1\n2,2\n"));
         let args = ["csv", "log.csv", "--time", "1", "--map", "arm/a=a"];
-        import(&session, &args).says(1, &["DB0062", "log.csv:1:1", part, "--time-unit s"]);
+        import(&session, &args)
+            .says(1, &["DB0062", "log.csv:1:1", "the unit of the times is unknown", "--time-unit s"]);
         import(&session, &[&args[..], &["--time-unit", "min"]].concat()).says(0, &["at: 120s"]);
         import(&session, &[&args[..], &["--time-unit", "4fps"]].concat()).says(0, &["at: 500ms"]);
         import(&session, &[&args[..], &["--time-unit", "furlongs"]].concat()).says(2, &["hh:mm:ss"]);
@@ -147,7 +146,7 @@ fn motions_and_lights_of_other_tools_become_scenarios_that_pass() {
         "no errors, 1 robot, 1 device, 41 steps, 1 s",
     );
     import(&Session::new(), &["webots", &star, "--map", "a/b=c"])
-        .says(2, &["--map is an option of csv and fseq only"]);
+        .says(2, &["--map applies only to csv and fseq"]);
 }
 
 #[test]
@@ -198,7 +197,7 @@ fn every_csv_of_a_drone_show_is_a_robot_with_a_lamp() {
     let all =
         ["3 files, a robot each", "3 robots, 1 scene", "- cue: Drone 1\n", "- {at: 500ms, to: [255, 0, 0]}"];
     ran.says(0, &all);
-    ran.says(0, &["`lamp` of `Drone 2` does not change in 1 line: left out"]);
+    ran.says(0, &["left out 1 line in which `lamp` of `Drone 2` does not change"]);
     assert!(ran.out().find("- cue: Drone 2\n") < ran.out().find("- cue: Drone 10\n"));
     assert!(!ran.out().contains("at: 1s, to: [255, 0, 0]"));
     import(&session, &[&args[..], &["--output", "out"]].concat()).says(0, &[]);
@@ -219,7 +218,7 @@ fn columns_are_mapped_by_pattern_and_what_is_left_out_is_told() {
         &[
             "ch1:\n        - {at: 0s, to: 1, ease: step}",
             "ch2:\n        - {at: 0s, to: 350}\n        - {at: 1s, to: 370}",
-            "left out 1 column that nothing maps: `note`",
+            "ignored 1 column without a mapping: `note`",
             "`ch2` continues past 360: 1 turn",
         ],
     );
@@ -253,9 +252,9 @@ fn a_table_with_too_many_columns_is_only_told_that() {
     session.file("wide.csv", format!("t [s],{}\n0,{row}\n1,{row}\n", header.join(",")));
     let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=ch*"]);
     ran.says(1, &["DB0068", "up to 40000 devices", "at most 10000 robots of 1000 devices"]);
-    assert!(!ran.text().contains("left out"), "{}", ran.text());
+    assert!(!ran.text().contains("ignored"), "{}", ran.text());
     let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=chan*"]);
-    assert!(!ran.text().contains("left out"), "{}", ran.text());
+    assert!(!ran.text().contains("ignored"), "{}", ran.text());
 }
 
 #[test]
@@ -275,7 +274,10 @@ fn folders_become_acts_in_numerical_order_or_one_list() {
     let session = Session::new();
     let sequence = fixture("sequence");
     let ran = import(&session, &["crazyswarm", &sequence]);
-    ran.says(0, &["sorted 2 scenes by number", "  - act: scene 9\n    cues:\n      - cue: cf1"]);
+    ran.says(
+        0,
+        &["sorted 2 scenes of each of 2 robots by number", "  - act: scene 9\n    cues:\n      - cue: cf1"],
+    );
     assert!(ran.out().find("act: scene 9") < ran.out().find("act: scene 18"));
     check_round_trip(&["crazyswarm", &sequence, "--join"], "2 robots, 8 devices");
 }
@@ -296,7 +298,7 @@ fn a_trajectory_with_more_pieces_than_a_robot_holds_is_found() {
 fn waypoints_may_leave_lines_out() {
     check_round_trip(&["waypoints", &fixture("waypoints.csv")], "3 robots, 9 devices, 24 steps, 4 s");
     let ran = import(&Session::new(), &["waypoints", &fixture("waypoints.csv")]);
-    ran.says(0, &["`cf2` has 2 waypoints where others have 3"]);
+    ran.says(0, &["`cf2` has 2 waypoints, but others have 3"]);
 }
 
 #[test]
@@ -311,7 +313,9 @@ fn keyframes_of_humanoids_are_held_for_their_pauses_and_where_joints_are_left_ou
     assert!(json["notes"][0].as_str().unwrap().ends_with("cheering.json: held 6 pauses"));
     import(&Session::new(), &["bitbots", &fixture("turning_front_left.json")]).says(
         0,
-        &["not in the first keyframe, so on their way from the start: `RShoulderPitch`, `RShoulderRoll`"],
+        &[
+            "joints missing from the first keyframe, which move to their first value from the start: `RShoulderPitch`, `RShoulderRoll`",
+        ],
     );
 }
 
@@ -330,13 +334,18 @@ fn joint_trajectories_are_sampled_where_velocities_say_how_they_curve() {
     let yaml = "joint_names: [elbow]\npoints:\n- {positions: [0], velocities: [0], time_from_start: 0}\n- {positions: [1], velocities: [0], time_from_start: {sec: 1, nanosec: 0}}\n";
     session.file("move.yaml", yaml);
     let straight = import(&session, &["joint-trajectory", "move.yaml"]);
-    straight
-        .says(0, &["the cubic of its positions and velocities", "the robot must be there when it starts"]);
+    straight.says(
+        0,
+        &[
+            "the path between points is a cubic through their positions and velocities",
+            "the robot must be at this point before the start",
+        ],
+    );
     straight.says(0, &["polynomial:\n          - {for: 1s, coefficients: [0, 0, 3, -2]}"]);
     session
         .file("late.yaml", yaml.replace("time_from_start: 0}", "time_from_start: 0.5, accelerations: [1]}"));
     let late = import(&session, &["joint-trajectory", "late.yaml"]);
-    late.says(0, &["velocities are left out", "left out accelerations and efforts of 1 point"]);
+    late.says(0, &["velocities are ignored", "ignored accelerations and efforts of 1 point"]);
     let curved = import(&session, &["joint-trajectory", "move.yaml", "--rate", "4"]);
     curved.says(0, &["- {at: 250ms, to: 0.15625}", "- {at: 500ms, to: 0.5}", "- {at: 750ms, to: 0.84375}"]);
     session.file("move.json", "{\"joint_names\": [\"elbow\"], \"points\": [{\"positions\": [0.5], \"time_from_start\": {\"secs\": 1, \"nsecs\": 500000000}}]}");
@@ -369,9 +378,9 @@ fn times_that_collide_are_found_with_both() {
     let points: String =
         times.iter().map(|t| format!("- {{positions: [1], time_from_start: {t}}}\n")).collect();
     let text = format!("joint_names: [a]\npoints:\n{points}");
-    check("joint-trajectory", text, 1, &["DB0063", "test.csv:8:37", "the time 0.372734245 s appears twice"]);
-    check_csv("t,a\n0.3727,1\n0.37270,2\n", &["DB0063", "test.csv:3:1", "the time 0.3727 s appears twice"]);
-    check_csv("t,a\n2,1\n1,2\n", &["DB0062", "test.csv:3:1", "the time 1 s comes after 2 s"]);
+    check("joint-trajectory", text, 1, &["DB0063", "test.csv:8:37", "point 6: duplicate time 0.372734245 s"]);
+    check_csv("t,a\n0.3727,1\n0.37270,2\n", &["DB0063", "test.csv:3:1", "duplicate time 0.3727 s"]);
+    check_csv("t,a\n2,1\n1,2\n", &["DB0062", "test.csv:3:1", "the time 1 s follows the later time 2 s"]);
     let still = r#"{"keyframes": [{"duration": 0, "pause": 0, "goals": {"a": 1}}]}"#;
     check("bitbots", still, 1, &["DB0063", "test.csv:1:29", "keyframe 1 has the duration 0"]);
 }
@@ -488,7 +497,7 @@ fn imports_stay_within_their_limits() {
     let line = format!("ulimit -v 204800; exec {} import waypoints huge.csv", program());
     let mut shell = std::process::Command::new("sh");
     shell.args(["-c", &line]).current_dir(session.path(""));
-    Ran(shell.output().unwrap()).says(2, &["DB0001", "200000000 bytes, the limit is"]);
+    Ran(shell.output().unwrap()).says(2, &["DB0001", "200000000 bytes, but the limit is 67108864"]);
 }
 
 #[test]
@@ -503,7 +512,7 @@ fn wrong_usage_is_told() {
     import(&session, &["--help"]).says(0, &["Examples:", "downbeat import crazyswarm pp*.csv"]);
 }
 
-/// Two drones that fly towards each other up to this distance.
+/// Two drones that fly towards each other until they are this far apart.
 fn two_routes(gap: f64) -> String {
     format!("id,x[m],y[m],z[m],t[s]\n1,0,0,1,0\n1,1,0,1,4\n2,{0},0,1,0\n2,{1},0,1,4\n", 2.0, 1.0 + gap)
 }
@@ -520,7 +529,7 @@ fn drones_that_come_too_near_to_each_other_are_found_after_an_import() {
     let fleet = std::fs::read_to_string(session.path("far/fleet.yaml")).unwrap();
     session.file("far/fleet.yaml", fleet.replace("{distance: 0.24}", "{distance: 0.3}"));
     session.run(&["check", "far/scenario.yaml"]).says(1, &["DB0052", "0.250 m"]);
-    // A robot's own block says what its axes measure.
+    // The unit of the axes comes from the robot's own block.
     session.file(
         "robot.yaml",
         std::fs::read_to_string(session.path("far/robots/crazyflie.yaml"))
@@ -552,8 +561,10 @@ fn messages_of_ros_that_were_printed_are_scenes() {
     import(&session, &["joint-trajectory", "cut.yaml"])
         .says(1, &["DB0061", "cut.yaml:20:5", "--full-length"]);
     session.file("states.yaml", "header:\n  frame_id: ''\nname:\n- elbow\nposition:\n- 0.5\n---\n".repeat(3));
-    import(&session, &["joint-trajectory", "states.yaml"])
-        .says(1, &["DB0006", "joint states", "ros2 bag record", "1 error"]);
+    import(&session, &["joint-trajectory", "states.yaml"]).says(
+        1,
+        &["DB0006", "this is a joint state message, not a joint trajectory", "ros2 bag record", "1 error"],
+    );
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Figures of whole sets of real files, where `DOWNBEAT_DATA` names the folder that holds them.
+//! Figures of complete sets of real files. `DOWNBEAT_DATA` names their folder.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use downbeat_import::{
 use stage::session::{Session, root};
 use urrcp::Span;
 
-/// The folder, or nothing to prove.
+/// The folder of the real files. If it is not set, the tests are skipped.
 fn data() -> Option<PathBuf> {
     std::env::var_os("DOWNBEAT_DATA").map(PathBuf::from)
 }
@@ -37,7 +37,7 @@ fn rate(rate_hz: f64) -> ImportOptions {
     ImportOptions { rate_hz: Some(rate_hz), ..ImportOptions::default() }
 }
 
-/// Least and largest value of all devices of this name.
+/// Minimum and maximum value over all devices of this name.
 fn range(imported: &Imported, name: &str) -> (f64, f64) {
     let devices = imported.devices().filter(|(_, device)| device.device == name);
     let values: Vec<f64> = devices.flat_map(|(_, d)| d.keyframes.iter().map(|k| k.value)).collect();
@@ -61,7 +61,7 @@ fn pieces(path: &Path) -> Vec<Vec<f64>> {
     text.lines().skip(1).map(numbers).collect()
 }
 
-/// The sum of the powers, without Horner's rule. Where two pieces meet either value will do.
+/// Evaluates by summing powers, without Horner's rule. Where two pieces meet, either value is valid, so both are returned.
 fn polynomial(pieces: &[Vec<f64>], axis: usize, at_s: f64) -> [f64; 2] {
     let mut start = 0.0;
     let mut values = Vec::new();
@@ -162,7 +162,7 @@ fn the_trajectory_that_is_too_long() {
     let both = folder.join("multi_trajectory");
     let refused = outcome(ImportFormat::Crazyswarm, &both, &ImportOptions::default());
     assert_eq!(refused.findings.len(), 1, "{:?}", refused.findings);
-    assert!(refused.findings[0].message.contains("32 pieces, one robot holds 31"));
+    assert!(refused.findings[0].message.contains("32 pieces, but a robot holds at most 31"));
     assert!(refused.findings[0].file.ends_with("traj0.csv"));
     let one = imported(ImportFormat::Crazyswarm, &both.join("traj1.csv"), &ImportOptions::default());
     assert_eq!((one.steps(), one.duration()), (17 * 4, Span::from_micros(24_984_019)));
@@ -206,7 +206,7 @@ fn the_animations_of_humanoids() {
     let most = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     assert!((least + 128.8).abs() < 0.06 && (most - 127.6).abs() < 0.06, "{least}..{most}");
     let on_grid = |values: &[f64]| values.iter().filter(|v| (**v / 0.087890625).fract() == 0.0).count();
-    // Without the values that repeat for the two pauses.
+    // Leaves out the repeated values of the two pauses.
     let own: Vec<f64> = dance
         .devices()
         .flat_map(|(_, d)| {

@@ -1,4 +1,4 @@
-//! `downbeat import csv`: tables as spreadsheets, loggers and cameras write them.
+//! `downbeat import csv`: tables as written by spreadsheets, loggers and cameras.
 
 use stage::session::{Ran, Session};
 
@@ -7,7 +7,7 @@ fn import(session: &Session, file: &str, options: &[&str]) -> Ran {
     session.run(&[&["import", "csv", file, "--time", "1", "--map", "r/a=2"], options].concat())
 }
 
-/// Imports a text, and expects these parts.
+/// Imports a text, and checks the exit code and parts of the output.
 #[track_caller]
 fn check(text: impl AsRef<[u8]>, options: &[&str], code: i32, parts: &[&str]) {
     let session = Session::new();
@@ -17,7 +17,7 @@ fn check(text: impl AsRef<[u8]>, options: &[&str], code: i32, parts: &[&str]) {
 
 #[test]
 fn tables_of_german_spreadsheets_are_read() {
-    let rows = ["at: 500ms, to: 12.25", "at: 1s, to: -3.125", "numbers have decimal commas"];
+    let rows = ["at: 500ms, to: 12.25", "at: 1s, to: -3.125", "numbers are read with decimal commas"];
     let show = "\u{feff}Zeit [s];Hüfte [°];Kopf\r\n0,0;0,0;10\r\n0,5;12,25;11,5\r\n1,0;-3,125;1.000,5\r\n";
     check(show, &[], 0, &rows);
     check(show, &["--map", "r/b=Kopf"], 0, &["at: 1s, to: 1000.5"]);
@@ -46,7 +46,7 @@ fn a_comma_that_may_separate_thousands_is_asked_about() {
 #[test]
 fn blanks_separate_the_columns_of_loggers() {
     check("t[s]   x [m]\n 0.0    1.5\n 0.25  -2\n", &[], 0, &["at: 0s, to: 1.5", "at: 250ms, to: -2"]);
-    // As numpy's savetxt writes.
+    // Written like numpy's savetxt.
     let numpy =
         "# t[s] x\n0.000000000000000000e+00 1.500000000000000000e+00\n2.500000000000000000e-01 2.0e+00\n";
     check(numpy, &[], 0, &["at: 0s, to: 1.5", "at: 250ms, to: 2"]);
@@ -55,32 +55,32 @@ fn blanks_separate_the_columns_of_loggers() {
 #[test]
 fn a_title_is_named_and_left_out() {
     let text = "Trial 7; take 2\n\nt [s],x\n0,1\n1,2\n2,4\n";
-    let parts = ["DB0060", "log.csv:1:1", "line 3", "--skip 2"];
+    let parts = ["DB0060", "log.csv:1:1", "the lines from 3 on", "--skip 2"];
     check(text, &[], 1, &parts);
     check(text, &["--skip", "2"], 0, &["at: 2s, to: 4"]);
     check(text, &["--skip", "20"], 1, &["the file is empty"]);
     let session = Session::new();
     session.file("a.bvh", "");
-    session.run(&["import", "bvh", "a.bvh", "--skip", "2"]).says(2, &["--skip", "options of csv only"]);
+    session.run(&["import", "bvh", "a.bvh", "--skip", "2"]).says(2, &["--skip", "apply only to csv"]);
 }
 
 #[test]
 fn frame_numbers_and_timecodes_become_times_by_their_rate() {
     let frames = "Frame,x\n1,0\n2,5\n121,6\n";
-    check(frames, &[], 1, &["DB0062", "log.csv:1:1", "how many frames", "--rate 25"]);
+    check(frames, &[], 1, &["DB0062", "log.csv:1:1", "the frame rate is unknown", "--rate 25"]);
     check(frames, &["--rate", "120"], 0, &["at: 8.333333ms, to: 0", "at: 1.008333333s, to: 6", "--start 0s"]);
     check(frames, &["--rate", "120", "--start", "0s"], 0, &["at: 0s, to: 0", "at: 1s, to: 6"]);
     let timecodes = "TC,x\n00:00:01:00,0\n00:00:01:12,5\n00:01:00:00,6\n";
-    check(timecodes, &[], 1, &["DB0062", "timecodes", "--rate 25"]);
+    check(timecodes, &[], 1, &["DB0062", "the frame rate of the timecodes is unknown", "--rate 25"]);
     check(timecodes, &["--rate", "25"], 0, &["at: 1480ms, to: 5", "at: 60s, to: 6"]);
     check(timecodes, &["--rate", "29.97"], 0, &["at: 1.4014s, to: 5", "at: 60060ms, to: 6"]);
     check(timecodes, &["--rate", "12"], 1, &["DB0061", "log.csv:3:1", "`00:00:01:12`"]);
-    check("t [s],x\n0,1\n1,2\n", &["--rate", "25"], 0, &["--rate is left out", "at: 1s, to: 2"]);
+    check("t [s],x\n0,1\n1,2\n", &["--rate", "25"], 0, &["--rate has no effect", "at: 1s, to: 2"]);
 }
 
 #[test]
 fn dates_and_unix_times_count_from_the_first_value() {
-    let noted = "times are dates, they count from the first value";
+    let noted = "times are dates and are counted from the first value";
     check(
         "when,x\n2026-11-23T20:30:00.250+01:00,1\n2026-11-23T19:30:01.000000005Z,2\n",
         &[],
@@ -107,8 +107,8 @@ fn dates_and_unix_times_count_from_the_first_value() {
         1,
         &["DB0062", "log.csv:3:1", "a time from 1795462200"],
     );
-    check("stamp [s],x\n1795462201,1\n1795462200,2\n", &[], 1, &["DB0062", "comes after"]);
-    check("when,x\n2026-02-30T00:00:00Z,1\n", &[], 1, &["DB0062", "can be read in no way"]);
+    check("stamp [s],x\n1795462201,1\n1795462200,2\n", &[], 1, &["DB0062", "follows the later time"]);
+    check("when,x\n2026-02-30T00:00:00Z,1\n", &[], 1, &["DB0062", "the times have no known format"]);
     check("t [s],x\n-1,1\n", &[], 1, &["DB0062", "the time is -1 s"]);
 }
 

@@ -1,8 +1,8 @@
-//! What `downbeat check` says of wrong input: where, what, what was expected, how to fix it.
+//! What `downbeat check` reports for wrong input: place, cause, expected input, and fix.
 
 use stage::session::Session;
 
-/// A scenario with one keyframe track; `{}` stands for the track's keyframes.
+/// A scenario with one keyframe track; `keyframes` holds its keyframes.
 fn scenario(keyframes: &str) -> String {
     format!("scenario: test\ncues:\n  - at: 0s\n    robots: arms\n    tracks:\n      shoulder:\n{keyframes}")
 }
@@ -26,7 +26,7 @@ fn a_sound_scenario_is_passed_with_its_figures() {
 #[test]
 fn a_cue_for_no_robot_is_found() {
     let yaml = scenario("        - {at: 0s, to: 45}\n").replace("robots: arms", "robots: []");
-    check(yaml, 1, &["DB0016", "for no robot"]);
+    check(yaml, 1, &["DB0016", "the cue has no robots"]);
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn a_bad_initialization_block_is_found_in_its_own_file() {
         .says(1, &["DB0018", "arm.yaml:", "granularity 0, for `position` of the device `shoulder`"]);
 }
 
-/// Runs `check` with 200 MB of address space in all.
+/// Runs `check` with 200 MB of address space in total.
 #[track_caller]
 fn check_in_little_memory(session: &Session, code: i32, parts: &[&str]) {
     check_in_memory(session, 204_800, code, parts);
@@ -113,7 +113,7 @@ fn hostile_files_get_a_clear_message_in_little_memory() {
     check_in_little_memory(&session, 2, &["DB0001", "not a text file"]);
 
     std::fs::File::create(session.path("test.yaml")).unwrap().set_len(200_000_000).unwrap();
-    check_in_little_memory(&session, 2, &["DB0001", "200000000 bytes, the limit is 67108864"]);
+    check_in_little_memory(&session, 2, &["DB0001", "200000000 bytes, but the limit is 67108864"]);
 
     session.file("test.yaml", "scenario: a\n---\nscenario: b\n");
     check_in_little_memory(&session, 1, &["DB0002", "more than one document"]);
@@ -134,7 +134,12 @@ fn few_words_that_stand_for_very_much_are_refused_in_bounded_memory() {
         7_000_000,
         "        - {at: 0s, to: 0}\n        - {at: 1ms, to: 1}\n        - {at: 2ms, to: 0}\n",
     );
-    check_in_memory(&session, kilobytes, 1, &["DB0045", "7000000 times", "at most 10000000 in all cues"]);
+    check_in_memory(
+        &session,
+        kilobytes,
+        1,
+        &["DB0045", "7000000 repetitions add 13999998 keyframes", "at most 10000000 in all cues"],
+    );
     repeated(
         4_900_000,
         "        - {at: 0s, to: 0}\n        - {at: 1ms, to: 1}\n        - {at: 2ms, to: 0}\n",
@@ -177,22 +182,22 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
             "test.yaml:3:43",
             "the last of 2 robots begins 99999000 s",
             "at most 99996400 s",
-            "a canon of 99996400 s",
+            "use a canon of at most 99996400 s",
         ],
     );
-    found("duration: 99999999s", &["test.yaml:3:5", "ends at 99999999 s", "less `duration`"]);
+    found("duration: 99999999s", &["test.yaml:3:5", "ends at 99999999 s", "reduce `duration`"]);
     found("overrides: {left: {delay: 99999999s}}", &["test.yaml:3:5", "ends at 100000000 s"]);
     check(
         cue("repeat: 4000000, tracks: {shoulder: [{at: 0s, to: 0}, {at: 1m, to: 0}]}"),
         1,
-        &["DB0045", "4000000 times a movement of 60 s lasts 240000000 s", "at most 100000000 s"],
+        &["DB0045", "4000000 repetitions of a movement of 60 s last 240000000 s", "at most 100000000 s"],
     );
     check(
         cue(
             "tracks: {shoulder: {polynomial: [{for: 60000000s, coefficients: [0]}, {for: 60000000s, coefficients: [0]}]}}",
         ),
         1,
-        &["DB0045", "the movement lasts 120000000 s", "cut it into several"],
+        &["DB0045", "the movement lasts 120000000 s", "split it into several"],
     );
     check(
         format!("{}  - {{at: 99999000s, robots: left, {track}}}\n", cue(track)),
@@ -208,7 +213,7 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
         format!("{}tempo: 1\nsignature: 255/4\n", cue(track))
             .replace("at: 0s, robots", "at: bar 1000000, robots"),
         1,
-        &["DB0007", "`bar 1000000` is too long a time", "at most 100000000 s"],
+        &["DB0007", "`bar 1000000` is too long", "at most 100000000 s"],
     );
     check(format!("lead: 99999999s\n{}", cue(track)), 1, &["DB0045", "test.yaml:1:7", "at most 10000000 s"]);
     let many: String = (0..200)
@@ -227,7 +232,7 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
     check(
         format!("scenario: test\nzones: {{z: auto}}\ncues:\n{shared}"),
         1,
-        &["DB0045", "add up to more than a search for an order can count", "1 error,"],
+        &["DB0045", "add up to more than the search for an order supports", "1 error,"],
     );
 }
 
@@ -260,7 +265,7 @@ fn few_of_ten_thousand_wrong_names_are_compared_with_all_ten_thousand_others() {
         session.file("test.yaml", format!("scenario: test\n{library}cues:\n{cues}"));
         let ran = session.run(&["check", "test.yaml"]);
         ran.says(1, &[code, "10000 errors,", "did you mean", "and 99"]);
-        // Comparing every name with every other one took 20 s.
+        // Comparing every name with every other one would take 20 s.
         let hints = ran.text().matches("did you mean").count();
         assert!(hints <= 200, "{code}: {hints} hints");
     }
@@ -295,7 +300,12 @@ fn zones_and_rules_are_shared_by_very_many_acts() {
     let (zones, rules) = (zones.join(", "), rules.join(", "));
     let yaml = format!("scenario: test\nzones: [{zones}]\non_failure: {{{rules}}}\nacts:\n{acts}");
     session.file("test.yaml", yaml);
-    check_in_memory(&session, 1_500_000, 1, &["DB0045", "too many rules for robots", "1 error,"]);
+    check_in_memory(
+        &session,
+        1_500_000,
+        1,
+        &["DB0045", "there are too many failure rules for robots", "1 error,"],
+    );
 }
 
 #[test]
@@ -308,8 +318,12 @@ fn many_robots_at_one_place_of_a_zenoh_network_are_warned_of() {
     };
     let scenario = "scenario: s\ncues: [{at: 0s, robots: r7, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
     session.file("s.yaml", scenario).file("fleet.yaml", fleet(1_001, 1));
-    let says =
-        ["DB0080", "fleet.yaml:1002:", "1001 robots stand next to each other", "`zenoh:hall/0/row-1/r1000`"];
+    let says = [
+        "DB0080",
+        "fleet.yaml:1002:",
+        "1001 robots have keys directly below `zenoh:hall/0/...`",
+        "`zenoh:hall/0/row-1/r1000`",
+    ];
     session.run(&["check", "s.yaml"]).says(0, &says);
     for (robots, places) in [(1_000, 1), (1_001, 2)] {
         session.file("fleet.yaml", fleet(robots, places));
@@ -331,7 +345,11 @@ fn a_device_that_takes_no_scripts_is_found_with_what_it_has_to_declare() {
     let ran = session.run(&["check", "s.yaml"]);
     ran.says(
         1,
-        &["DB0010", "device `d` of `r` does not support scripts", "expected a device that takes scripts\n"],
+        &[
+            "DB0010",
+            "device `d` of `r` does not support scripts",
+            "expected a device that supports scripts\n",
+        ],
     );
-    ran.says(1, &["help: if it does, declare `script` under its `available_control_types`"]);
+    ran.says(1, &["help: if it supports scripts, declare `script` under its `available_control_types`"]);
 }

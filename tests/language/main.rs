@@ -1,4 +1,4 @@
-//! Scenarios through the whole program: the language, its findings, real choreographies.
+//! Scenarios through the complete program: the language, its findings, real choreographies.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod findings;

@@ -1,16 +1,17 @@
-//! Whole sets of real files imported and checked, where `DOWNBEAT_DATA` names the folder that holds them.
+//! Complete sets of real files, imported and checked. `DOWNBEAT_DATA` names their folder.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use stage::session::{Session, root};
 
-/// The folder, or nothing to prove.
+/// The folder of the real files. If it is not set, the tests are skipped.
 fn data() -> Option<PathBuf> {
     std::env::var_os("DOWNBEAT_DATA").map(PathBuf::from)
 }
 
-/// Imports a file with an initialization block and checks what comes of it: each error as code and message.
+/// Imports a file with an initialization block and checks the result. Returns the code and message of each error, or `None` if the import
+/// fails.
 fn errors(format: &str, file: &Path, init: &str) -> Option<Vec<(String, String)>> {
     let session = Session::new();
     let init = root().join("scripts/examples/robots").join(init);
@@ -137,13 +138,13 @@ fn nineteen_scenes_of_seven_drones_fit_as_nineteen_acts_and_are_refilled_as_one(
     session
         .run(&["check", "one/scenario.yaml", "--fleet", "one/fleet.yaml"])
         .says(0, &["no errors, 7 robots, 28 devices, 5572 steps, 198 s"]);
-    // As one act every device needs 7 scripts and holds 2: the others are sent while they play.
+    // As one act, every device needs 7 scripts and holds 2; the others are sent while it plays.
     session
-        .run(&["dry-run", "one/scenario.yaml", "--fleet", "one/fleet.yaml"])
+        .run(&["dry-run", "one/scenario.yaml", "--fleet", "one/fleet.yaml", "--verbose"])
         .says(0, &["done", "28/28", "796/796"]);
 }
 
-/// The folder that holds seven folders of nineteen scenes.
+/// The folder with seven subfolders of nineteen scenes.
 fn sequence(data: &Path) -> PathBuf {
     fn find(folder: &Path) -> Option<PathBuf> {
         for entry in std::fs::read_dir(folder).ok()?.flatten() {

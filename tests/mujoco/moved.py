@@ -1,6 +1,6 @@
-"""Whether both robots moved, and when, from the logs of their simulators: `moved.py REPORT UR5E_CSV G1_CSV`.
+"""Checks whether and when both robots moved, from the logs of their simulators: `moved.py REPORT UR5E_CSV G1_CSV`.
 
-REPORT is what `downbeat run examples/mujoco/greeting.yaml --format json` printed; from it comes only when the act started.
+REPORT is the output of `downbeat run examples/mujoco/greeting.yaml --format json`; only the start of the act is read from it.
 """
 
 import json
@@ -10,7 +10,7 @@ import sys
 sys.path.insert(0, str(pathlib.Path(__file__).parents[2] / "examples"))
 from motion import onset, read_csv, start_ms  # noqa: E402
 
-# What moves first, by so many degrees, and how long it may take to begin on a machine that does much else.
+# The joint that moves first, by how many degrees, and the longest allowed delay of its onset on a busy machine.
 JOINTS = {"ur5e": ("elbow", -30), "g1": ("r_elbow_pitch", 30)}
 LATENCY_MS_MAX = 250
 

@@ -1,9 +1,9 @@
-//! A dry run tells the truth: each example is played by processes over TCP and recorded, `downbeat world` measures the links and
-//! clocks of that very mission, and a dry run in that world decides the same and sets the same.
+//! Compares dry runs with reality: each example is played by processes over TCP and recorded, `downbeat world` measures the links and
+//! clocks of that mission, and a dry run in that world must decide and set the same.
 //!
-//! How late a busy machine wakes a robot up is judged by what the real mission reports of itself: its largest start error, the
-//! allowance for wake-ups, and the steps that its robots count as late. A clock may be off by as much as the world says. So a slow
-//! machine makes figures larger and no test fail.
+//! The delay with which a busy machine wakes a robot is judged by the real mission's own report: its largest start error, the allowance
+//! for wake-ups, and its robots' late steps. A clock may be off by as much as the world states. A slow machine therefore increases these
+//! figures without failing a test.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
@@ -21,15 +21,15 @@ use urrcp::Span;
 use stage::session::root;
 use stage::{Logged, Stage, nanos};
 
-/// A robot counts a step as late from here on, in milliseconds (`late_steps` in docs/protocol.md).
+/// From this delay on, a robot counts a step as late, in milliseconds (`late_steps` in docs/protocol.md).
 const LATE_MS: f64 = 1.0;
-/// What a report rounds times to, in milliseconds.
+/// Rounding of times in a report, in milliseconds.
 const ROUNDED_MS: f64 = 0.001;
 
 struct Show {
     name: &'static str,
     robots: &'static [&'static str],
-    /// An operator says go.
+    /// Whether an operator gives the go.
     attended: bool,
 }
 
@@ -42,7 +42,7 @@ const SHOWS: [Show; 6] = [
     Show { name: "cue", robots: &["tank-1"], attended: true },
 ];
 
-/// None of the examples waits for an operator.
+/// A scenario that waits for an operator, unlike all examples.
 const CUE: &str = "scenario: cue
 stop_condition: {running: 1s}
 acts:
@@ -53,7 +53,7 @@ acts:
     cues: [{at: 0s, robots: tank-1, tracks: {left_engine: [{at: 0s, to: -20}, {at: 400ms, to: 0}]}}]
 ";
 
-/// The description of a robot of the demo fleet.
+/// Returns the description of a robot of the demo fleet.
 fn init_of(robot: &str) -> String {
     let name = match robot.split(['-', '1', '2', '3', '4', '5', '6']).next() {
         Some("arm") => "ur5e",
@@ -67,8 +67,8 @@ fn init_of(robot: &str) -> String {
 }
 
 impl Show {
-    /// Starts its robots, and writes the demo fleet with their addresses, and the scenario. A busy machine may start a robot later than the
-    /// example tolerates, which would be another outcome.
+    /// Starts its robots, and writes the demo fleet with their addresses, and the scenario. A busy machine may start a robot later than
+    /// the example tolerates, which would change the outcome.
     fn stage(&self) -> Stage {
         let mut stage = Stage::new();
         let scripts = format!("init: {}/scripts/", root().display());
@@ -94,9 +94,9 @@ impl Show {
         stage
     }
 
-    /// Plays it with the processes, and measures the world in which that was.
+    /// Plays it with processes, and measures the world of that mission.
     fn play(&self, stage: &Stage) -> Value {
-        // The descriptions of the robots are in the repository, and the stage is not.
+        // The descriptions of the robots are in the repository, outside the stage.
         let run = ["run", "show.yaml", "--project", "/", "--record", "real.mcap", "--format", "json"];
         let running = stage.start(&run);
         while self.attended && stage.run(&["go"]).code != Some(0) {
@@ -131,7 +131,7 @@ impl Show {
     }
 }
 
-/// Of some rows of a report these keys alone.
+/// Returns only these keys of some rows of a report.
 fn only(rows: &Value, keys: &[&str]) -> Value {
     let row = |row: &Value| keys.iter().map(|key| ((*key).to_owned(), row[*key].clone())).collect();
     rows.as_array().into_iter().flatten().map(row).map(Value::Object).collect()
@@ -164,7 +164,7 @@ const ROBOT: [&str; 8] =
 struct Set {
     /// Motion, robot and script, step, value.
     what: (String, String, Option<u64>, f64),
-    /// Number of the act; `None`: it is of none.
+    /// Number of the act; `None` if it belongs to no act.
     act: Option<u64>,
     /// By the true clock.
     at: i64,
@@ -181,7 +181,7 @@ impl Set {
     }
 }
 
-/// What each device was set to, in order. A robot that is late leaves out a ramp whose time is over.
+/// Groups the set values by device, in order. Ramps are omitted, because a late robot skips a ramp whose time is over.
 fn by_device(sets: impl Iterator<Item = (String, Set)>) -> BTreeMap<String, Vec<Set>> {
     let mut devices: BTreeMap<String, Vec<Set>> = BTreeMap::new();
     for (device, set) in sets.filter(|(_, set)| set.what.0 != "ramp") {
@@ -207,7 +207,7 @@ fn set_in_dry_run(played: &Played, robot: &str) -> BTreeMap<String, Vec<Set>> {
     }))
 }
 
-/// The largest number under this key, anywhere in a report.
+/// Returns the largest number under this key, anywhere in a report.
 fn largest(value: &Value, key: &str) -> f64 {
     let inside = |value: &Value| largest(value, key);
     match value {
@@ -220,7 +220,7 @@ fn largest(value: &Value, key: &str) -> f64 {
     }
 }
 
-/// The act of a value in a report, if the value is of an act.
+/// Returns the act of a value in a report, if the value belongs to an act.
 fn act_of<'a>(set: &Set, report: &'a Value) -> Option<&'a Value> {
     let number = set.act?;
     report["acts"].as_array().unwrap().iter().find(|act| act["number"] == number)
@@ -230,33 +230,33 @@ fn name_of_act(set: &Set, report: &Value) -> Option<String> {
     act_of(set, report).map(|act| act["act"].to_string())
 }
 
-/// Without the rests at the beginning. A device at rest notes the stop of each attempt for which this machine was too slow.
+/// Skips the rests at the beginning. A device at rest logs the stop of each attempt for which this machine was too slow.
 fn after_attempts<'s>(sets: &'s [Set], report: &Value) -> &'s [Set] {
     let attempts = report["acts"][0]["prepared_again"].as_u64().unwrap_or_default();
     let rests = sets.iter().take_while(|set| set.act.is_none() && set.what.0 == "rest").count();
     &sets[rests.min(usize::try_from(attempts).unwrap())..]
 }
 
-/// After the planned start of its act, in milliseconds.
+/// Returns the time after the planned start of its act, in milliseconds.
 fn after_start(set: &Set, report: &Value) -> f64 {
     let act = act_of(set, report).unwrap();
     (set.at - nanos(act["start"].as_str().unwrap())) as f64 / 1e6
 }
 
-/// How far a clock may be off in a world, in milliseconds: what its recording cannot exclude.
+/// Returns the maximum clock error in a world, in milliseconds: the error that its recording cannot exclude.
 fn clock_error(world: &World) -> f64 {
     let error = |clock: &ClockWorld| clock.error.unwrap_or(Span::ZERO).as_millis_f64();
     world.clocks.iter().flatten().map(error).fold(0.0, f64::max)
 }
 
-/// How far apart times were.
+/// Differences between the times of two runs.
 #[derive(Default)]
 struct Apart {
     steps: usize,
-    /// Milliseconds, of first steps of scripts, and of all others.
+    /// Milliseconds, for first steps of scripts, and for all others.
     starts: f64,
     others: f64,
-    /// Steps that were further apart than those of a robot that is not late.
+    /// Number of steps with a larger difference than those of a robot that is not late.
     beyond: u64,
 }
 

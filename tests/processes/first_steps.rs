@@ -1,4 +1,4 @@
-//! The first steps of a newcomer on real robots: the shows that `init` writes, and the tours of README and tutorial word for word.
+//! The first steps of a newcomer on real robots: the shows that `init` writes, and the tours of README and tutorial, word for word.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
@@ -45,7 +45,7 @@ fn every_template_runs_at_once() {
                 .env("DOWNBEAT_STATE", folder.join(".state"));
             let run =
                 command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-            // The mission may not be there yet, or not wait yet.
+            // The mission may not exist yet, or not wait yet.
             while downbeat(folder, &["go"]).code() != 0 {
                 std::thread::sleep(Duration::from_millis(200));
             }
@@ -68,8 +68,11 @@ enum Block {
         name: String,
         text: String,
     },
-    /// What the commands before it print.
-    Output(String),
+    /// Output of the preceding commands, and whether it contains measurements of a mission, which differ each time.
+    Output {
+        text: String,
+        measured: bool,
+    },
 }
 
 fn tour(document: &str) -> Vec<Block> {
@@ -84,7 +87,9 @@ fn tour(document: &str) -> Vec<Block> {
             "sh tour" | "sh tour fails" => {
                 blocks.push(Block::Commands { text, fails: opening.ends_with("fails") });
             }
-            "text" => blocks.push(Block::Output(text)),
+            "text" | "text measured" => {
+                blocks.push(Block::Output { text, measured: opening.ends_with("measured") });
+            }
             _ => {
                 let name = opening.strip_prefix("yaml file ").map(str::to_owned);
                 blocks.extend(name.map(|name| Block::File { name, text }));
@@ -94,7 +99,7 @@ fn tour(document: &str) -> Vec<Block> {
     blocks
 }
 
-/// One shell plays all of it, as a newcomer's does: folders are entered, robots run in the background.
+/// Returns a script that plays all blocks in one shell, like a newcomer's: it enters folders, and robots run in the background.
 fn script(blocks: &[Block], out: &Path) -> String {
     let mut script = String::from("trap 'kill $(jobs -p) 2>/dev/null' EXIT\n");
     for (number, block) in blocks.iter().enumerate() {
@@ -119,7 +124,7 @@ fn script(blocks: &[Block], out: &Path) -> String {
             Block::File { name, text } => {
                 writeln!(script, "cat > '{name}' <<'END OF FILE'\n{text}END OF FILE").unwrap();
             }
-            Block::Output(_) => {}
+            Block::Output { .. } => {}
         }
     }
     script
@@ -135,7 +140,7 @@ fn the_tutorial_works_word_for_word_in_an_empty_folder() {
     works_word_for_word("docs/tutorial.md");
 }
 
-/// Plays the commands of a document in an empty folder; returns how the shell ended, and the output of each block.
+/// Plays the commands of a document in an empty folder; returns the exit status of the shell, and the output of each block.
 fn play(blocks: &[Block]) -> (ExitStatus, Vec<String>) {
     let folder = TempDir::new().unwrap();
     let out = TempDir::new().unwrap();
@@ -153,23 +158,36 @@ fn play(blocks: &[Block]) -> (ExitStatus, Vec<String>) {
     (ended, (0..blocks.len()).map(printed).collect())
 }
 
-/// Plays every command of a document, and compares its quotations with the output.
+/// Returns a line without the digits of its times of day, decimal numbers and uncertainties.
+fn without_measurements(line: &str) -> String {
+    let measured = |word: &str| word.contains('.') || word.starts_with('±');
+    let without_digits = |word: &str| word.replace(|c: char| c.is_ascii_digit() || c == '.', "");
+    let words = line.split(' ');
+    let words = words.map(|word| if measured(word) { without_digits(word) } else { word.to_owned() });
+    words.collect::<Vec<_>>().join(" ")
+}
+
+/// Plays every command of a document, and compares the quoted output with the actual output.
 #[track_caller]
 fn works_word_for_word(document: &str) {
     let blocks = tour(document);
     assert!(blocks.iter().filter(|block| matches!(block, Block::Commands { .. })).count() >= 4);
     let (ended, printed) = played(|| play(&blocks), |(_, printed)| printed.concat());
     assert!(ended.success(), "{ended}\n{}", printed.concat());
-    // Every line that is quoted stands in what the commands before it printed, in that order.
+    // Every quoted line occurs in the output of the preceding commands, in the same order.
     let mut before = String::new();
     for (number, block) in blocks.iter().enumerate() {
         match block {
             Block::Commands { .. } => before.clone_from(&printed[number]),
-            Block::Output(text) => {
+            Block::Output { text, measured } => {
+                let same = |line: &str, quoted: &str| match measured {
+                    true => without_measurements(line) == without_measurements(quoted),
+                    false => line == quoted,
+                };
                 let mut lines = before.lines();
                 for quoted in text.lines().filter(|line| *line != "...") {
                     assert!(
-                        lines.any(|line| line == quoted),
+                        lines.any(|line| same(line, quoted)),
                         "`{quoted}` is not what was printed:\n{before}"
                     );
                 }

@@ -1,6 +1,6 @@
-//! One robot of three is frozen, killed, cut off or started again at a random instant of a mission of two or three
-//! acts with two or three scripts a device: report and exit code have to agree with what the robots' own logs say.
-//! `DOWNBEAT_INSTANTS=100` plays so many missions, `DOWNBEAT_INSTANTS_FIRST=17` begins with that one.
+//! One robot of three is frozen, killed, cut off or restarted at a random instant of a mission of two or three acts with two or three
+//! scripts per device. Report and exit code have to agree with the robots' own logs. `DOWNBEAT_INSTANTS=100` sets the number of missions,
+//! `DOWNBEAT_INSTANTS_FIRST=17` the first one.
 
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
@@ -14,24 +14,24 @@ use serde_json::Value;
 use stage::{Ended, Logged, Stage, Via, epoch_nanos, nanos};
 
 const ROBOTS: usize = 3;
-/// Steps of one script.
+/// Number of steps of one script.
 const STEPS: usize = 4;
-/// Values that one act has to itself.
+/// Number of values that are reserved for one act.
 const VALUES: usize = 20;
-/// Under which the scripts run, in nanoseconds.
+/// Lease of the scripts, in nanoseconds.
 const LEASE: i64 = 700_000_000;
-/// What a busy machine may add to an instant.
+/// Maximum delay that a busy machine may add to an instant.
 const BUSY: i64 = 250_000_000;
 
-/// What befalls a robot, and for how long.
+/// A fault of a robot, and its duration.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Frozen(Option<Duration>),
-    /// Its link is closed, and further ones are refused.
+    /// Its link is closed, and new connections are refused.
     Cut(Option<Duration>),
-    /// Its link is closed, and further ones stand and carry nothing.
+    /// Its link is closed, and new connections stay open and carry nothing.
     Interrupted(Option<Duration>),
-    /// Its link stands and carries nothing.
+    /// Its link stays open and carries nothing.
     Muted(Option<Duration>),
     Killed,
     Restarted,
@@ -42,9 +42,9 @@ enum Fault {
 struct Drawn {
     queue: usize,
     on_failure: &'static str,
-    /// Scripts of each act.
+    /// Number of scripts of each act.
     acts: Vec<usize>,
-    /// Between two steps.
+    /// Interval between two steps.
     every_ms: usize,
     victim: usize,
     fault: Fault,
@@ -56,7 +56,7 @@ impl Drawn {
         let mut rng = fastrand::Rng::with_seed(seed);
         let acts: Vec<usize> = (0..rng.usize(2..=3)).map(|_| rng.usize(2..=3)).collect();
         let queue = rng.usize(2..=3);
-        // A device that is sent a chain bit by bit needs scripts of a second.
+        // A device that receives a chain in parts needs scripts of one second.
         let every_ms = if acts.iter().all(|scripts| *scripts <= queue) { 100 } else { 260 };
         let lasts = rng.bool().then(|| Duration::from_millis(rng.u64(20..1_500)));
         let fault = match rng.u8(0..6) {
@@ -104,7 +104,7 @@ impl Drawn {
         stage
     }
 
-    /// Strikes, and ends what is to end.
+    /// Causes the fault, and ends it if it is temporary.
     fn strike(&self, stage: &mut Stage) {
         let wait = |lasts: Option<Duration>| lasts.map(std::thread::sleep).is_some();
         let robot = &mut stage.robots[self.victim];
@@ -131,7 +131,7 @@ impl Drawn {
         }
     }
 
-    /// What its process did may be missing at the end of its log.
+    /// Whether the end of its log may be missing, because its process was killed.
     fn loses_its_memory(&self) -> bool {
         matches!(self.fault, Fault::Killed | Fault::Restarted)
     }
@@ -145,7 +145,7 @@ struct Played {
     drawn: Drawn,
     ended: Ended,
     report: Value,
-    /// When the program had ended, by the host's clock.
+    /// End of the program, by the host's clock.
     gone: i64,
     /// The values of scripts that each robot set.
     sets: Vec<Vec<Logged>>,
@@ -159,14 +159,14 @@ fn play(seed: u64) -> Played {
     drawn.strike(&mut stage);
     let ended = running.ended();
     let gone = epoch_nanos();
-    // Whatever a lease still allows is over then; who is frozen for ever does nothing more.
+    // After this, every lease has ended; a robot that is frozen permanently does nothing more.
     std::thread::sleep(Duration::from_nanos((LEASE + BUSY).unsigned_abs()));
     let sets = stage.robots.iter().map(stage::Robot::sets).collect();
     let report = ended.report();
     Played { drawn, ended, report, gone, sets }
 }
 
-/// Collects what is wrong.
+/// Collects contradictions.
 struct Judge<'a> {
     played: &'a Played,
     wrong: Vec<String>,
@@ -210,7 +210,7 @@ impl Judge<'_> {
         self.say(!fits, || what);
     }
 
-    /// What is said of one robot over all acts.
+    /// Checks the report about one robot over all acts.
     fn row(&mut self, robot: usize) {
         let row = &self.played.report["robots"][robot];
         let victim = robot == self.played.drawn.victim;
@@ -219,15 +219,13 @@ impl Judge<'_> {
         let confirmed = row["stop"]["state"] == "confirmed";
         let certain = row["stop"]["state"] != "unconfirmed" && row["unaccounted"] == 0;
         let torn = u64::from(victim && self.played.drawn.loses_its_memory());
-        self.say(said > set + torn, || {
-            format!("(more) r{robot} is said to have done {said} steps, and did {set}")
-        });
+        self.say(said > set + torn, || format!("(more) r{robot} reportedly did {said} steps, but did {set}"));
         self.say(certain && said < set, || {
-            format!("(fewer) r{robot} is said for certain to have done {said} steps, and did {set}")
+            format!("(fewer) r{robot} certainly did {said} steps by its report, but did {set}")
         });
         let still = row["started"] == 0 && certain;
         self.say(still && set > 0, || {
-            format!("(moved) r{robot} is said not to have started, and did {set} steps")
+            format!("(moved) r{robot} reportedly did not start, but did {set} steps")
         });
         let unstarted = self.outcome() == "not_started" && (certain || !victim);
         self.say(unstarted && set > 0, || format!("(moved) not started, and r{robot} did {set} steps"));
@@ -242,7 +240,7 @@ impl Judge<'_> {
         self.say(beyond > 0, || format!("(lease) r{robot} did {beyond} steps after the end of its lease"));
     }
 
-    /// Every value at most once, in order, and all of them where the mission is done.
+    /// Checks that every value occurs at most once, in order, and that all occur if the mission is done.
     fn log(&mut self, robot: usize) {
         let planned = self.played.drawn.values();
         let set: Vec<f64> = self.played.sets[robot].iter().map(|entry| entry.value).collect();
@@ -258,7 +256,7 @@ impl Judge<'_> {
         self.say(all && set != planned, || what);
     }
 
-    /// What is said of each script.
+    /// Checks the report about each script.
     fn acts(&mut self) {
         for act in self.played.report["acts"].as_array().unwrap() {
             let number: usize = act["act"].as_str().unwrap().rsplit('-').next().unwrap().parse().unwrap();
@@ -283,7 +281,7 @@ impl Judge<'_> {
         self.say(said > set + torn || ended || never, || format!("(script) {which}"));
     }
 
-    /// Robots that nothing befell start an act together, or none does.
+    /// Checks that robots without a fault start an act together, or none does.
     fn together(&mut self) {
         let sound = || (0..ROBOTS).filter(|robot| *robot != self.played.drawn.victim);
         for act in 0..self.played.drawn.acts.len() {
@@ -296,7 +294,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Only the one that something befell has failed. That others seem silent may be the busy machine's doing.
+    /// Checks that only the faulty robot has failed. The busy machine may make others seem silent.
     fn blame(&mut self) {
         let victim = format!("r{}", self.played.drawn.victim);
         for failure in self.played.report["failures"].as_array().unwrap() {

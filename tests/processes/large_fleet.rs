@@ -42,7 +42,7 @@ fn plan() -> Plan {
         |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };
     Plan {
         scenario: "crowd".into(),
-        // A noisy machine may delay any answer: this is about every robot taking part.
+        // A noisy machine may delay any answer: this test only checks that every robot takes part.
         start_tolerance: Span::from_millis(1_000),
         lead: None,
         stop_condition,

@@ -1,9 +1,9 @@
-//! Sessions at a shell, compared whole with their approved text.
+//! Shell sessions, compared completely with their approved text.
 //!
-//! `findings/` has a session for each kind of mistake in a scenario or fleet, `mistakes/` has the mistakes that beginners make with
-//! the program. A session is one file: its first line is a title, then come commands after `$ ` (continued after `> `), each with
-//! its output. The commands run in a copy of `folder/`. `DOWNBEAT_BLESS=1` writes the approved texts again; read every change as a
-//! user would: is it clear what is wrong, where, and how to fix it?
+//! `findings/` has a session for each kind of mistake in a scenario or fleet; `mistakes/` has the mistakes that beginners make with the
+//! program. A session is one file: a title in its first line, then commands after `$ ` (continued after `> `), each with its output. The
+//! commands run in a copy of `folder/`. `DOWNBEAT_BLESS=1` rewrites the approved texts. Read every change as a user would: is it clear
+//! what is wrong, where, and how to fix it?
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fmt::Write as _;
@@ -24,7 +24,7 @@ fn folder(kind: &str) -> PathBuf {
     root().join("tests/sessions").join(kind)
 }
 
-/// The sessions of one kind, in the order of their names.
+/// The sessions of one kind, sorted by name.
 fn sessions(kind: &str) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder(kind)).unwrap().map(|entry| entry.unwrap().path());
     let mut sessions: Vec<_> =
@@ -63,7 +63,7 @@ impl Typed {
     }
 }
 
-/// A copy of the folder of a kind, and the port `$USED`, which belongs to this process and never answers.
+/// A copy of the folder of a kind, and the port `$USED`, on which this process listens without ever answering.
 struct Desk {
     folder: TempDir,
     listener: TcpListener,
@@ -93,7 +93,7 @@ impl Desk {
         self.listener.local_addr().unwrap().port().to_string()
     }
 
-    /// Runs one command; returns its output and exit code, without the parts that differ from run to run.
+    /// Runs one command. Returns its exit code and its output without the parts that differ from run to run.
     fn run(&self, command: &str) -> (String, i32) {
         let folder = Path::new(program()).parent().unwrap().display().to_string();
         let path = format!("{folder}:{}", std::env::var("PATH").unwrap());
@@ -108,7 +108,7 @@ impl Desk {
         (without_mission_names(&text), ran.status.code().unwrap())
     }
 
-    /// Plays the commands of an approved session again.
+    /// Repeats the commands of an approved session.
     fn replay(&self, session: &str) -> String {
         let typed = Typed::of(session);
         let mut text = format!("{}\n\n", typed.title);
@@ -125,7 +125,7 @@ impl Desk {
     }
 }
 
-/// Missions are named by machine, process and time.
+/// Removes mission names, because they contain machine, process and time.
 fn without_mission_names(text: &str) -> String {
     let mut pieces = text.split("show@");
     let mut plain = pieces.next().unwrap_or_default().to_owned();
@@ -137,17 +137,18 @@ fn without_mission_names(text: &str) -> String {
     plain
 }
 
-/// The superuser may read and write everything, a beginner may not. Concerns this thread and the processes that it starts.
+/// Drops the superuser's right to read and write everything, because a beginner does not have it. Affects this thread and the processes
+/// that it starts.
 fn give_up_privileges() {
     for capability in
         [CapabilitySet::DAC_OVERRIDE, CapabilitySet::DAC_READ_SEARCH, CapabilitySet::NET_BIND_SERVICE]
     {
-        // Without privileges there is nothing to give up.
+        // Fails without privileges; then there is nothing to drop.
         let _unprivileged = rustix::thread::remove_capability_from_bounding_set(capability);
     }
 }
 
-/// Plays all sessions of a kind. They wait for time-outs more than they compute, so several are played at once.
+/// Replays all sessions of a kind, several at once because they mostly wait for timeouts.
 #[track_caller]
 fn check(kind: &str, desk_for_each: bool) {
     let bless = std::env::var_os("DOWNBEAT_BLESS").is_some();
@@ -222,7 +223,7 @@ fn every_code_has_a_test_that_triggers_it() {
     }
 }
 
-/// Marks of advice. An instruction that begins with one of [`INSTRUCTIONS`] is advice as well.
+/// Phrases that mark advice. An instruction that begins with one of [`INSTRUCTIONS`] is advice as well.
 const ADVICE: [&str; 16] = [
     "help: ",
     "tip: ",
@@ -232,14 +233,14 @@ const ADVICE: [&str; 16] = [
     ", as in ",
     ": add ",
     ": write ",
-    "Name another ",
+    "; expected a file that `downbeat run --record FILE` wrote",
     "Usage: ",
     "so leave out ",
     "so there is nothing to",
     "` lists ",
     ", or choose ",
     "expected sim, ",
-    "joint-trajectory takes any robot",
+    "joint-trajectory supports any robot",
 ];
 const INSTRUCTIONS: [&str; 14] = [
     "add",

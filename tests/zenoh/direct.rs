@@ -1,11 +1,11 @@
-//! Without a router: the robots' process listens, schedulers connect to it.
+//! Without a router: the process of the robots listens, and schedulers connect to it.
 
 use std::process::Stdio;
 
 use crate::network::{STEPS, client, fleet, lies, listening, names, outcome, sets, simulated, stage, start};
 use stage::{Process, Stage, free_port};
 
-/// Robots in one process and a fleet file by which schedulers reach them.
+/// Robots in one process, and a fleet file with which schedulers reach them.
 fn set_up(count: usize, running: &str) -> (Stage, Process) {
     let (stage, port) = (stage(running), free_port());
     stage.file("robots.json5", listening(port)).file("scheduler.json5", client(port));
@@ -38,7 +38,7 @@ fn a_robot_has_one_mission_and_a_stop_ends_it_from_anywhere() {
     let (stage, _robots) = set_up(2, "2s");
     let mut first = stage.start(&["run", "play.yaml", "--patience", "30s"]);
     assert!(first.start() > 0);
-    // As from another machine, which knows no journal of the first.
+    // As on another machine, which has no access to the journal of the first.
     let elsewhere = stage.path("elsewhere");
     let other =
         stage.command(&["preflight", "play.yaml"]).env("DOWNBEAT_STATE", &elsewhere).output().unwrap();
@@ -89,7 +89,7 @@ fn robots_whose_process_is_killed_are_missed_at_once_and_nothing_is_made_up() {
     stage::sleep_until(start(&stage) + 1_000_000_000);
     robots.kill();
     let ended = run.ended();
-    // Nobody can say whether what they move stands still.
+    // Nothing can confirm whether the robots' devices have stopped.
     assert_eq!((ended.code, outcome(&ended)), (Some(4), "failed".into()), "{ended}");
     assert_eq!(lies(&ended, &sets(&stage, &["fleet.yaml"])), [""; 0]);
 }

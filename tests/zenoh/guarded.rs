@@ -1,4 +1,5 @@
-//! The configurations of docs/zenoh with certificates: who is let in, and who is not. They need `zenohd`, which `ZENOHD` names.
+//! The configurations of docs/zenoh with certificates: which members are admitted, and which are rejected. The tests need `zenohd`;
+//! `ZENOHD` names it.
 
 use std::process::Stdio;
 
@@ -7,11 +8,11 @@ use rcgen::{BasicConstraints, Certificate, CertificateParams, DnType, IsCa, Issu
 use crate::network::{Router, fleet, lies, names, outcome, sets, simulated, stage_of};
 use stage::{Stage, free_port};
 
-/// Steps of a script of 15 KB, and robots that play it.
+/// `LONG` is the number of steps of a 15 KB script, and `ROBOTS` the number of robots that play it.
 const LONG: u32 = 200;
 const ROBOTS: usize = 8;
 
-/// A file of docs/zenoh with the places of this test, and the certificate of `name` instead of that of `of`.
+/// A file of docs/zenoh with the paths and addresses of this test, and with the certificate of `name` instead of that of `of`.
 fn documented(of: &str, name: &str, port: u16, connects: &str) -> String {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../docs/zenoh/{of}.json5"));
     let text = std::fs::read_to_string(path).unwrap();
@@ -31,7 +32,7 @@ fn authority(name: &str) -> (Certificate, Issuer<'static, KeyPair>) {
     (certificate, Issuer::new(params, key))
 }
 
-/// Writes a certificate of an authority and its key.
+/// Writes a certificate signed by an authority, and its key.
 fn certify(stage: &Stage, name: &str, file: &str, authority: &Issuer<'static, KeyPair>) {
     let mut params = CertificateParams::new(vec!["127.0.0.1".to_owned(), "localhost".to_owned()]).unwrap();
     params.distinguished_name.push(DnType::CommonName, name);
@@ -66,7 +67,7 @@ fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
         (ping.status.code(), String::from_utf8(ping.stderr).unwrap())
     };
     let began = std::time::Instant::now();
-    // The routers connect to each other in their own time.
+    // The routers may take a while to connect to each other.
     while ping_by("scheduler.json5").0 != Some(0) {
         assert!(began.elapsed() < std::time::Duration::from_secs(30));
     }
@@ -82,7 +83,7 @@ fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
     ]);
     assert_eq!((ended.code, outcome(&ended)), (Some(0), "done".into()), "{ended}");
     assert_eq!(lies(&ended, &sets(&stage, &["fleet.yaml"])), [""; 0]);
-    // The rules have to allow that the script of all is published and asked for.
+    // The access rules have to allow publishing and querying the common script.
     assert!(!ended.told.contains("does not get what is published"), "{ended}");
 
     let (code, told) = ping_by("stranger.json5");
@@ -90,7 +91,7 @@ fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
     let (code, told) = ping_by("robot-as-scheduler.json5");
     assert!(code == Some(1) && told.contains("no robot answers there"), "{told}");
 
-    // A scheduler's certificate makes no robot.
+    // A scheduler's certificate does not permit acting as a robot.
     let mut command =
         stage.command(&["robot", "--init", "robot.yaml", "--id", "r9", "--listen", "zenoh:hall/r9"]);
     let spawned = command.args(["--zenoh", "scheduler.json5"]).stdout(Stdio::null()).spawn().unwrap();

@@ -1,4 +1,4 @@
-//! Robots at keys of a Zenoh network: with schedulers and robots that speak to each other directly, and behind routers.
+//! Robots at keys of a Zenoh network: connected to schedulers directly, or behind routers.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 

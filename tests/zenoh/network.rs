@@ -12,21 +12,21 @@ use serde_json::Value;
 
 use stage::{Ended, Logged, Process, Stage, one_device};
 
-/// Steps of the scenario, and the time between two of them.
+/// Number of steps in the scenario, and the time between them.
 pub const STEPS: u32 = 40;
 pub const EVERY_MS: u32 = 100;
 
-/// A configuration of a member that listens here, so that others can connect to it.
+/// Configuration of a member that listens on this port, so that others can connect to it.
 pub fn listening(port: u16) -> String {
     format!("{{mode: \"peer\", listen: {{endpoints: [\"tcp/127.0.0.1:{port}\"]}}}}")
 }
 
-/// A configuration of a member that connects there.
+/// Configuration of a member that connects to this port.
 pub fn client(port: u16) -> String {
     format!("{{mode: \"client\", connect: {{endpoints: [\"tcp/127.0.0.1:{port}\"]}}}}")
 }
 
-/// Robots with these names at keys of one hall, as a fleet file.
+/// Fleet file of robots with these names at keys of one hall.
 pub fn fleet(names: &[String], zenoh: &str) -> String {
     let row = |name: &String| format!("  {name}: {{init: robot.yaml, address: 'zenoh:hall/{name}'}}\n");
     let rows: String = names.iter().map(row).collect();
@@ -37,21 +37,22 @@ pub fn names(first: usize, count: usize) -> Vec<String> {
     (first..first + count).map(|i| format!("r{i}")).collect()
 }
 
-/// A folder with a robot and a scenario that all play: 1, 2, 3, and so on, under a running lease. Who fails is left out.
+/// A folder with a robot and a scenario in which all robots play 1, 2, 3, and so on, under this running lease. Failed robots are left
+/// out.
 pub fn stage(running: &str) -> Stage {
     stage_where(running, "without")
 }
 
-/// The same with this rule for failures.
+/// Like [`stage`], with this rule for failures.
 pub fn stage_where(running: &str, on_failure: &str) -> Stage {
     stage_of(running, on_failure, STEPS, EVERY_MS)
 }
 
-/// The same with so many steps, and so much time between two of them.
+/// Like [`stage_where`], with this number of steps and this time between them.
 pub fn stage_of(running: &str, on_failure: &str, steps: u32, every_ms: u32) -> Stage {
     let stage = Stage::new();
     let track = track(steps, every_ms, 100);
-    // On a busy machine, long scripts take longer than links were measured to.
+    // On a busy machine, long scripts take longer to send than the measured link times suggest.
     let (lead, pending) = if steps > STEPS { ("lead: 4s\n", "pending: 2s, ") } else { ("", "") };
     stage.file("robot.yaml", one_device(1, 200, steps.max(200)));
     stage.file(
@@ -64,14 +65,14 @@ pub fn stage_of(running: &str, on_failure: &str, steps: u32, every_ms: u32) -> S
     stage
 }
 
-/// Up by 1 with every step, and down again from this value on.
+/// A track that rises by 1 with every step up to `top`, then falls again, and so on.
 pub fn track(steps: u32, every_ms: u32, top: u32) -> String {
     let value = |step: u32| 1 + (step % (2 * top)).min(2 * top - step % (2 * top));
     let keyframe = |step: u32| format!("{{at: {}ms, to: {}}}", step * every_ms, value(step));
     (0..steps).map(keyframe).collect::<Vec<_>>().join(", ")
 }
 
-/// A process that simulates the robots of a fleet file, once they all listen.
+/// A process that simulates the robots of a fleet file. Returns when all of them listen.
 pub fn simulated(stage: &Stage, fleet: &str, count: usize, args: &[&str]) -> Process {
     let mut command =
         stage.command(&[&["sim", fleet, "--log-file", &format!("{fleet}.jsonl")], args].concat());
@@ -82,7 +83,7 @@ pub fn simulated(stage: &Stage, fleet: &str, count: usize, args: &[&str]) -> Pro
     process
 }
 
-/// Waits until the journal of the one mission has such a record.
+/// Waits until the journal of the only mission contains this record.
 pub fn recorded(stage: &Stage, record: &str) -> Value {
     let began = Instant::now();
     let find = || {
@@ -102,12 +103,12 @@ pub fn recorded(stage: &Stage, record: &str) -> Value {
     }
 }
 
-/// When the one mission is to start, in nanoseconds since the epoch, as soon as its first request may be sent.
+/// Planned start of the only mission, in nanoseconds since the epoch. Returns as soon as its first request may be sent.
 pub fn start(stage: &Stage) -> i64 {
     stage::nanos(recorded(stage, "prepared")["start"].as_str().unwrap())
 }
 
-/// What every robot of these fleets has set, by its name.
+/// The values that each robot of these fleets has set, by name.
 pub fn sets(stage: &Stage, fleets: &[&str]) -> BTreeMap<String, Vec<Logged>> {
     // Logs are written within 50 ms.
     std::thread::sleep(Duration::from_millis(300));
@@ -121,7 +122,7 @@ pub fn sets(stage: &Stage, fleets: &[&str]) -> BTreeMap<String, Vec<Logged>> {
     sets
 }
 
-/// What a report says of each robot that does not agree with its log.
+/// The robots whose rows in the report contradict their logs.
 pub fn lies(ended: &Ended, sets: &BTreeMap<String, Vec<Logged>>) -> Vec<String> {
     let report = ended.report();
     let mut lies = Vec::new();
@@ -130,7 +131,7 @@ pub fn lies(ended: &Ended, sets: &BTreeMap<String, Vec<Logged>>) -> Vec<String> 
         let did = sets.get(name).map_or(0, Vec::len) as u64;
         let said = |key: &str| row[key].as_u64().unwrap_or(0);
         let (done, unaccounted) = (said("steps_done"), said("unaccounted"));
-        // What a robot could not tell any more is said to be unknown.
+        // The report marks steps that a robot could no longer report as unaccounted.
         let agrees = if unaccounted == 0 { did == done } else { did >= done };
         if !agrees || (said("started") == 0 && unaccounted == 0 && did > 0) {
             lies.push(format!("{name} has set {did} values: {row}"));
@@ -143,17 +144,17 @@ pub fn outcome(ended: &Ended) -> Value {
     ended.report()["outcome"].clone()
 }
 
-/// A way to a port that counts the steps of scripts in what the side says that connects.
+/// A relay to a port. Counts the steps of scripts that the connecting side sends.
 pub struct Relay {
     pub port: u16,
     steps: Arc<AtomicU64>,
 }
 
-/// A step in JSON has this in it once, and nothing else has.
+/// Occurs exactly once in a step in JSON, and nowhere outside of steps.
 const IN_A_STEP: &[u8] = b"\"position\"";
 
 impl Relay {
-    /// Its threads end with their connections.
+    /// Starts the relay. Its threads end with their connections.
     pub fn to(port: u16) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let relay = Self { port: listener.local_addr().unwrap().port(), steps: Arc::default() };
@@ -172,7 +173,7 @@ impl Relay {
         relay
     }
 
-    /// How many steps came in the clear; where Zenoh cuts a message into fragments, some are not found.
+    /// Number of steps seen in plain text. Where Zenoh splits a message into fragments, some are missed.
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
     }
@@ -193,7 +194,7 @@ fn carry(mut from: TcpStream, mut to: TcpStream, counted: &AtomicU64) {
     let _gone = to.shutdown(Shutdown::Both);
 }
 
-/// A router that can be killed and started again.
+/// A router that can be killed and restarted.
 pub struct Router {
     config: std::path::PathBuf,
     pub port: u16,
@@ -201,7 +202,7 @@ pub struct Router {
 }
 
 impl Router {
-    /// One that connects to others.
+    /// Starts a router that connects to others.
     pub fn start(stage: &Stage, name: &str, others: &[u16]) -> Self {
         let port = stage::free_port();
         let others: Vec<_> = others.iter().map(|port| format!("\"tcp/127.0.0.1:{port}\"")).collect();
@@ -213,7 +214,7 @@ impl Router {
         Self::of(stage, name, port, config)
     }
 
-    /// One with this configuration, which listens on this port.
+    /// Starts a router with this configuration, which listens on this port.
     pub fn of(stage: &Stage, name: &str, port: u16, config: String) -> Self {
         let file = format!("{name}.json5");
         stage.file(&file, config);

@@ -1,5 +1,5 @@
-//! Three routers, a fleet behind two of them, the scheduler at the third, and a router that is killed and started again.
-//! `.ci/zenoh` runs these: they need `zenohd`, which `ZENOHD` names. `ZENOH_ROBOTS` is the size of the fleet.
+//! Three routers, a fleet behind two of them, the scheduler at the third, and a router that is killed and restarted. `.ci/zenoh` runs
+//! these tests: they need `zenohd`, which `ZENOHD` names. `ZENOH_ROBOTS` is the size of the fleet.
 #![expect(clippy::print_stdout, reason = "figures for docs/zenoh.md")]
 
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ use crate::network::{
 };
 use stage::{Ended, Process, Stage};
 
-/// The fleet, and all that it takes to reach it.
+/// The fleet, and the routers and processes through which it is reached.
 struct Hall {
     stage: Stage,
     count: usize,
@@ -43,7 +43,7 @@ impl Hall {
         self.stage.start(&["run", "play.yaml", "--format", "json", "--patience", "60s"])
     }
 
-    /// How many robots moved, and how many to the end; fails where the report says something else.
+    /// Returns how many robots moved, and how many of them to the end. Fails if the report contradicts the logs.
     #[track_caller]
     fn agree(&self, ended: &Ended, what: &str) -> (usize, usize) {
         let sets = sets(&self.stage, &["b.yaml", "c.yaml"]);
@@ -61,7 +61,7 @@ impl Hall {
         (sets.len(), whole)
     }
 
-    /// Plays while the router of the first half is away for 0.7 s, from so long after the first request.
+    /// Plays while the router of the first half is down for 0.7 s, starting `after` ms after the first request.
     fn prepare_without_router(&mut self, after: u64) -> Ended {
         let run = self.run();
         start(&self.stage);
@@ -130,6 +130,6 @@ fn a_router_that_stays_away_ends_its_robots_with_their_lease_and_no_others() {
     hall.routers[1].kill();
     let ended = run.ended_within(Duration::from_secs(180)).unwrap();
     hall.agree(&ended, "killed for good while it played, under a lease of 1 s");
-    // Its robots cannot confirm their stop.
+    // The robots behind this router cannot confirm that they stopped.
     assert_eq!(ended.code, Some(4), "{ended}");
 }

@@ -1,4 +1,4 @@
-//! Scripts that go to several robots, which are published once: what the scheduler sends is counted on its way.
+//! Scripts for several robots are published only once: a relay counts the steps that the scheduler sends.
 
 use std::time::Duration;
 
@@ -7,10 +7,10 @@ use crate::network::{
 };
 use stage::{Ended, Process, Stage, free_port};
 
-/// Steps of a script, and milliseconds between two of them.
+/// Number of steps of a script, and milliseconds between them.
 const STEPS: u32 = 1_000;
 const EVERY_MS: u32 = 4;
-/// Steps of a script that are found on their way.
+/// Number of steps of one script that the relay finds.
 const FOUND: std::ops::Range<u64> = STEPS as u64 - 5..STEPS as u64 + 1;
 
 /// All robots play the same long script.
@@ -18,7 +18,7 @@ fn long_stage() -> Stage {
     stage_of("20s", "without", STEPS, EVERY_MS)
 }
 
-/// Plays it, which everyone has to do to the end; returns how many steps the scheduler sent.
+/// Plays the scenario, which every robot has to finish. Returns how many steps the scheduler sent.
 #[track_caller]
 fn played(stage: &Stage, robots: usize, relay: &Relay) -> u64 {
     let ended = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "30s"]);
@@ -35,7 +35,7 @@ fn agree(stage: &Stage, ended: &Ended, robots: usize) {
     assert!(sets.values().all(|sets| sets.len() == STEPS as usize));
 }
 
-/// Robots in one process, which the scheduler reaches directly, and a count of what it says.
+/// Robots in one process, which the scheduler reaches directly, and a relay that counts the steps it sends.
 fn direct(stage: &Stage, count: usize) -> (Process, Relay) {
     let port = free_port();
     let relay = Relay::to(port);
@@ -77,7 +77,7 @@ fn a_scheduler_that_is_killed_and_started_again_publishes_anew() {
     first.process.kill();
     let before = relay.steps();
     assert!(FOUND.contains(&before), "{before} steps");
-    // Their leases end, and with them the session that nobody renews.
+    // Until the leases end, and the session with them, because they are no longer renewed.
     std::thread::sleep(Duration::from_secs(2));
     let again = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "30s"]);
     assert_eq!((again.code, outcome(&again)), (Some(0), "done".into()), "{again}");
@@ -106,7 +106,7 @@ fn two_schedulers_publish_at_the_same_time_each_for_its_robots() {
     assert!(FOUND.contains(&(sent / 2)), "{sent} steps");
 }
 
-/// A router with a rule against what schedulers publish for several robots.
+/// A router with a rule that denies what schedulers publish for several robots.
 fn denying(stage: &Stage, messages: &str) -> Router {
     let port = free_port();
     let config = format!(
@@ -134,7 +134,7 @@ fn robots_that_do_not_get_what_was_published_ask_for_it() {
     let router = denying(&stage, "\"put\"");
     let (_robots, relay) = routed(&stage, &router, 20);
     let sent = played(&stage, 20, &relay);
-    // Published in vain, and sent to their process once.
+    // Published once without effect, and sent once to the robots' process.
     assert!(FOUND.contains(&(sent / 2)), "{sent} steps");
 }
 

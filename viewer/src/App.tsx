@@ -1,4 +1,4 @@
-// Where everything is on the page.
+// Layout of the page.
 import { useEffect } from "preact/hooks";
 import { Curves } from "./curves/Curves";
 import { Header } from "./panels/Header";

@@ -1,4 +1,4 @@
-// Reads the mission or the trials out of the page and shows them, or says why that is impossible.
+// Reads the mission or the trials from the page and shows them, or reports why that is impossible.
 import { render } from "preact";
 import { App } from "./App";
 import { isOfTrials, PayloadError, readPayload } from "./data/payload";
@@ -16,7 +16,7 @@ async function start(): Promise<void> {
   try {
     const holder = document.getElementById("mission");
     const base64 = holder?.textContent ?? "";
-    // The text is as large as the file; nothing needs it once it is read.
+    // The text is as large as the file and no longer needed.
     holder?.remove();
     const payload = await readPayload(base64);
     document.title = `${visible(payload.mission.scenario)} – Downbeat`;

@@ -1,25 +1,25 @@
-// The document that the page shows. `scheduler/history/src/page/` writes it; both sides change together, with `version`. A test
-// compares the documents of the real program with these types.
+// The document that the page shows. `scheduler/history/src/page/` writes it; both sides change together, with `version`. A test compares
+// the documents of the real program with these types.
 //
-// The page holds it as base64 of gzip of: the length of the JSON in bytes (unsigned 32 bits, little-endian), the JSON in UTF-8
-// (a `Mission`), then the columns that the JSON points into. All times are milliseconds by the server's clock.
+// The page holds it as base64 of gzip of: the length of the JSON in bytes (unsigned 32 bits, little-endian), the JSON in UTF-8 (a
+// `Mission`), then the columns to which the JSON refers. All times are milliseconds by the server's clock.
 
-/** Numbers, in the bytes behind the JSON. */
+/** Numbers in the bytes after the JSON. */
 export interface Column {
-  /** Offset of the first byte, from the first byte behind the JSON. */
+  /** Offset of the first byte from the end of the JSON. */
   at: number;
   /** How many numbers. */
   n: number;
   /**
-   * The numbers are integers divided by 10 to the power of this, each integer written as a zigzag LEB128 varint of its difference
-   * from what was expected. `null`: the numbers are 64-bit floats, little-endian.
+   * The numbers are integers divided by 10 to this power. Each integer is written as a zigzag LEB128 varint of its difference from the
+   * predicted integer. `null`: the numbers are 64-bit floats, little-endian.
    */
   decimals: number | null;
-  /** What was expected: 1: the integer before (0 before the first). 2: the integer before plus the difference before that. */
+  /** Prediction. 1: the previous integer (0 before the first). 2: the previous integer plus the previous difference. */
   order: 1 | 2;
 }
 
-/** Values over time. `t` never goes back; two values at one time are a jump. */
+/** Values over time. `t` never decreases; two values at the same time are a jump. */
 export interface Series { t: Column; v: Column }
 
 export interface Mission {
@@ -30,34 +30,34 @@ export interface Mission {
   scenario: string;
   /** The instant at 0 ms, RFC 3339: the planned start of the first act. */
   epoch: string;
-  /** From when to when something is known. */
+  /** Time range for which data exists. */
   from: number; to: number;
-  /** Why the file behind the page is not whole, for people; `null`: it is whole. */
+  /** Why the file from which the page was made is incomplete, as text; `null` if it is complete. */
   cut_off: string | null;
-  /** What `--format json` of the same command prints; `null` where it is not known. `data/report.ts` reads it: it may have any shape. */
+  /** Output of `--format json` of the same command; `null` if it is not known. May have any shape: `data/report.ts` reads it. */
   report: Report | null;
-  /** Files that the mission was made of, for the lines of cues and findings. */
+  /** Source files of the mission, for the lines of cues and findings. */
   sources: { name: string; text: string }[];
   robots: Robot[];
   groups: { name: string; robots: number[] }[];
-  /** Compiled acts; an act that is played twice has one plan. */
+  /** Compiled acts; an act that is played twice has only one plan. */
   plans: Plan[];
-  /** Acts as they were played, in order. */
+  /** Acts in the order in which they were played. */
   acts: Played[];
-  /** What happened, in order of time. */
+  /** Sorted by time. */
   events: MissionEvent[];
   findings: Finding[];
-  /** What robots set, by the server's clock; empty where nothing tells. */
+  /** Values that robots set, by the server's clock; empty if they were not recorded. */
   set: DeviceSeries[];
-  /** What sensors read. */
+  /** Values that sensors read. */
   read: DeviceSeries[];
-  /** Clock of each robot that was asked: `offset` is robot minus server in ms, `uncertainty` how far off that may be. */
+  /** Clock of each robot that was queried: `offset` is robot minus server in ms, `uncertainty` is the error bound of the offset. */
   clocks: { robot: number; offset: Series; uncertainty: Series }[];
-  /** What it is compared with, on the page of a diff. */
+  /** The plan to which this one is compared, on the page of a diff. */
   compared?: Compared | null;
 }
 
-/** Another plan, of which this one is a change. */
+/** The older plan of a diff. */
 export interface Compared {
   /** Its file. */
   with: string;
@@ -66,15 +66,15 @@ export interface Compared {
 }
 
 export interface Difference {
-  /** Index into `Mission.plans`; `null` if only the other has the act, or for what is about no act. */
+  /** Index into `Mission.plans`; `null` if only the other plan has the act, or if the difference does not belong to an act. */
   plan: number | null;
-  /** From the act's start. */
+  /** Relative to the act's start. */
   at: number | null;
   robot: number | null; device: number | null;
   subject: string; text: string;
 }
 
-/** What the other plan has in the act of this plan: cues that are elsewhere there, and lanes that differ. */
+/** The other plan's version of an act: cues at other times, and lanes that differ. */
 export interface Ghost {
   plan: number;
   /** `cue`: index into `Plan.cues`. */
@@ -90,59 +90,59 @@ export interface Robot {
 
 export interface Device {
   id: string;
-  /** Of positions, as the robot declares it; may be empty. */
+  /** Unit of positions, as declared by the robot; may be empty. */
   unit: string;
   interpolation: "hold" | "linear";
   granularity: number | null;
   min: number | null; max: number | null;
-  /** Where it is before anything is set, if that is known. */
+  /** Position before anything is set, if known. */
   default: number | null;
   sensor: boolean;
 }
 
-/** What a robot is in space. Metres and radians. */
+/** Body of a robot in space. Metres and radians. */
 export interface Body {
   x: Coordinate; y: Coordinate; z: Coordinate; yaw: Coordinate;
   shape: { ball: number } | { box: [number, number, number] };
-  /** A chain of joints on the body; empty without one. */
+  /** A chain of joints on the body; may be empty. */
   joints: Joint[];
 }
 
-/** `offset + scale * value of the device`, or always `offset` where `device` is `null`. `device` is an index into `Robot.devices`. */
+/** `offset + scale * value of the device`, or just `offset` if `device` is `null`. `device` is an index into `Robot.devices`. */
 export interface Coordinate { device: number | null; scale: number; offset: number }
 
-/** A joint, in the frame of the link before it. */
+/** A joint, in the frame of the previous link. */
 export interface Joint {
   name: string;
   kind: "revolute" | "prismatic" | "fixed";
-  /** Where it is, and its rotation (roll, pitch, yaw about the fixed axes, in this order, as in URDF). */
+  /** Position and rotation (roll, pitch, yaw about the fixed axes, in this order, as in URDF). */
   xyz: [number, number, number]; rpy: [number, number, number];
-  /** Unit vector about which it turns or along which it slides. */
+  /** Unit vector about which the joint turns or along which it slides. */
   axis: [number, number, number];
-  /** Angle or way. */
+  /** Angle or distance. */
   value: Coordinate;
   /** Radius of the capsule from here to the next joint, or to the tip. */
   radius: number;
 }
 
 export interface Plan {
-  /** Empty for a scenario without acts of its own. */
+  /** Empty if the scenario has no named acts. */
   name: string;
   duration: number;
   start_tolerance: number;
   cues: Cue[];
   lanes: Lane[];
   closest: { robots: [number, number]; at: number; distance: number } | null;
-  /** What the act waits for, for people; empty: for nothing. */
+  /** The condition for which the act waits, as text; empty if it does not wait. */
   waits: string;
 }
 
 export interface Cue {
   name: string;
   start: number; end: number;
-  /** How much later it could start without the act ending later. */
+  /** How much later the cue could start without delaying the end of the act. */
   slack: number;
-  /** It is on the way that determines when the act ends. */
+  /** Whether the cue is on the critical path, which determines the end of the act. */
   critical: boolean;
   robots: number[];
   /** Index into `Mission.sources`, and lines counted from 1. */
@@ -151,42 +151,42 @@ export interface Cue {
   relations: { text: string; cue: number | null }[];
 }
 
-/** What one device does in an act. */
+/** Movement of one device in an act. */
 export interface Lane {
   robot: number;
   /** Index into `Robot.devices`. */
   device: number;
-  /** Which of several values of a step, counted from 0. */
+  /** Index into the values of a step, if it has several. */
   value: number;
   control: "position" | "speed" | "acceleration" | string;
-  /** Largest difference between the steps and the movement as written, in the device's unit, and when that is. */
+  /** Largest difference between the steps and the movement as written, in the device's unit, and when it occurs. */
   worst_error: number; worst_at: number;
-  /** Times of the series are from the start of the script, which is `start` after the act's. */
+  /** Times of the series are relative to the start of the script, which is `start` after the act's start. */
   scripts: { start: number; steps: Series }[];
 }
 
 export interface Played {
-  /** As people know it. */
+  /** Display name. */
   name: string;
-  /** Which of the mission's acts, counted from 0. */
+  /** Number of the act in the mission, counted from 0. */
   number: number;
   /** Index into `Mission.plans`; `null` if the plan is not known. */
   plan: number | null;
   /** Planned start and end on the axis. */
   start: number; end: number;
-  /** When its requests were sent, and the limits of its phases, if they took place. */
+  /** When its requests were sent, and the ends of its phases, as far as they took place. */
   sent: number | null;
   decided: number | null;
   committed: number | null;
   no_return: number | null;
-  /** When pending leases end if they are not renewed. */
+  /** When pending leases expire if they are not renewed. */
   lease: number | null;
   /**
-   * What became of it. "withdrawn": nothing of it began; "unknown": a robot has not said how it went on; "open": its end is not
-   * known.
+   * How the act ended. "withdrawn": nothing of it began; "unknown": a robot has not reported its further course; "open": the end of
+   * the act is not known.
    */
   fate: Fate;
-  /** When it ended, was stopped or was withdrawn, if that is known. */
+  /** When it ended, was stopped or was withdrawn, if known. */
   over: number | null;
   robots: { robot: number; left_out: boolean; started: number | null; ended: number | null }[];
 }
@@ -209,20 +209,20 @@ export interface Finding {
 
 export interface DeviceSeries { robot: number; device: number; act: number | null; series: Series }
 
-/** The parts of a report that the page shows, as `data/report.ts` reads them; the rest is in the document, too. */
+/** The parts of a report that the page shows, as read by `data/report.ts`. The document contains the rest, too. */
 export interface Report {
-  /** `null`: its end is not known. */
+  /** `null` if the outcome is not known. */
   outcome: string | Record<string, unknown> | null;
   spread_ms: number | null;
   true_spread_ms?: number | null;
-  /** Every act of the scenario, also those that were never sent. */
+  /** Every act of the scenario, including acts that were never sent. */
   course: ActCourse[];
   acts: ReportedAct[];
   robots: ReportedRobot[];
   failures: ReportedFailure[];
 }
 
-/** `fate`: of the last time; `awaited` and `within_ms` where it is "timed_out". */
+/** `fate` refers to the last time the act was played. `awaited` and `within_ms` are set if it is "timed_out". */
 export interface ActCourse { act: string; fate: string; played: number; awaited: string; within_ms: number | null }
 
 export interface ReportedAct {

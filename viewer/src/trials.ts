@@ -1,8 +1,8 @@
-// The document of the page of trials. `scheduler/history/src/page/tried.rs` writes it in the place of a `Mission`; it has no columns. What
-// `--format json` of the same command prints is here in the same words, without `each`: a page of 100,000 trials is as small as one
-// of a hundred. Times are milliseconds.
+// The document of the page of trials. `scheduler/history/src/page/tried.rs` writes it in place of a `Mission`; it has no columns. It
+// contains the output of `--format json` of the same command with the same names, but without `each`: a page of 100,000 trials is as
+// small as one of a hundred. Times are milliseconds.
 
-/** How often something was seen, with the 95 % interval of its probability. */
+/** How often something was observed, with the 95 % interval of its probability. */
 export interface Share { count: number; of: number; share: number | null; least: number; largest: number }
 
 export interface Quantiles { count: number; p50_ms: number; p99_ms: number; max_ms: number }
@@ -12,25 +12,25 @@ export interface Trials {
   program: string;
   kind: "trials";
   scenario: string;
-  /** Its name; empty: the world of the fleet file. */
+  /** Name of the world; empty for the world of the fleet file. */
   world: string;
   trials: number;
-  /** In decimal: more digits than a number of JavaScript holds. */
+  /** In decimal, as a string: it may have more digits than a JavaScript number can hold. */
   seed: string;
-  /** The words of the command that plays one of them again, but for `--trial K`. */
+  /** Words of the command that replays a trial, without `--trial K`. */
   replay: string[];
   starts: Share;
   finishes: Share;
   aborts: Share;
   mixed: Share;
-  /** The most frequent first. */
+  /** Most frequent first. */
   outcomes: [name: string, share: Share][];
-  /** Largest true spread of the starts of a mission, over those in which all robots of an act began. */
+  /** Largest true spread of the starts of a mission, over the missions in which all robots of an act began. */
   spread: Quantiles | null;
   histogram: Histogram | null;
   acts: TriedAct[];
   lead: { had: Quantiles; enough: Quantiles; undecided: number } | null;
-  /** The most frequent first. */
+  /** Most frequent first. */
   reasons: Reason[];
   robots: TriedRobot[];
   weakest_robot: string | null;
@@ -38,11 +38,11 @@ export interface Trials {
   requirements: Requirement[];
 }
 
-/** Of the spread: `counts[i]` missions from `i * width_ms` up to, and without, `(i + 1) * width_ms`. */
+/** Of the spread: `counts[i]` missions from `i * width_ms` up to, but not including, `(i + 1) * width_ms`. */
 export interface Histogram {
   width_ms: number;
   counts: number[];
-  /** Missions beyond the last of these. */
+  /** Number of missions above the last interval. */
   beyond: number;
 }
 
@@ -59,7 +59,7 @@ export interface Reason {
   robot: string | null;
   kind: string;
   share: Share;
-  /** The first trial of which it is true, and what was said there. */
+  /** The first trial with this reason, and its message. */
   example: number;
   text: string;
 }
@@ -67,7 +67,7 @@ export interface Reason {
 export interface TriedRobot {
   robot: string;
   fails_first: Share;
-  /** From the sending of an act until it had accepted its scripts. */
+  /** Time from sending an act until the robot had accepted its scripts. */
   accepts_within: Quantiles | null;
   accepts_last: Share;
   reconnects: Share;

@@ -1,5 +1,5 @@
-// Pages that the real program writes: their documents have the types of `src/mission.ts` and `src/trials.ts`, key by key, so a key
-// that is renamed on one side only fails here. DOWNBEAT names the program, ../target/debug/downbeat by default.
+// Pages that the real program writes: their documents have the types of `src/mission.ts` and `src/trials.ts`, key by key, so renaming a
+// key on only one side fails here. DOWNBEAT names the program, ../target/debug/downbeat by default.
 import assert from "node:assert/strict";
 import { execFile } from "node:child_process";
 import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
@@ -19,10 +19,10 @@ let folder;
 before(async () => (folder = await mkdtemp(join(tmpdir(), "downbeat-page-"))));
 after(() => rm(folder, { recursive: true, force: true }));
 
-/** The document of the page that these words of a command line write. */
+/** The document of the page that this command line writes. */
 async function documentOf(...words) {
   const page = join(folder, "page.html");
-  // `diff` ends with 1 if something differs.
+  // `diff` exits with 1 if there are differences.
   await run(downbeat, [...words, "--html", page], { cwd: root, env: { ...process.env, DOWNBEAT_STATE: join(folder, "state") } }).catch(
     (error) => error.code === 1 || Promise.reject(error),
   );
@@ -31,7 +31,7 @@ async function documentOf(...words) {
   return JSON.parse(bytes.subarray(4, 4 + bytes.readUInt32LE(0)).toString("utf8"));
 }
 
-/** What the compiler says of the documents as constants of their type: a key that is missing, unknown or of another type is an error. */
+/** Compiler errors for the documents as constants of their type: a missing key, an unknown key or a key of another type is an error. */
 async function typeErrors(type, module, documents) {
   // The report may have any shape.
   const literal = (document) => JSON.stringify("report" in document ? { ...document, report: null } : document);

@@ -22,7 +22,7 @@ export const SIZES = {
   narrow: { width: 390, height: 844 },
 };
 
-// Other work may leave little CPU time for the tests. A healthy browser may then need half a minute for a page.
+// Other load may leave little CPU time for the tests. A healthy browser may then need half a minute for a page.
 const PATIENCE_MS = 300_000;
 
 export async function launch() {

@@ -1,4 +1,4 @@
-// A mission with everything that the page shows: two acts of six drones, an arm with joints and a rover driven by speed.
+// A mission with every feature of the page: two acts of six drones, an arm with joints and a rover driven by speed.
 import { Columns, encode } from "./encode.mjs";
 import { readSwap } from "./swap.mjs";
 
@@ -271,7 +271,7 @@ function report(robots) {
   };
 }
 
-/** The same, stopped in the middle of its first act, without its first robot; of the acts that follow nothing was played. */
+/** The same mission, stopped in the middle of its first act, without its first robot. The following acts were not played. */
 export async function stopped() {
   const { mission, columns } = await choreography();
   const [swap, finale] = mission.acts;

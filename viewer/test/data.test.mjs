@@ -1,4 +1,4 @@
-// Columns, pyramids and steps, compared with slow and obvious ways to the same answer.
+// Columns, pyramids and steps, compared with slow but obvious implementations.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Columns } from "./encode.mjs";

@@ -1,4 +1,4 @@
-// What the page says is what the document says.
+// The page shows the content of the document.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { launch, settled, shown } from "./browser.mjs";

@@ -2,7 +2,7 @@
 import { readFile } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
 
-/** Collects columns behind the JSON. */
+/** Collects the columns that follow the JSON. */
 export class Columns {
   constructor() {
     this.bytes = Buffer.alloc(1 << 16);
@@ -66,7 +66,7 @@ export function encode(mission, columns) {
   return gzipSync(Buffer.concat([length, json, columns.bytes.subarray(0, columns.length)])).toString("base64");
 }
 
-/** The page with a mission, or with any other text in its place. */
+/** The page with a mission, or with any other text in place of the mission. */
 export async function pageWith(base64) {
   const page = await readFile(new URL("../page.html", import.meta.url), "utf8");
   return page.replace("@@MISSION@@", () => base64);

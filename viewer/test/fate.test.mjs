@@ -1,4 +1,4 @@
-// What the page says of missions that did not go as planned, or of which not all is known.
+// Pages of missions that did not go as planned, or about which data is missing.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { launch, shown } from "./browser.mjs";
@@ -21,7 +21,7 @@ test("a stopped act, a withdrawn one and those that were never sent are told as 
   assert.deepEqual(rows.map((row) => row.split("\t").slice(0, 2).join(": ")), [
     "swap: stopped at 0:02.125",
     "finale: withdrawn before anything moved, at 0:05.100",
-    "encore: skipped: the operator's go did not come within 60 s",
+    "encore: skipped: the operator's go did not occur within 60 s",
     "bows: not reached",
   ]);
   await page.keyboard.press("3");
@@ -65,7 +65,7 @@ test("the bars of an act, and of a robot that was left out, tell it to the point
   await close();
 });
 
-test("a mission whose end is not known, out of a file that is not whole, says both", async () => {
+test("a mission whose end is unknown, out of a file that is not whole, says both", async () => {
   const { mission, columns } = await choreography();
   mission.cut_off = "the last line ends too early";
   mission.report.outcome = null;
@@ -77,11 +77,11 @@ test("a mission whose end is not known, out of a file that is not whole, says bo
     { robot: "cf1", failure: "link_lost" },
   ];
   const { page, complaints, close } = await open({ mission, columns });
-  assert.equal(await page.locator("header .badge").nth(1).innerText(), "its end is not known");
+  assert.equal(await page.locator("header .badge").nth(1).innerText(), "outcome unknown");
   assert.equal(await page.locator(".cut-off").innerText(), "⚠ not whole: the last line ends too early");
-  assert.match(await page.locator(".facts").innerText(), /outcome\s+its end is not known/);
+  assert.match(await page.locator(".facts").innerText(), /outcome\s+outcome unknown/);
   assert.equal(await page.locator("#robots").count(), 0);
-  assert.match(await page.locator("#acts").innerText(), /finale\s+its end is not known/);
+  assert.match(await page.locator("#acts").innerText(), /finale\s+outcome unknown/);
   const failures = await page.locator("li.error-text").allInnerTexts();
   assert.deepEqual(failures, ["✕ cf5 battery below 10 %", "✕ cf6 / x too far", "✕ cf1 link lost"]);
   assert.deepEqual(complaints, []);

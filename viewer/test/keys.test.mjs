@@ -1,4 +1,4 @@
-// Keys and mouse do what the help says.
+// Keys and mouse work as described in the help.
 import assert from "node:assert/strict";
 import { after, before, beforeEach, afterEach, test } from "node:test";
 import { launch, settled, shown } from "./browser.mjs";
@@ -41,7 +41,7 @@ const stopClock = async () => {
   await page.clock.pauseAt(Date.now() + 1000);
   return (ms) => page.clock.runFor(ms);
 };
-/** Where a time is on the timeline's canvas, from the tip that the page itself shows. */
+/** Position of a time on the timeline's canvas, according to the tooltip of the page itself. */
 const box = () => page.locator(".timeline-canvas").boundingBox();
 const overview = () => page.locator(".overview input").getAttribute("aria-valuetext");
 

@@ -1,10 +1,10 @@
-// Missions of any size: each robot has four devices, of which three place its body.
+// Missions of any size: each robot has four devices, three of which position its body.
 import { Columns, encode } from "./encode.mjs";
 
 const INTERVAL_MS = 20;
 const DEVICES = ["x", "y", "z", "lamp"];
 
-/** `steps` are of each robot, shared by its devices. `spike`: one step of the first device is far away. */
+/** `steps` are per robot, distributed over its devices. `spike`: one step of the first device has an extreme value. */
 export function large({ robots, steps, spike = null }) {
   const columns = new Columns();
   const count = Math.round(steps / DEVICES.length);

@@ -1,4 +1,4 @@
-// Modules of the page for tests without a browser.
+// Loads modules of the page for tests without a browser.
 import { build } from "esbuild";
 
 export async function load(entry) {

@@ -1,4 +1,4 @@
-// The page in each size and theme: nothing on the console, nothing from the network, nothing that axe objects to.
+// The page in each size and theme: no console output, no network traffic, no axe violations.
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";

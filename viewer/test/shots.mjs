@@ -1,4 +1,4 @@
-// Takes pictures of the page in three sizes and both themes: `node test/shots.mjs [FOLDER]`.
+// Takes screenshots of the page in three sizes and both themes: `node test/shots.mjs [FOLDER]`.
 import { mkdir } from "node:fs/promises";
 import { launch, shown, SIZES } from "./browser.mjs";
 import { choreography } from "./choreography.mjs";

@@ -1,4 +1,4 @@
-// Lanes, acts that were not played, and deviations, out of small documents.
+// Lanes, acts that were not played, and deviations, from small documents.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Columns } from "./encode.mjs";
@@ -17,7 +17,7 @@ const device = (id, more = {}) => ({ id, unit: "m", interpolation: "hold", granu
 const fixed = { device: null, scale: 1, offset: 0 };
 const body = { x: { device: 0, scale: 1, offset: 0 }, y: fixed, z: fixed, yaw: fixed, shape: { ball: 0.1 }, joints: [] };
 
-/** One robot with one device, of which `lanes` and `set` are made; `acts` say what is different from one played act. */
+/** One robot with one device, with these `lanes` and `set` values. Each entry of `acts` overrides properties of a played act. */
 function showOf({ lanes, set = () => [], acts = [{}], ghosts = null, ...more }) {
   const columns = new Columns();
   const mission = {
@@ -164,10 +164,10 @@ test("a report of any shape is read as far as it fits", () => {
 
 test("fates are told in words", () => {
   assert.equal(fateText({ fate: "stopped", over: 1500 }), "stopped at 0:01.500");
-  assert.equal(fateText({ fate: "open", over: null }), "its end is not known");
+  assert.equal(fateText({ fate: "open", over: null }), "outcome unknown");
   const course = (fate, played, more = {}) => courseText({ act: "a", fate, played, awaited: "", within_ms: null, ...more });
   assert.equal(course("nobody_left", 1), "played once, then skipped: no robot was left to play it");
-  assert.equal(course("timed_out", 0, { awaited: "the operator's go", within_ms: 2000 }), "skipped: the operator's go did not come within 2 s");
+  assert.equal(course("timed_out", 0, { awaited: "the operator's go", within_ms: 2000 }), "skipped: the operator's go did not occur within 2 s");
   assert.equal(course("", 0), "not known");
 });
 

@@ -1,4 +1,4 @@
-// Bodies and joints, compared with poses that a person can work out.
+// Bodies and joints, compared with poses that can be worked out by hand.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./load.mjs";

@@ -1,4 +1,4 @@
-// One step that is far away is seen at every zoom: its lane has a column that reaches the top.
+// A single step with an extreme value is visible at every zoom: its lane has a column that reaches the top.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { launch, settled, shown } from "./browser.mjs";
@@ -16,7 +16,7 @@ test("a spike of one step in 25,000 is visible from the whole mission down to si
   for (let zoom = 0; zoom < 24; zoom++) {
     await settled(page);
     assert.ok((await highest(page)) < 8, `at zoom ${zoom} the lane's highest pixel is ${await highest(page)} px below its top`);
-    // The page zooms at the playhead: the first key finds the spike's time.
+    // The page zooms at the playhead, so the first key moves it to the spike.
     if (zoom === 0) await seekToSpike(page);
     await page.keyboard.press("+");
   }

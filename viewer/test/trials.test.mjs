@@ -1,4 +1,4 @@
-// The page of trials says what its document says, at every size, in both themes, by mouse and by key.
+// The page of trials shows the content of its document, at every size, in both themes, by mouse and by keys.
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
@@ -22,7 +22,7 @@ const percent = ({ share }) => (share === null ? "none" : `${Math.round(share * 
 const ms = (quantiles) => (quantiles === null ? ["–", "–", "–"] : ["p50_ms", "p99_ms", "max_ms"].map((key) => `${quantiles[key]} ms`));
 const rows = async (page, table) =>
   Promise.all((await page.locator(`${table} tbody tr`).all()).map((row) => row.locator("th, td").allInnerTexts()));
-/** Where a mark of the histogram is, as a share of its width. */
+/** Position of a mark of the histogram, as a fraction of its width. */
 const placed = (page, selector) => page.locator(selector).evaluate((line) => Number.parseFloat(line.getAttribute("x1")) / 100);
 
 test("numbers are those of the document", async () => {

@@ -1,18 +1,18 @@
-//! Scripts in the text that [`encode`](crate::encode) gives them. It is the very text that is hashed: a reader that has it need
-//! not write the script again to compare its hash.
+//! Scripts in the text form of [`encode`](crate::encode). The hash covers exactly this text, so a reader that has it need not serialize
+//! the script again to compare the hash.
 
 use crate::control_type::ControlType;
 use crate::limits::{CONTROL_VALUES_MAX, SCRIPT_STEPS_MAX};
 use crate::message::{Script, Setpoint, Step};
 use crate::time::Millis;
 
-/// The most digits that a decimal may have for its double to tell it from all others that have no more (`DBL_DIG` of C).
+/// Maximum number of digits with which every decimal has a distinct double (`DBL_DIG` of C).
 const DIGITS_MAX: usize = 15;
-/// Numbers below 0.0001 are left to others: the smallest ones are written with an exponent.
+/// Smaller numbers than 0.0001 are left to the general parser: the smallest ones are written with an exponent.
 const LEADING_ZEROS_MAX: usize = 3;
 
-/// The script whose canonical JSON begins here, that JSON, and what follows it. `None` for all else, and for steps with a
-/// condition or with numbers that are long: that may be a script nevertheless.
+/// Reads the script whose canonical JSON begins here. Returns it with that JSON and the rest of the text. `None` for everything else, and
+/// for steps with a condition or with long numbers, which may also form a script.
 pub(super) fn read(text: &str) -> Option<(Script, &str, &str)> {
     let mut rest = text.strip_prefix('[')?;
     let mut steps = Vec::with_capacity(steps_at_most(rest));
@@ -31,7 +31,7 @@ pub(super) fn read(text: &str) -> Option<(Script, &str, &str)> {
     Some((Script::new(steps).ok()?, own, rest))
 }
 
-/// No more than have room in a text so long, whatever is in it.
+/// Upper bound of the number of steps in a text of this length, regardless of its content.
 fn steps_at_most(text: &str) -> usize {
     const SHORTEST: &str = r#"{"time_offset_to_start":0,"control_type":"speed","control_value":0}"#;
     memchr::memchr_iter(b'{', text.as_bytes()).count().min(text.len() / SHORTEST.len())
@@ -62,11 +62,11 @@ fn read_step(text: &str) -> Option<(Step, &str)> {
     Some((Step::new(Millis::new(offset).ok()?, setpoint), rest.strip_prefix('}')?))
 }
 
-/// A number in its canonical text, and what follows.
+/// Reads a number in its canonical text; returns it with the rest.
 ///
-/// So few digits are the shortest text of the double that is next to them, since no other decimal with as few has the same
-/// double. Digits and power of ten are whole doubles without error, so their quotient is that double (W. D. Clinger, "How to Read
-/// Floating Point Numbers Accurately", 1990).
+/// A decimal with this few digits is the shortest text of its nearest double, because no other decimal of this length has the same
+/// double. Digits and power of ten are exact doubles, so their quotient is that double (W. D. Clinger, "How to Read Floating Point
+/// Numbers Accurately", 1990).
 fn read_number(text: &str) -> Option<(f64, &str)> {
     const TENS: [f64; DIGITS_MAX + 1] =
         [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
@@ -220,7 +220,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is read is read as by serde_json, and is what it writes.
+        /// Every accepted number has the same value as with serde_json, and is in canonical form.
         #[test]
         fn a_number_that_is_read_is_canonical(text in "-?[0-9]{0,3}[0-9]{0,14}(\\.[0-9]{0,14}[0-9]{0,3})?(e-?[0-9])?") {
             if let Some((value, "")) = read_number(&text) {
@@ -229,7 +229,7 @@ mod tests {
             }
         }
 
-        /// And no number of few digits is left out.
+        /// Every number with few digits is accepted.
         #[test]
         fn a_number_of_few_digits_is_read(digits in -999_999_999_999_999_i64..1_000_000_000_000_000, places in 0..15_i32) {
             let value = digits as f64 / 10_f64.powi(places);

@@ -1,4 +1,4 @@
-//! Messages that carry a script: as a rule one that is known, or in its canonical text. Both are read in a faster way than any JSON.
+//! Messages with a script, which is usually known or in its canonical text. Both can be read faster than general JSON.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,20 +8,20 @@ use memchr::memmem;
 use super::canonical;
 use crate::message::{Command, ControlRequest, ControlResponse, Message, Script, StatusValue};
 
-/// Scripts that are kept; older ones are read step by step when they come again.
+/// Number of scripts that are kept; older ones are parsed step by step when they are received again.
 const KEPT: usize = 16;
-/// How a message that carries a script begins, and the key of the script in it.
+/// The beginning of a message with a script, and the key of that script.
 const CARRIERS: [(&str, &str); 2] =
     [(r#"{"control_request":{"#, r#""control_value":"#), (r#"{"control_response":{"#, r#""status_value":"#)];
 
-/// The last scripts of requests that were sent or received. A robot repeats a script that it accepts, and robots of a group get
-/// the same one. A [`Decoder`](crate::Decoder) that knows a script gives it back with all that was computed of it; what is read
-/// is the same as without it. Clones are one.
+/// The most recent scripts of requests that were sent or received. A robot repeats a script that it accepts, and robots of a group
+/// receive the same one. A [`Decoder`](crate::Decoder) returns a known script together with its cached results; the decoded messages are
+/// the same as without it. Clones share their content.
 #[derive(Clone, Debug, Default)]
 pub struct KnownScripts(Arc<Mutex<VecDeque<Script>>>);
 
 impl KnownScripts {
-    /// Keeps the script of a request, if its hash was asked for and it is not long: its text is known then.
+    /// Keeps the script of a request if its text is known: if its hash was computed and the script is not too long.
     pub fn note(&self, request: &ControlRequest) {
         let Command::Script(script) = &request.command else { return };
         if script.is_empty() || script.kept_text().is_none() {
@@ -34,7 +34,7 @@ impl KnownScripts {
         }
     }
 
-    /// The one whose text is at the beginning of this, and what follows.
+    /// Finds the script whose text is at the beginning of `value`; returns it with the rest.
     fn find<'a>(&self, value: &'a str) -> Option<(Script, &'a str)> {
         self.scripts().iter().find_map(|script| {
             let rest = value.strip_prefix(script.kept_text()?)?;
@@ -47,8 +47,7 @@ impl KnownScripts {
     }
 }
 
-/// The message on this line, if it carries a script that is known or in its canonical text; `None` for what has to be read as any
-/// other line.
+/// Reads the message on this line if its script is known or in its canonical text; `None` if it has to be parsed like any other line.
 pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> {
     let (_, key) = CARRIERS.iter().find(|(begin, _)| line.starts_with(begin))?;
     let at = memmem::find(line.as_bytes(), key.as_bytes())?;
@@ -76,7 +75,7 @@ pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> 
     Some(message)
 }
 
-/// Whether what follows this stands directly in the object that a message is, and in no string.
+/// Whether the position after `head` is directly in the object of the message, and not in a string.
 fn is_where_keys_of_a_message_are(head: &str) -> bool {
     let (mut depth, mut in_string, mut escaped) = (0_i32, false, false);
     for byte in head.bytes() {
@@ -110,7 +109,7 @@ mod tests {
         serde_json::to_string(script).unwrap()
     }
 
-    /// A response with these keys behind those that each has, and a request likewise.
+    /// A response with these keys after its mandatory ones, and a request likewise.
     fn lines(keys: &str) -> [String; 2] {
         let time = "2026-11-20T19:00:00.000000000Z";
         [
@@ -199,7 +198,7 @@ mod tests {
         assert_eq!(known.scripts().len(), 0, "nobody asked for its hash");
     }
 
-    /// What is read with known scripts, or refused, is the same as without.
+    /// Checks that the result is the same with and without known scripts.
     #[track_caller]
     fn check_as_any_other(keys: &str, known: &KnownScripts) {
         for line in lines(keys) {

@@ -1,11 +1,11 @@
-//! Cuts a stream into lines and frames. Memory is bounded by the limit of one message.
+//! Splits a stream into lines and frames. The limit of a message bounds the memory.
 
 use super::error::{DecodeError, DecodeErrorKind};
 use super::{Encoding, KnownScripts, frame, line};
 use crate::limits::LINE_BYTES_MAX;
 use crate::message::Message;
 
-/// Cuts a stream of bytes into lines of JSON and frames of MessagePack, and reads each as a message.
+/// Splits a stream of bytes into lines of JSON and frames of MessagePack, and decodes each as a message.
 ///
 /// ```
 /// let mut decoder = urrcp::Decoder::default();
@@ -16,9 +16,9 @@ use crate::message::Message;
 #[derive(Debug)]
 pub struct Decoder {
     buffer: Vec<u8>,
-    /// Start of what has not been read yet.
+    /// Start of the unread part.
     read: usize,
-    /// Up to where no newline is known to stand.
+    /// End of the part that contains no newline.
     searched: usize,
     limit: usize,
     skipping: Skipping,
@@ -29,25 +29,25 @@ pub struct Decoder {
 /// A buffer that contains data is shrunk only if its capacity exceeds this many bytes.
 const KEPT_MAX: usize = 64 * 1024;
 
-/// What is buffered of the message that is read next.
+/// The buffered part of the next message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Front {
-    /// Its length in bytes as far as it is known: a frame says its own at once, a line when its end has come.
+    /// Its length in bytes as far as it is known: a frame states it in its head, a line at its end.
     pub bytes: usize,
-    /// Whether all of it has come.
+    /// Whether it has been received completely.
     pub whole: bool,
 }
 
-/// What stood at the front: nothing, where it was an empty line or the rest of an overlong one.
+/// The item at the front: `None` for an empty line or the rest of an overlong one.
 type Found = Option<Result<Message, DecodeError>>;
 
-/// What of an overlong message is still to be dropped.
+/// The part of an overlong message that is still to be discarded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Skipping {
     Nothing,
-    /// Up to its newline.
+    /// Everything up to the next newline.
     Line,
-    /// So many bytes.
+    /// This many bytes.
     Frame(usize),
 }
 
@@ -58,7 +58,7 @@ impl Default for Decoder {
 }
 
 impl Decoder {
-    /// A decoder for lines and payloads of at most `limit` bytes.
+    /// Creates a decoder for lines and payloads of at most `limit` bytes.
     #[must_use]
     pub const fn new(limit: usize) -> Self {
         Self {
@@ -72,22 +72,21 @@ impl Decoder {
         }
     }
 
-    /// The same, faster with lines that carry one of these scripts.
+    /// The same decoder, but faster for lines that contain one of these scripts.
     #[must_use]
     pub fn that_knows(mut self, scripts: KnownScripts) -> Self {
         self.known = Some(scripts);
         self
     }
 
-    /// How the message, or the error in its place, that was read last had been written; JSON before the first. An answer
-    /// is written likewise.
+    /// The encoding of the last decoded message, or of the error in its place; JSON before the first. An answer should use the same
+    /// encoding.
     #[must_use]
     pub const fn encoding(&self) -> Encoding {
         self.encoding
     }
 
-    /// Takes bytes as they came. Read the messages out before pushing again: what is buffered is then never more than
-    /// one message and one push.
+    /// Adds received bytes. If all messages are read before the next push, the buffer contains at most one message and one push.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.read);
         self.searched -= self.read;
@@ -95,7 +94,7 @@ impl Decoder {
         let needed = self.buffer.len() + bytes.len();
         let capacity = self.buffer.capacity();
         if needed > capacity {
-            // Doubled, so that a long message is copied only now and then, but not beyond what may be buffered.
+            // Doubled, so that a long message is rarely copied, but not beyond the maximum buffer size.
             let most = self.limit.saturating_add(frame::HEAD_BYTES).saturating_add(bytes.len());
             let grown = capacity.saturating_mul(2).min(most).max(needed);
             self.buffer.reserve_exact(grown - self.buffer.len());
@@ -103,13 +102,13 @@ impl Decoder {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The limit from now on, in bytes of a line or payload. What is buffered stays.
+    /// Changes the limit of subsequent lines and payloads, in bytes. Buffered bytes are kept.
     pub const fn set_limit(&mut self, limit: usize) {
         self.limit = limit;
     }
 
-    /// What is buffered of the next message, empty lines included, without reading it; `None` where nothing is, or only the
-    /// rest of an overlong message. The reader of a message that takes long to read can choose where to do so.
+    /// Describes the buffered part of the next message, including empty lines, without decoding it. `None` if the buffer is empty or
+    /// contains only the rest of an overlong message. With it, the reader can choose where to decode a long message.
     pub fn front(&mut self) -> Option<Front> {
         let unread = self.buffer.get(self.read..).filter(|unread| !unread.is_empty())?;
         match (self.skipping, unread.first()?) {
@@ -127,26 +126,26 @@ impl Decoder {
         }
     }
 
-    /// Whether the rest of an overlong message is still to be dropped.
+    /// Whether the rest of an overlong message is still to be discarded.
     #[must_use]
     pub fn is_skipping(&self) -> bool {
         self.skipping != Skipping::Nothing
     }
 
-    /// How many bytes are held that have not been read out.
+    /// Number of buffered bytes that have not been decoded.
     #[must_use]
     pub fn buffered(&self) -> usize {
         self.buffer.len() - self.read
     }
 
-    /// The next message or the error that is in its place; `None` until more bytes come. Empty lines are skipped.
+    /// Returns the next message or the error in its place; `None` until more bytes are pushed. Skips empty lines.
     pub fn next_message(&mut self) -> Option<Result<Message, DecodeError>> {
         let found = self.find();
         if self.read == self.buffer.len() {
-            // Thousands of connections are idle at a time. Memory that the next one takes again is still in the processor's cache.
+            // Thousands of connections are idle at a time. Released memory that the next one allocates is still in the processor's cache.
             (self.buffer, self.read, self.searched) = (Vec::new(), 0, 0);
         } else if self.buffer.capacity() > KEPT_MAX && self.buffered() <= self.buffer.capacity() / 4 {
-            // Otherwise the first bytes of the next message would keep the memory of a long message allocated.
+            // Otherwise the first bytes of the next message would keep a long message's allocation alive.
             self.buffer = self.buffer[self.read..].to_vec();
             (self.read, self.searched) = (0, self.searched - self.read);
         }
@@ -178,7 +177,7 @@ impl Decoder {
         };
     }
 
-    /// Counts bytes as read.
+    /// Marks bytes as read.
     fn take(&mut self, bytes: usize) {
         self.read += bytes;
         self.searched = self.read;
@@ -223,7 +222,7 @@ impl Decoder {
         Some(Some(line::read(text, self.known.as_ref())))
     }
 
-    /// Drops the beginning of a line that has grown beyond the limit, and says so once.
+    /// Discards the beginning of a line that exceeds the limit, and reports it once.
     fn overflow(&mut self) -> Option<Found> {
         if self.skipping != Skipping::Line && self.buffer.len() - self.read <= self.limit {
             return None;
@@ -256,7 +255,7 @@ mod tests {
     const LIMIT: usize = 4 * 1024 * 1024;
     const CHUNK: usize = 8 * 1024;
 
-    /// Pushes the stream in chunks as a socket gives them; the most that was ever allocated.
+    /// Pushes the stream in chunks like a socket; returns the largest allocation.
     #[track_caller]
     fn largest_buffer(stream: impl Iterator<Item = u8>) -> usize {
         let mut decoder = Decoder::new(LIMIT);

@@ -1,4 +1,4 @@
-//! What is wrong with bytes that are no message.
+//! Errors in bytes that are not a valid message.
 
 use std::fmt;
 
@@ -7,18 +7,18 @@ use serde::Deserialize;
 use crate::message::{Message, OfUnknownType};
 use crate::text::{DeviceId, RequestId, shortened};
 
-/// Why a line or frame is not a message, and the device and request that an answer would concern.
+/// Why a line or frame is not a message, and the device and request for an answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct DecodeError {
-    /// What is wrong.
+    /// The error.
     pub kind: DecodeErrorKind,
-    /// The device of a control request that can be recognised all the same.
+    /// The device of a control request, if it can be recognized.
     pub device_id: Option<DeviceId>,
-    /// The request id that can be recognised all the same.
+    /// The request id, if it can be recognized.
     pub request_id: Option<RequestId>,
 }
 
-/// What is wrong with a line or frame.
+/// An error in a line or frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DecodeErrorKind {
@@ -29,33 +29,33 @@ pub enum DecodeErrorKind {
     },
     /// A frame whose payload is longer than the decoder's limit, in bytes.
     FrameTooLong {
-        /// What its head says.
+        /// The length in its head.
         length: usize,
         /// The limit.
         limit: usize,
     },
-    /// Not UTF-8 from this byte on.
+    /// The line is not valid UTF-8 from this byte.
     NotUtf8 {
-        /// Count of good bytes ahead.
+        /// Number of valid bytes before it.
         valid_up_to: usize,
     },
     /// Not JSON.
     NotJson {
-        /// Column of the fault, from 1.
+        /// Column of the error, from 1.
         column: usize,
-        /// What the parser says.
+        /// The parser's message.
         message: String,
     },
     /// The payload of a frame is not one whole value of MessagePack.
     NotMessagePack {
-        /// What the parser says.
+        /// The parser's message.
         message: String,
     },
     /// JSON or MessagePack, but no message of the protocol.
     Invalid {
-        /// Path of the offending key, as `control_request.control_value[3].control_type`.
+        /// Path of the invalid key, such as `control_request.control_value[3].control_type`.
         path: String,
-        /// What was found and expected.
+        /// The found and the expected value.
         message: String,
     },
 }
@@ -68,7 +68,7 @@ impl DecodeError {
     /// An error in text that is well formed but not a message.
     pub(super) fn invalid(path: String, message: String, of: Addressee) -> Self {
         Self {
-            // What is wrong may be quoted from the line, so it may be as long as that: an answer is short.
+            // The message may quote the line and be just as long, but an answer must be short.
             kind: DecodeErrorKind::Invalid { path: shortened(&path), message: shortened(&message) },
             device_id: of.device_id.and_then(|id| DeviceId::new(id).ok()),
             request_id: of.request_id.and_then(|id| RequestId::new(id).ok()),
@@ -84,20 +84,20 @@ impl fmt::Display for DecodeError {
                 write!(f, "a frame of {length} bytes, expected at most {limit}")
             }
             DecodeErrorKind::NotUtf8 { valid_up_to } => {
-                write!(f, "bytes that are not UTF-8 after byte {valid_up_to}")
+                write!(f, "invalid UTF-8 after byte {valid_up_to}")
             }
             DecodeErrorKind::NotJson { column, message } => {
-                write!(f, "text that is not JSON at column {column}: {message}")
+                write!(f, "invalid JSON at column {column}: {message}")
             }
             DecodeErrorKind::NotMessagePack { message } => {
-                write!(f, "a frame that is not MessagePack: {message}")
+                write!(f, "invalid MessagePack: {message}")
             }
             DecodeErrorKind::Invalid { path, message } => write!(f, "{message} (at `{path}`)"),
         }
     }
 }
 
-/// Whom a control request is for, read without regard to the rest.
+/// The device and the id of a control request, read independently of the rest.
 #[derive(Default, Deserialize)]
 pub(super) struct Addressee {
     #[serde(default)]
@@ -106,7 +106,7 @@ pub(super) struct Addressee {
     request_id: Option<String>,
 }
 
-/// A control request of a control type that this version does not know, whatever its values are.
+/// A control request of a control type that this version does not know, with any values.
 #[derive(Deserialize)]
 pub(super) struct UnknownType {
     control_request: OfUnknownType,

@@ -1,4 +1,4 @@
-//! The compact encoding: a byte that no line contains, the length of the payload, and the payload as MessagePack.
+//! The compact encoding: a byte that no line contains, the length of the payload, and the payload in MessagePack.
 
 use rmp_serde::decode::Error;
 use serde::de::IgnoredAny;
@@ -9,11 +9,11 @@ use super::line;
 use crate::message::Message;
 use crate::text::shortened;
 
-/// What begins a frame: never valid in UTF-8, never used by MessagePack.
+/// The first byte of a frame: never valid in UTF-8, never used by MessagePack.
 pub(super) const MARK: u8 = 0xC1;
 /// The mark and the payload's length, big-endian.
 pub(super) const HEAD_BYTES: usize = 5;
-/// Lists and dictionaries within each other, as many as serde_json takes.
+/// Maximum nesting of lists and dictionaries, as in serde_json.
 const DEPTH_MAX: usize = 128;
 
 /// Appends a message as a frame.
@@ -21,12 +21,12 @@ pub(super) fn write(message: &Message, bytes: &mut Vec<u8>) {
     let begin = bytes.len();
     bytes.extend_from_slice(&[MARK, 0, 0, 0, 0]);
     let mut serializer = rmp_serde::Serializer::new(&mut *bytes).with_struct_map();
-    // Writing a message into memory cannot fail: lengths are known, numbers finite.
+    // Serialization into memory cannot fail: lengths are known, numbers finite.
     let written = message.serialize(&mut serializer);
     debug_assert!(written.is_ok(), "{written:?}");
     match u32::try_from(bytes.len() - begin - HEAD_BYTES) {
         Ok(length) => bytes[begin + 1..begin + HEAD_BYTES].copy_from_slice(&length.to_be_bytes()),
-        // Longer than a frame can say. A line is understood by everybody.
+        // Too long for a frame. Every peer accepts a line instead.
         Err(_) => {
             bytes.truncate(begin);
             line::write(message, bytes);
@@ -34,10 +34,10 @@ pub(super) fn write(message: &Message, bytes: &mut Vec<u8>) {
     }
 }
 
-/// The payload's length, once the whole head is there.
+/// The payload's length, once the whole head has been received.
 pub(super) fn length(head: &[u8]) -> Option<usize> {
     let length = head.get(1..HEAD_BYTES)?.try_into().map(u32::from_be_bytes).ok()?;
-    // Where an address has fewer bits than a length, this is beyond any limit.
+    // If an address has fewer bits than a length, this is beyond any limit.
     Some(usize::try_from(length).unwrap_or(usize::MAX))
 }
 
@@ -46,7 +46,7 @@ pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
     let message = if names_one_message(payload) {
         read_whole(payload)
     } else {
-        Err(Error::Syntax("expected a dictionary of one key, which names the message".to_owned()))
+        Err(Error::Syntax("expected a dictionary with one key, the name of the message".to_owned()))
     };
     message.or_else(|error| match names_one_message(payload).then(|| read_whole::<UnknownType>(payload)) {
         Some(Ok(unknown)) => Ok(unknown.into()),
@@ -54,8 +54,7 @@ pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
     })
 }
 
-/// Whether it begins as a dictionary of one entry, in any of MessagePack's ways to say so. The parser itself would take
-/// a list as well.
+/// Whether it begins with a dictionary of one entry, in any form of MessagePack. The parser itself would also accept a list.
 const fn names_one_message(payload: &[u8]) -> bool {
     matches!(payload, [0x81, ..] | [0xDE, 0, 1, ..] | [0xDF, 0, 0, 0, 1, ..])
 }
@@ -73,11 +72,11 @@ fn read_whole<'a, T: Deserialize<'a>>(payload: &'a [u8]) -> Result<T, Error> {
     let value = T::deserialize(&mut deserializer)?;
     match IgnoredAny::deserialize(&mut deserializer) {
         Err(Error::InvalidMarkerRead(_)) => Ok(value),
-        _ => Err(Error::Syntax("bytes behind the message".to_owned())),
+        _ => Err(Error::Syntax("unexpected bytes after the message".to_owned())),
     }
 }
 
-/// Reads a bad payload again, more slowly, for the path of the fault and the ids that an answer needs.
+/// Parses an invalid payload again, more slowly, to find the path of the error and the ids for an answer.
 fn explain(payload: &[u8], error: &Error) -> DecodeError {
     let well_formed = read_whole::<IgnoredAny>(payload);
     if let Err(fault) = well_formed {
@@ -89,8 +88,8 @@ fn explain(payload: &[u8], error: &Error) -> DecodeError {
 
 fn told(error: &Error) -> String {
     match error {
-        Error::InvalidMarkerRead(_) | Error::InvalidDataRead(_) => "it ends too early".to_owned(),
-        Error::DepthLimitExceeded => format!("more than {DEPTH_MAX} levels within each other"),
+        Error::InvalidMarkerRead(_) | Error::InvalidDataRead(_) => "unexpected end".to_owned(),
+        Error::DepthLimitExceeded => format!("more than {DEPTH_MAX} nested levels"),
         other => shortened(&other.to_string()),
     }
 }

@@ -1,4 +1,4 @@
-//! The canonical encoding: JSON, UTF-8, one message a line.
+//! The canonical encoding: JSON in UTF-8, one message per line.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use super::{KnownScripts, carried};
 use crate::message::{Message, OnLine};
 use crate::text::shortened;
 
-/// What ends a line.
+/// The end of a line.
 pub(super) const END: u8 = b'\n';
 
 /// Appends a message and its newline.
@@ -25,13 +25,13 @@ pub(super) fn write(message: &Message, line: &mut Vec<u8>) {
             serde_json::to_writer(&mut *line, &OnLine(message)).map(|()| fill(line, begin, key, text))
         }
     };
-    // Writing a message into memory cannot fail: keys are strings, numbers finite.
+    // Serialization into memory cannot fail: keys are strings, numbers finite.
     debug_assert!(written.is_ok(), "{written:?}");
     line.push(END);
 }
 
-/// Puts the text in the place of the empty list that is the value of this key. Nothing ahead of that looks like it, as the quotes
-/// in a string are escaped.
+/// Replaces the empty list after this key by the text. No earlier part of the line matches the key, because quotes in strings are
+/// escaped.
 fn fill(line: &mut Vec<u8>, begin: usize, key: &str, text: &str) {
     let gap = memmem::find(&line[begin..], key.as_bytes()).map_or(line.len(), |at| begin + at + key.len());
     let rest = line.split_off(gap);
@@ -52,16 +52,16 @@ pub(super) fn read(line: &[u8], known: Option<&KnownScripts>) -> Result<Message,
     })
 }
 
-/// Reads a bad line again, more slowly, for the path of the fault and the ids that an answer needs.
+/// Parses an invalid line again, more slowly, to find the path of the error and the ids for an answer.
 fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
-    // A number beyond a double, say, is JSON all the same.
+    // A number beyond the range of a double, for example, is still JSON.
     if !error.is_data() && serde_json::from_str::<IgnoredAny>(text).is_err() {
         let message = shortened(&without_place(error));
         return DecodeError::bare(DecodeErrorKind::NotJson { column: error.column(), message });
     }
     let (path, message) = match serde_json::from_str::<KeyCount>(text) {
         Ok(KeyCount(count)) if count != 1 => {
-            (".".to_owned(), format!("{count} keys, expected exactly one, which names the message"))
+            (".".to_owned(), format!("{count} keys, expected exactly one, the name of the message"))
         }
         _ => (path_of_fault(text), without_place(error)),
     };
@@ -69,7 +69,7 @@ fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
     DecodeError::invalid(path, message, addressee.unwrap_or_default())
 }
 
-/// How many keys an object has.
+/// The number of keys of an object.
 struct KeyCount(usize);
 
 impl<'de> Deserialize<'de> for KeyCount {

@@ -1,6 +1,5 @@
-//! Bytes in, messages out, and back. A message travels as a line of JSON or, where the reader has said that it
-//! understands it, as a frame of MessagePack. Both may follow each other on one stream: each says by its first byte what
-//! it is.
+//! Encodes and decodes messages. A message is sent as a line of JSON or, if the receiver supports it, as a frame of MessagePack. One
+//! stream may contain both: the first byte distinguishes them.
 
 mod canonical;
 mod carried;
@@ -16,7 +15,7 @@ pub use error::{DecodeError, DecodeErrorKind};
 use crate::encoding::Encoding;
 use crate::message::Message;
 
-/// Appends a message as a line of JSON, its newline included.
+/// Appends a message as a line of JSON, including its newline.
 pub fn encode(message: &Message, bytes: &mut Vec<u8>) {
     line::write(message, bytes);
 }

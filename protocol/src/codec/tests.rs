@@ -1,9 +1,9 @@
-//! How messages of both encodings follow each other on one stream, whole, cut, overlong and broken.
+//! Sequences of messages in both encodings on one stream: whole, cut, overlong and invalid.
 
 use super::*;
 use crate::{AvailabilityRequest, Command, ControlRequest, Script};
 
-/// A frame round a payload of these bytes.
+/// A frame with this payload.
 fn frame(payload: &[u8]) -> Vec<u8> {
     let length = u32::try_from(payload.len()).unwrap();
     [&[frame::MARK], length.to_be_bytes().as_slice(), payload].concat()
@@ -24,7 +24,7 @@ fn written(encoding: Encoding, message: &Message) -> Vec<u8> {
     bytes
 }
 
-/// What a payload is refused for. What follows it is still read.
+/// The error for a payload. Checks that the following message is still read.
 #[track_caller]
 fn refused(payload: &[u8]) -> DecodeError {
     let mut decoder = Decoder::default();
@@ -43,7 +43,7 @@ fn check_not_message_pack(payload: &[u8], says: &str) {
     assert!(message.contains(says), "{message}");
 }
 
-/// A control request of MessagePack whose keys are followed by these bytes.
+/// A control request in MessagePack with these additional fields.
 fn request(fields: &[(&str, &[u8])]) -> Vec<u8> {
     let text = |text: &str| [&[0xD9, u8::try_from(text.len()).unwrap()], text.as_bytes()].concat();
     let mut payload = [&[0x81], text("control_request").as_slice()].concat();
@@ -139,11 +139,11 @@ fn garbage_between_messages_is_answered_once_each_and_costs_no_message() {
 
 #[test]
 fn payloads_that_are_no_message_pack_say_why() {
-    check_not_message_pack(b"", "too early");
-    check_not_message_pack(b"\x81", "too early");
+    check_not_message_pack(b"", "unexpected end");
+    check_not_message_pack(b"\x81", "unexpected end");
     check_not_message_pack(b"\xC1", "Reserved");
     let whole = written(Encoding::MessagePack, &ping());
-    check_not_message_pack(&[&whole[5..], b"\xC0"].concat(), "bytes behind the message");
+    check_not_message_pack(&[&whole[5..], b"\xC0"].concat(), "unexpected bytes after the message");
 }
 
 #[test]
@@ -153,7 +153,7 @@ fn a_payload_is_a_dictionary_of_one_key() {
     let list = [b"\x92".as_slice(), ping].concat();
     for payload in [&two, &list, b"\xC0".as_slice(), b"\x05", b"\x80"] {
         let DecodeErrorKind::Invalid { message, .. } = refused(payload).kind else { panic!("{payload:?}") };
-        assert!(message.contains("a dictionary of one key"), "{message}");
+        assert!(message.contains("a dictionary with one key"), "{message}");
     }
     let long_form = [b"\xDE\x00\x01".as_slice(), ping].concat();
     let mut decoder = Decoder::default();
@@ -163,17 +163,20 @@ fn a_payload_is_a_dictionary_of_one_key() {
 
 #[test]
 fn depth_is_bounded() {
-    check_not_message_pack(&b"\x91".repeat(1_000_000), "more than 128 levels");
-    check_not_message_pack(&request(&[("colour", &b"\x91".repeat(200))]), "more than 128 levels");
-    check_not_message_pack(&b"\x81\xA1a".repeat(1_000_000), "more than 128 levels");
+    check_not_message_pack(&b"\x91".repeat(1_000_000), "more than 128 nested levels");
+    check_not_message_pack(&request(&[("colour", &b"\x91".repeat(200))]), "more than 128 nested levels");
+    check_not_message_pack(&b"\x81\xA1a".repeat(1_000_000), "more than 128 nested levels");
 }
 
 #[test]
 fn lengths_that_lie_take_no_memory() {
-    // A text, a list of steps and a dictionary of four billion entries, of which none comes.
+    // A text, a list of steps and a dictionary of four billion entries each, none of which follow.
     for lie in [b"\xDB\xFF\xFF\xFF\xFF", b"\xDD\xFF\xFF\xFF\xFF", b"\xDF\xFF\xFF\xFF\xFF"] {
-        check_not_message_pack(&request(&[("control_type", SCRIPT), ("control_value", lie)]), "too early");
-        check_not_message_pack(lie, "too early");
+        check_not_message_pack(
+            &request(&[("control_type", SCRIPT), ("control_value", lie)]),
+            "unexpected end",
+        );
+        check_not_message_pack(lie, "unexpected end");
     }
 }
 
@@ -202,8 +205,16 @@ fn a_request_beyond_the_limits_is_refused_with_its_place() {
     let short = [
         (b"\x91\x92\x00\x00".as_slice(), "control_request.control_value[0]", "invalid length 2"),
         (b"\x91\x93\x00\x03\x00", "control_request.control_value[0][1]", "0 for position"),
-        (b"\x91\x93\x00\xA6sensor\x00", "control_request.control_value[0]", "control type `sensor`"),
-        (b"\x92\x93\x01\x00\x00\x93\x00\x00\x00", "control_request.control_value", "before the step ahead"),
+        (
+            b"\x91\x93\x00\xA6sensor\x00",
+            "control_request.control_value[0]",
+            "control type `sensor` is not supported in a script step",
+        ),
+        (
+            b"\x92\x93\x01\x00\x00\x93\x00\x00\x00",
+            "control_request.control_value",
+            "before the previous step",
+        ),
     ];
     for (steps, path, says) in short {
         check_invalid(&request(&[("control_type", SCRIPT), ("control_value", steps)]), path, says);

@@ -1,4 +1,4 @@
-//! Steps 1 and 2: is the equipment there, and what does its clock say?
+//! Steps 1 and 2: is the equipment available, and what does its clock show?
 
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -8,7 +8,7 @@ use crate::object;
 use crate::text::SessionId;
 use crate::time::{Robot, Server, Timestamp};
 
-/// Step 1. Also serves to renew the leases of a quiet link.
+/// Step 1. Also renews the leases on a quiet link.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityRequest {
@@ -18,14 +18,14 @@ pub struct AvailabilityRequest {
     /// Claims the robot for this session; a robot that belongs to another answers `Failed` with `busy` (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
-    /// With a session: takes the robot from the session to which it belongs, whose commands end (our extension). A robot does
-    /// so for a peer that has proven by TLS that it has the role `seize`, and refuses all others.
+    /// With a session: takes the robot from its current session, whose commands end (our extension). A robot complies if the peer has
+    /// proven by TLS that it has the role `seize`, and refuses otherwise.
     #[serde(default, deserialize_with = "flag", skip_serializing_if = "is_off")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<bool>"))]
     pub seize: bool,
 }
 
-/// `null` is as good as nothing.
+/// Treats `null` like an omitted flag.
 fn flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
     Option::deserialize(deserializer).map(Option::unwrap_or_default)
 }
@@ -35,7 +35,7 @@ const fn is_off(flag: &bool) -> bool {
     !*flag
 }
 
-/// Step 2. With the instant of its arrival the three times in it give offset and delay as in NTP (RFC 5905, section 8).
+/// Step 2. Together with the time of arrival, its three timestamps determine offset and delay as in NTP (RFC 5905, section 8).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityResponse {

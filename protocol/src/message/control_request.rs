@@ -1,4 +1,4 @@
-//! Step 5: the control signal, with all that is needed to drive one device.
+//! Step 5: the control signal, with all data for driving one device.
 
 use std::fmt;
 
@@ -19,28 +19,28 @@ use crate::time::{Millis, Robot, Server, Timestamp};
 pub struct ControlRequest {
     /// When the server sent it; all requests of one act carry the same.
     pub timestamp: Option<Timestamp<Server>>,
-    /// Milliseconds from `timestamp` to the start. Left out: at once on receipt.
+    /// Milliseconds from `timestamp` to the start. If omitted, the command starts on receipt.
     pub time_offset_to_start: Option<Millis>,
-    /// The device that the signal is for.
+    /// The addressed device.
     pub device_id: DeviceId,
-    /// The lease. Left out: none.
+    /// The lease. If omitted, there is none.
     pub stop_condition: Option<StopCondition>,
     /// The robot drops the request if it has not begun by this instant of the robot's clock. An inquiry that names the request may
     /// replace the instant (our extension).
     pub pending_until: Option<Timestamp<Robot>>,
     /// Echoed in every response (our extension).
     pub request_id: Option<RequestId>,
-    /// Of `control_value`, checked and echoed by the robot (our extension).
+    /// The hash of `control_value`, checked and echoed by the robot (our extension).
     pub content_hash: Option<ContentHash>,
-    /// On whose behalf; a robot takes commands of one session at a time (our extension).
+    /// The session of the sender; a robot accepts commands of one session at a time (our extension).
     pub session: Option<SessionId>,
     /// With an empty script: the device goes to its default state instead of coming to rest where it is (our extension).
     pub home: bool,
-    /// What to do: `control_type` with its values.
+    /// The command: `control_type` with its values.
     pub command: Command,
 }
 
-/// The control type of a request with the values that belong to it.
+/// The control type of a request with its values.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
     /// position, speed, acceleration or custom_N.
@@ -49,12 +49,12 @@ pub enum Command {
     Script(Script),
     /// sensor.
     ReadSensor,
-    /// A control type that this version does not know: one that no device has. Its values are not read, whatever they are.
+    /// A control type that this version does not know, and that no device has. Its values are ignored.
     Unknown(Label),
 }
 
 impl Command {
-    /// The `control_type` on the wire, where this version knows it.
+    /// The `control_type` on the wire, if this version knows it.
     #[must_use]
     pub const fn control_type(&self) -> Option<ControlType> {
         match self {
@@ -101,16 +101,16 @@ impl ControlRequest {
         }
     }
 
-    /// Whether it is an empty script that takes effect at once: it ends the current command of the device, of whichever session. A script
-    /// that sends the device home moves it, and is not a stop.
+    /// Whether it is an empty script that takes effect at once: it ends the current command of the device, regardless of the session. A
+    /// script that sends the device home moves it, and is not a stop.
     #[must_use]
     pub fn is_stop(&self) -> bool {
         let empty = matches!(&self.command, Command::Script(script) if script.is_empty());
         empty && self.starts_at().is_none() && !self.home
     }
 
-    /// A request that starts at an instant of the server's clock, given as the time of sending and the time from there to the
-    /// start; without a lease. All requests of one start should carry the same `timestamp`.
+    /// A request without a lease that starts at an instant of the server's clock, given as the time of sending and the time from there to
+    /// the start. All requests of one start should have the same `timestamp`.
     #[must_use]
     pub fn deferred(
         timestamp: Timestamp<Server>,
@@ -125,7 +125,7 @@ impl ControlRequest {
         }
     }
 
-    /// The same request with a name, which every response to it repeats.
+    /// The same request with an id, which every response to it repeats.
     #[must_use]
     pub fn with_request_id(mut self, request_id: RequestId) -> Self {
         self.request_id = Some(request_id);
@@ -139,14 +139,14 @@ impl ControlRequest {
         self
     }
 
-    /// The same request with the hash of its values, which the robot compares with what it has received.
+    /// The same request with the hash of its values, which the robot compares with the received values.
     #[must_use]
     pub fn with_content_hash(mut self) -> Self {
         self.content_hash = Some(self.command.content_hash());
         self
     }
 
-    /// The instant of its start, or `None` where it starts at once on receipt.
+    /// The instant of its start; `None` if it starts on receipt.
     #[must_use]
     pub fn starts_at(&self) -> Option<Timestamp<Server>> {
         Some(self.timestamp? + self.time_offset_to_start?.span())
@@ -166,7 +166,7 @@ impl Serialize for OnLine<'_, ControlRequest> {
 }
 
 impl ControlRequest {
-    /// Writes it, its script in a form of its own.
+    /// Serializes it, with its script in the given form.
     fn write<'a, S: Serializer, T: Serialize>(
         &'a self,
         serializer: S,
@@ -224,8 +224,8 @@ enum RawValue {
     Script(Script),
 }
 
-/// A control request of a control type that this version does not know. Its values are not read, so that a list or a text
-/// there makes it no less a request: a robot has to go to its default state because of it (paper, step 6).
+/// A control request of a control type that this version does not know. Its values are ignored, so that a list or a text there does not
+/// invalidate the request: it sends the device to its default state (paper, step 6).
 pub(crate) struct OfUnknownType(pub(crate) ControlRequest);
 
 impl<'de> Deserialize<'de> for OfUnknownType {
@@ -253,7 +253,7 @@ impl<'de> Visitor<'de> for RawValueVisitor {
     type Value = RawValue;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a number, or the list of a script's steps")
+        f.write_str("a number, or the list of steps of a script")
     }
 
     fn visit_unit<E: de::Error>(self) -> Result<RawValue, E> {
@@ -339,7 +339,7 @@ enum RequestKey {
     Home,
     ControlType,
     Value,
-    /// `control_value_N`, counted from 2.
+    /// `control_value_N`, numbered from 2.
     Further(usize),
     Unknown,
 }
@@ -405,7 +405,7 @@ fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
     })
 }
 
-/// The name of a control type, whether it is known or not.
+/// The name of a control type, known or unknown.
 enum Named {
     Known(ControlType),
     Unknown(Label),
@@ -429,9 +429,9 @@ fn command<E: de::Error>(named: Named, value: Option<RawValue>, more: FurtherVal
             Ok(Command::Script(script))
         }
         (ControlType::Script, None | Some(RawValue::Null)) => Err(E::missing_field("control_value")),
-        (ControlType::Script, _) => {
-            Err(E::custom("control_value of a script, expected the list of its steps and no further values"))
-        }
+        (ControlType::Script, _) => Err(E::custom(
+            "invalid control_value of a script, expected the list of its steps and no further values",
+        )),
         (_, None | Some(RawValue::Null)) => Err(E::missing_field("control_value")),
         (_, Some(RawValue::Script(_))) => {
             Err(E::custom(format!("control_value of `{control_type}` is a list, expected a number")))

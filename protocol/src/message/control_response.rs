@@ -1,4 +1,4 @@
-//! Step 6: what the robot made of a control request.
+//! Step 6: the robot's response to a control request.
 
 use std::fmt;
 
@@ -18,11 +18,11 @@ use crate::time::{Millis, Robot, Timestamp};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ControlResponse {
-    /// When the robot sent this. Not for synchronising.
+    /// When the robot sent this. Not for synchronization.
     pub timestamp: Timestamp<Robot>,
     /// The device that reports.
     pub device_id: DeviceId,
-    /// What became of the request.
+    /// The result of the request.
     pub status: Status,
     /// The value accepted for execution, or the reading; null on failure.
     #[serde(default)]
@@ -30,29 +30,28 @@ pub struct ControlResponse {
     /// Id of the request that this answers (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<RequestId>,
-    /// Computed by the robot over what it accepted (our extension).
+    /// The hash that the robot computed over the accepted value (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content_hash: Option<ContentHash>,
-    /// When the reported event, a start or an end, really happened (our extension).
+    /// When the reported event, a start or an end, actually happened (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event_timestamp: Option<Timestamp<Robot>>,
-    /// How many steps have been executed (our extension).
+    /// Number of executed steps (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_done: Option<u32>,
-    /// How many of them more than a millisecond late (our extension).
+    /// Number of executed steps that were late by more than a millisecond (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
-    /// How late the latest of them was (our extension).
+    /// Delay of the latest step (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
-    /// Why it failed (our extension).
+    /// Why the request failed (our extension).
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
 
 impl ControlResponse {
-    /// A response with nothing but what each has. Set the other fields that you need, or fill them in with
-    /// `..ControlResponse::new(...)`.
+    /// A response with only the mandatory fields. Set further fields as needed, or with `..ControlResponse::new(...)`.
     ///
     /// ```
     /// use urrcp::{ControlResponse, DeviceId, Status, StatusValue, Timestamp};
@@ -80,7 +79,7 @@ impl ControlResponse {
         }
     }
 
-    /// The answer `Failed` to a request, with the reason. It names the request, if that has a name.
+    /// The answer `Failed` to a request, with the reason and the id of the request, if it has one.
     #[must_use]
     pub fn refusal(timestamp: Timestamp<Robot>, request: &ControlRequest, error: ControlError) -> Self {
         Self {
@@ -104,7 +103,7 @@ impl Serialize for OnLine<'_, ControlResponse> {
 }
 
 impl ControlResponse {
-    /// Writes it, with its value in a form of its own.
+    /// Serializes it, with its value in the given form.
     fn write<S: Serializer>(&self, serializer: S, status_value: &impl Serialize) -> Result<S::Ok, S::Error> {
         let optional = [
             self.request_id.is_some(),
@@ -146,18 +145,18 @@ impl ControlResponse {
     }
 }
 
-/// What became of a request.
+/// The result of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// Done.
+    /// Completed.
     Ok,
-    /// Taken for execution.
+    /// Accepted for execution.
     Accepted,
     /// The first value is set, or the device begins to move to it linearly (ours).
     Started,
     /// A sensor's reading.
     Provide,
-    /// Refused, or ended early.
+    /// Refused or ended early.
     Failed,
     /// A word that this version does not know.
     Other(Label),
@@ -207,10 +206,10 @@ impl<'de> Deserialize<'de> for Status {
 /// The value in a response.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum StatusValue {
-    /// Nothing, as on failure.
+    /// No value, for example on failure.
     #[default]
     Null,
-    /// A setpoint's value or a reading.
+    /// The value of a setpoint, or a reading.
     Number(f64),
     /// The accepted script.
     Script(Script),
@@ -238,7 +237,7 @@ impl<'de> Visitor<'de> for StatusValueVisitor {
     type Value = StatusValue;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("null, a number, or the list of a script's steps")
+        f.write_str("null, a number, or the list of steps of a script")
     }
 
     fn visit_unit<E: de::Error>(self) -> Result<StatusValue, E> {

@@ -1,4 +1,4 @@
-//! The control types of a device with their parameters: what it takes, how finely, how many steps.
+//! The control types of a device with their parameters: ranges, granularity, number of steps.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -50,7 +50,7 @@ pub struct Limits {
     #[serde(with = "number")]
     #[cfg_attr(feature = "schema", schemars(with = "f64", extend("exclusiveMinimum" = 0)))]
     pub granularity: f64,
-    /// Largest error by construction or conditions of use.
+    /// Largest error due to construction or operating conditions.
     #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     pub max_error: Option<f64>,
@@ -74,7 +74,7 @@ impl TryFrom<Object<RawLimits>> for Limits {
     fn try_from(Object(raw): Object<RawLimits>) -> Result<Self, LimitError> {
         check_range(raw.min_value, raw.max_value)?;
         check_not_negative("max_error", raw.max_error)?;
-        // Finite already, so the comparison decides.
+        // Already finite, so the comparison is sufficient.
         if raw.granularity <= 0.0 {
             return Err(LimitError::Granularity { granularity: raw.granularity });
         }
@@ -104,17 +104,17 @@ fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), Limit
     }
 }
 
-/// How far, in steps, a value may lie off the grid through rounding of decimal text.
+/// Maximum distance of a value from the grid due to the rounding of decimal text, in steps.
 const GRID_TOLERANCE: f64 = 1e-6;
 
-/// Of larger factors, the rounding of the granularity is more than [`GRID_TOLERANCE`].
+/// For larger factors, the rounding of the granularity exceeds [`GRID_TOLERANCE`].
 const FACTOR_MAX: f64 = 1e9;
 
-/// Granularities are written with this many decimal digits or fewer.
+/// Granularities have at most this many decimal digits.
 const POWERS_OF_TEN: [f64; 13] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12];
 
 impl Limits {
-    /// Limits without a known error.
+    /// Creates limits without a known error.
     ///
     /// # Errors
     /// [`LimitError`] if a number is not finite, `min_value` is above `max_value`, the granularity is not above 0, or no multiple of
@@ -124,20 +124,20 @@ impl Limits {
         Self::try_from(Object(RawLimits { min_value, max_value, granularity, max_error: None }))
     }
 
-    /// Whether the value lies within min_value to max_value.
+    /// Whether the value is between min_value and max_value.
     #[must_use]
     pub fn contains(&self, value: f64) -> bool {
         value >= self.min_value && value <= self.max_value
     }
 
-    /// Whether the value is a multiple of the granularity, but for the rounding of decimal text.
+    /// Whether the value is a multiple of the granularity, except for the rounding of decimal text.
     #[must_use]
     pub fn on_grid(&self, value: f64) -> bool {
         let steps = value / self.granularity;
         (steps - steps.round()).abs() <= GRID_TOLERANCE
     }
 
-    /// The multiple of the granularity nearest to the value. It may lie outside the limits.
+    /// The multiple of the granularity nearest to the value. It may be outside the limits.
     #[must_use]
     pub fn nearest(&self, value: f64) -> f64 {
         self.multiple((value / self.granularity).round())
@@ -148,12 +148,12 @@ impl Limits {
     pub fn nearest_settable(&self, value: f64) -> f64 {
         let [low, high] = self.multiples();
         let multiple = self.multiple((value / self.granularity).round().min(high).max(low));
-        // A bound may lie off the grid by the rounding of decimal text.
+        // A bound may deviate from the grid by the rounding of decimal text.
         multiple.clamp(self.min_value, self.max_value)
     }
 
-    /// The multiple of the granularity with this factor, in at most as many decimal digits as the granularity: 41 * 0.1 is 4.1, and
-    /// not 4.1000000000000005.
+    /// The multiple of the granularity with this factor, with at most as many decimal digits as the granularity: 41 * 0.1 is 4.1, not
+    /// 4.1000000000000005.
     fn multiple(&self, factor: f64) -> f64 {
         let is_whole = |scale: &f64| {
             let scaled = self.granularity * scale;
@@ -185,18 +185,18 @@ impl Limits {
     }
 }
 
-/// What a script adds to the parameters that it inherits.
+/// The parameters of a script, including the inherited ones.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ScriptParameters {
-    /// Inherited from the control type that the script supports, for each of them that is left out.
+    /// Parameters that are omitted are inherited from the control type that the script supports.
     #[serde(flatten)]
     #[cfg_attr(feature = "schema", schemars(with = "InheritedLimits"))]
     pub limits: Limits,
     /// Largest number of steps in one script; at least 1.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_number_of_steps: u32,
-    /// Control types that steps may use; without it all of the device but script and sensor (our extension).
+    /// Control types that steps may use; by default all of the device except script and sensor (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub control_types: Option<Vec<ControlType>>,
 }
@@ -209,24 +209,24 @@ impl ScriptParameters {
     }
 }
 
-/// What the schema says of limits that may be inherited.
+/// The schema of limits that may be inherited.
 #[cfg(feature = "schema")]
 #[derive(schemars::JsonSchema)]
 #[expect(dead_code, reason = "only its schema is used")]
 struct InheritedLimits {
-    /// Smallest value that steps can take.
+    /// Smallest value in steps.
     min_value: Option<f64>,
-    /// Largest value that steps can take.
+    /// Largest value in steps.
     max_value: Option<f64>,
     /// Smallest step; above 0.
     #[schemars(extend("exclusiveMinimum" = 0))]
     granularity: Option<f64>,
-    /// Largest error by construction or conditions of use.
+    /// Largest error due to construction or operating conditions.
     #[schemars(range(min = 0))]
     max_error: Option<f64>,
 }
 
-/// The parameters of a script as they are written.
+/// The parameters of a script as written in JSON.
 #[derive(Deserialize)]
 struct WrittenScript {
     #[serde(default, with = "number::optional")]
@@ -243,7 +243,7 @@ struct WrittenScript {
 }
 
 impl WrittenScript {
-    /// With what it leaves out taken from the control type that it supports. Of several with different limits none is meant.
+    /// Inherits omitted parameters from the supported control type. If several of these have different limits, nothing is inherited.
     fn inherit(self, types: &BTreeMap<ControlType, ControlParameters>) -> Result<ScriptParameters, String> {
         let Self { min_value, max_value, granularity, max_error, max_number_of_steps, control_types } = self;
         if max_number_of_steps == 0 {
@@ -261,7 +261,7 @@ impl WrittenScript {
         let from = |key: &str, own: Option<f64>, inherited: fn(&Limits) -> f64| match (own, first) {
             (Some(own), _) => Ok(own),
             (None, Some(_)) if ambiguous => Err(format!(
-                "missing field `{key}` of script: the control types that it supports differ, so that none is inherited"
+                "missing field `{key}` of script: the control types that it supports differ, so none is inherited"
             )),
             (None, Some(limits)) => Ok(inherited(limits)),
             (None, None) => {
@@ -328,10 +328,10 @@ impl TryFrom<Object<RawSensor>> for SensorParameters {
 }
 
 impl SensorParameters {
-    /// A sensor whose error and delay are not known.
+    /// A sensor with unknown error and delay.
     ///
     /// # Errors
-    /// [`LimitError`] when a number is not finite, or `min_value` is above `max_value`.
+    /// [`LimitError`] if a number is not finite, or `min_value` exceeds `max_value`.
     pub fn new(min_value: f64, max_value: f64) -> Result<Self, LimitError> {
         finite(&[min_value, max_value])?;
         Self::try_from(Object(RawSensor { min_value, max_value, max_error: None, max_delay: None }))
@@ -359,7 +359,7 @@ impl ControlTypes {
         }
     }
 
-    /// The parameters of script, if the device takes scripts.
+    /// The parameters of script, if the device accepts scripts.
     #[must_use]
     pub fn script(&self) -> Option<&ScriptParameters> {
         match self.get(ControlType::Script)? {
@@ -377,8 +377,8 @@ impl ControlTypes {
         }
     }
 
-    /// The `at_rest` that a custom type declares (our extension), for a command of this many values: a number is for all of them, a
-    /// list has one for each, and its last one also for those beyond it.
+    /// The `at_rest` that a custom type declares (our extension), for a command with this many values. A number applies to all of them; a
+    /// list has one entry per value, and its last entry also applies to further values.
     #[must_use]
     pub fn at_rest(&self, control_type: ControlType, count: usize) -> Option<Setpoint> {
         let ControlParameters::Custom(parameters) = self.get(control_type)? else { return None };
@@ -388,7 +388,7 @@ impl ControlTypes {
         Some(Setpoint { more, ..Setpoint::new(control_type, value(0)?) })
     }
 
-    /// All of them, in the order of [`ControlType`].
+    /// Iterates over all of them, in the order of [`ControlType`].
     pub fn iter(&self) -> impl Iterator<Item = (ControlType, &ControlParameters)> {
         self.0.iter().map(|(control_type, parameters)| (*control_type, parameters))
     }
@@ -397,7 +397,7 @@ impl ControlTypes {
 /// The values of `at_rest`, if there is one.
 fn declared_at_rest(parameters: &Map<String, Value>) -> Result<Option<Vec<f64>>, &'static str> {
     const EXPECTED: &str =
-        "`at_rest` of a custom control type, expected a number or a list of 1 to 256 numbers";
+        "invalid `at_rest` of a custom control type, expected a number or a list of 1 to 256 numbers";
     let values = match parameters.get("at_rest") {
         None => return Ok(None),
         Some(Value::Array(values)) => values.iter().map(Value::as_f64).collect(),
@@ -446,7 +446,7 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
         let mut script: Option<WrittenScript> = None;
         while let Some(control_type) = map.next_key::<ControlType>()? {
             let parameters = match control_type {
-                // What it inherits may stand behind it.
+                // The inherited parameters may follow it.
                 ControlType::Script if script.is_none() => {
                     script = Some(map.next_value::<Object<WrittenScript>>()?.0);
                     continue;

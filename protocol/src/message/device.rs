@@ -1,4 +1,4 @@
-//! A device of a robot, and what it can be told.
+//! A device of a robot, and the commands that it accepts.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ use crate::number;
 use crate::text::{DeviceId, Label};
 use crate::time::Span;
 
-/// How a device gets from one script step's value to the next (our extension).
+/// How a device moves from the value of one script step to the next (our extension).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -32,32 +32,32 @@ pub enum Interpolation {
 pub struct Device {
     /// Unique among the robot's devices.
     pub id: DeviceId,
-    /// For people.
+    /// The device's name, for people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<Label>,
     /// Unit of all values of this device (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<Label>,
-    /// Where it goes in the default state; without one it holds the last position there (our extension).
+    /// Its value in the default state; without one, it holds its last position there (our extension).
     #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub default_value: Option<f64>,
-    /// Between script steps (our extension).
+    /// How it moves between script steps (our extension).
     #[serde(default)]
     pub interpolation: Interpolation,
-    /// How many scripts that have not ended the device holds (our extension).
+    /// Maximum number of scripts that the device holds and that have not ended (our extension).
     #[serde(default = "one_script")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub script_queue: u32,
-    /// From the instant at which a value is handed over to the first visible motion, in the middle (our extension).
+    /// Median time from the instant at which a value is passed to the device until the first visible motion (our extension).
     #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
     pub latency: Option<Span>,
-    /// 95 % of all trials lie within the latency ± this; only with a latency (our extension).
+    /// 95 % of all trials are within the latency ± this; only with a latency (our extension).
     #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
     pub latency_spread: Option<Span>,
-    /// How it can be driven.
+    /// The control types by which it can be driven or read.
     pub available_control_types: ControlTypes,
 }
 
@@ -66,8 +66,8 @@ const fn one_script() -> u32 {
 }
 
 impl Device {
-    /// A device that takes nothing yet: say what it takes with `with_...`. It holds values between the steps of a script and
-    /// one script at a time. Set the other fields as you need them.
+    /// A device that accepts nothing yet: add control types with `with_...`. By default it holds values between the steps of a script,
+    /// and holds one script at a time. Set the other fields as needed.
     ///
     /// ```
     /// use urrcp::{Device, DeviceId, Interpolation, Limits, ScriptParameters};
@@ -94,37 +94,37 @@ impl Device {
         }
     }
 
-    /// The same device, which takes positions within these limits.
+    /// The same device, which accepts positions within these limits.
     #[must_use]
     pub fn with_position(self, limits: Limits) -> Self {
         self.with(ControlType::Position, ControlParameters::Motion(limits))
     }
 
-    /// The same device, which takes speeds within these limits.
+    /// The same device, which accepts speeds within these limits.
     #[must_use]
     pub fn with_speed(self, limits: Limits) -> Self {
         self.with(ControlType::Speed, ControlParameters::Motion(limits))
     }
 
-    /// The same device, which takes accelerations within these limits. A linear device slows down with them on a stop.
+    /// The same device, which accepts accelerations within these limits. A linear device uses them to slow down on a stop.
     #[must_use]
     pub fn with_acceleration(self, limits: Limits) -> Self {
         self.with(ControlType::Acceleration, ControlParameters::Motion(limits))
     }
 
-    /// The same device, which takes scripts of the control types that it has.
+    /// The same device, which accepts scripts of its control types.
     #[must_use]
     pub fn with_scripts(self, parameters: ScriptParameters) -> Self {
         self.with(ControlType::Script, ControlParameters::Script(parameters))
     }
 
-    /// The same device, which can be read.
+    /// The same device with a sensor.
     #[must_use]
     pub fn with_sensor(self, parameters: SensorParameters) -> Self {
         self.with(ControlType::Sensor, ControlParameters::Sensor(parameters))
     }
 
-    /// The same device, which takes `custom_N` with parameters of its own.
+    /// The same device, which accepts `custom_N` with these parameters.
     #[must_use]
     pub fn with_custom(self, number: u32, parameters: serde_json::Map<String, serde_json::Value>) -> Self {
         self.with(ControlType::Custom(number), ControlParameters::Custom(parameters))
@@ -135,7 +135,7 @@ impl Device {
         self
     }
 
-    /// The control type that plain values mean: the first of position, speed, acceleration, custom_N.
+    /// The control type of plain values: the first of position, speed, acceleration, custom_N.
     #[must_use]
     pub fn primary_control_type(&self) -> Option<ControlType> {
         let mut types = self.available_control_types.iter().map(|(control_type, _)| control_type);
@@ -148,14 +148,14 @@ impl Device {
         Some(Latency { median: self.latency?, spread: self.latency_spread.unwrap_or_default() })
     }
 
-    /// The same device, which declares this actuation latency.
+    /// The same device with this declared actuation latency.
     #[must_use]
     pub const fn with_latency(mut self, latency: Latency) -> Self {
         (self.latency, self.latency_spread) = (Some(latency.median), Some(latency.spread));
         self
     }
 
-    /// A spread is that of a latency.
+    /// Checks that a spread has a latency.
     pub(super) fn check_latency(&self) -> Result<(), LimitError> {
         match (self.latency, self.latency_spread) {
             (None, Some(_)) => Err(LimitError::SpreadAlone { id: self.id.to_string() }),
@@ -163,7 +163,7 @@ impl Device {
         }
     }
 
-    /// Checks that the device can hold at least one command.
+    /// Checks that the device can hold at least one script.
     pub(super) const fn check_queue(&self) -> Result<(), LimitError> {
         match self.script_queue {
             0 => Err(LimitError::NoneAtAll { key: "script_queue" }),
@@ -171,7 +171,7 @@ impl Device {
         }
     }
 
-    /// A stop must not lead where no command may.
+    /// Checks that a stop cannot lead to a position that no command may set.
     pub(super) fn check_default(&self) -> Result<(), LimitError> {
         let limits =
             self.primary_control_type().and_then(|primary| self.available_control_types.limits(primary));
@@ -214,7 +214,7 @@ impl Device {
         }
     }
 
-    /// Checks a setpoint as a script step: against its control type and what the script inherits.
+    /// Checks a setpoint of a script step: against its control type and the inherited limits.
     ///
     /// # Errors
     /// As [`Device::check`].
@@ -237,7 +237,7 @@ impl Device {
         let known: Vec<_> = self.available_control_types.iter().map(|(t, _)| t.to_string()).collect();
         ControlError::new(
             ErrorCode::UnsupportedControlType,
-            format!("`{}` does not support {control_type}, it has {}", self.id, known.join(", ")),
+            format!("`{}` does not support {control_type}, it supports {}", self.id, known.join(", ")),
         )
     }
 }

@@ -7,8 +7,8 @@ use serde::{Serialize, Serializer};
 
 use super::Device;
 
-/// The devices that an initialization block lists. A copy shares them with its original until one of both is changed, so that
-/// a robot with thousands of devices describes itself without copying them.
+/// The devices in an initialization block. A copy shares them with its original until either is changed, so that a robot with thousands
+/// of devices describes itself without copying them.
 ///
 /// ```
 /// use urrcp::{Device, DeviceId, Devices};
@@ -21,7 +21,7 @@ use super::Device;
 pub struct Devices(Arc<Vec<Device>>);
 
 impl Devices {
-    /// Whether both are one list in memory.
+    /// Whether both share the same list in memory.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)

@@ -1,4 +1,4 @@
-//! Steps 3 and 4: what the robot is, and which devices it has.
+//! Steps 3 and 4: the robot's description and its devices.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -14,7 +14,7 @@ use crate::object::Object;
 use crate::text::{Label, RobotId};
 use crate::time::{Server, Timestamp};
 
-/// The version of the protocol that [`InitializationBlock::new`] claims.
+/// The version of the protocol that [`InitializationBlock::new`] declares.
 pub const API_VERSION: &str = "1";
 
 /// Step 3: describe yourself.
@@ -36,10 +36,10 @@ pub struct InitializationBlock {
     /// For people; unique in one system.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<Label>,
-    /// What it is built for.
+    /// Its intended use.
     #[serde(rename = "type", skip_serializing_if = "Option::is_none")]
     pub robot_type: Option<RobotType>,
-    /// Who made it.
+    /// Its manufacturer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub manufacture: Option<Label>,
     /// The robot's version.
@@ -51,7 +51,7 @@ pub struct InitializationBlock {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub reports: bool,
-    /// Encodings that it understands besides JSON, such as `msgpack` (our extension).
+    /// Supported encodings in addition to JSON, such as `msgpack` (our extension).
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub encodings: Vec<Label>,
@@ -109,7 +109,7 @@ fn devices<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Object<Devi
     }
 }
 
-/// Reads a list, and how long it is: what is beyond so many entries is counted and not kept.
+/// Reads a list and its length: entries beyond `most` are counted and discarded.
 struct Bounded<T> {
     most: usize,
     of: PhantomData<T>,
@@ -172,12 +172,12 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
 }
 
 impl InitializationBlock {
-    /// The description of a robot with these devices. It claims no extension of the protocol yet: set the other fields as you
-    /// need them. A robot of the crate `downbeat-robot` sets those that it keeps by itself.
+    /// The description of a robot with these devices. It declares no extension of the protocol: set the other fields as needed. A robot
+    /// of the crate `downbeat-robot` itself sets the extensions that it implements.
     ///
     /// # Errors
-    /// [`LimitError`] when there is no device or there are more than [`DEVICES_MAX`], two have the same id, a default value lies
-    /// outside what its device takes, or a device has a spread of a latency without a latency.
+    /// [`LimitError`] if there is no device or more than [`DEVICES_MAX`], two have the same id, a default value is outside its device's
+    /// range, or a device has a latency spread without a latency.
     pub fn new(id: RobotId, devices: Vec<Device>) -> Result<Self, LimitError> {
         let devices = devices.into_iter().map(Object).collect();
         Self::try_from(Object(RawBlock {
@@ -195,13 +195,13 @@ impl InitializationBlock {
         }))
     }
 
-    /// The device of that id.
+    /// The device with this id.
     #[must_use]
     pub fn device(&self, id: &str) -> Option<&Device> {
         self.devices.iter().find(|device| device.id.as_str() == id)
     }
 
-    /// The same robot, which says that it understands this encoding too.
+    /// The same robot, with this encoding declared as supported.
     #[must_use]
     pub fn and_understands(mut self, encoding: Encoding) -> Self {
         if !self.understands(encoding) {
@@ -218,19 +218,19 @@ impl InitializationBlock {
         self
     }
 
-    /// Whether the robot says that it understands this encoding. JSON it always does.
+    /// Whether the robot declares support for this encoding. JSON is always supported.
     #[must_use]
     pub fn understands(&self, encoding: Encoding) -> bool {
         encoding == Encoding::Json || self.encodings.iter().any(|listed| listed.as_str() == encoding.as_str())
     }
 }
 
-/// What a robot is built for (paper, table 1; the list is fixed per protocol version).
+/// The intended use of a robot (paper, table 1; the list is fixed per protocol version).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum RobotType {
-    /// For production, as a rule a manipulator.
+    /// For production, usually a manipulator.
     Industrial,
     /// For moving goods.
     Transport,

@@ -1,4 +1,4 @@
-//! A question that cannot act. It asks for the state of requests, and for the room and the commanded position of devices.
+//! A query without effect: the state of requests, and the room and the commanded position of devices.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -15,37 +15,37 @@ use crate::object::{self, Object};
 use crate::text::{DeviceId, RequestId, SessionId};
 use crate::time::{Millis, Robot, Server, Timestamp};
 
-/// Asks a robot about its requests and devices (our extension). It starts, stops and moves nothing, and does not claim the
-/// robot. Like any message it renews the leases of the party that sends it.
+/// Queries a robot about its requests and devices (our extension). Starts, stops and moves nothing, and does not claim the robot. Like
+/// any message, it renews the leases of its sender.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Inquiry {
-    /// When the server sent it, T1 of RFC 5905: every inquiry is a clock sample too.
+    /// When the server sent it, T1 of RFC 5905: every inquiry is also a clock sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timestamp: Option<Timestamp<Server>>,
-    /// On whose behalf. Only the session to which the robot belongs learns about requests.
+    /// The session of the sender. Only the session that owns the robot receives information about requests.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
-    /// What became of these? At most 32,000.
+    /// The requests whose state is queried; at most 32,000.
     #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<RequestId>>", length(max = INQUIRY_NAMES_MAX)))]
     pub requests: Vec<RequestId>,
-    /// How many scripts would these still take? At most 32,000.
+    /// The devices whose room for further scripts is queried; at most 32,000.
     #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceId>>", length(max = INQUIRY_NAMES_MAX)))]
     pub devices: Vec<DeviceId>,
-    /// From receipt on, the pending lease of each request in `requests` that is held and has not begun is the shorter of
-    /// its own and this one; milliseconds.
+    /// After receipt, the pending lease of each request in `requests` that is held and has not begun is the shorter of its own and this
+    /// one; in milliseconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_lease: Option<Millis>,
-    /// The pending lease of each request in `requests` that is held and has not begun ends at this instant of the robot's clock
-    /// at the latest, whatever the robot hears until then. Replaces the instant of the request itself or of an earlier inquiry of the
-    /// same party. An inquiry without this key leaves the instant unchanged.
+    /// The pending lease of each request in `requests` that is held and has not begun ends no later than this instant of the robot's
+    /// clock, regardless of later messages. Replaces the instant of the request itself or of an earlier inquiry of the same sender. An
+    /// inquiry without this key leaves the instant unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_until: Option<Timestamp<Robot>>,
 }
 
-/// What the robot knows, at one instant.
+/// The robot's knowledge at one instant.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InquiryResponse {
@@ -58,60 +58,60 @@ pub struct InquiryResponse {
     pub timestamp: Timestamp<Robot>,
     /// `OK`, or `Failed` with an error.
     pub status: Status,
-    /// `busy`: the robot belongs to another session. `internal`: its hardware is away.
+    /// `busy`: the robot belongs to another session. `internal`: its hardware is absent.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
-    /// One for each request asked for, in the same order; none when the robot belongs to another session.
+    /// One entry per queried request, in the same order; empty if the robot belongs to another session.
     #[serde(default, deserialize_with = "objects", skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<RequestReport>>", length(max = INQUIRY_NAMES_MAX)))]
     pub requests: Vec<RequestReport>,
-    /// One for each device asked for that the robot has, in the same order.
+    /// One entry per queried device that the robot has, in the same order.
     #[serde(default, deserialize_with = "objects", skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceReport>>", length(max = INQUIRY_NAMES_MAX)))]
     pub devices: Vec<DeviceReport>,
 }
 
-/// What became of one request.
+/// The state of one request.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RequestReport {
-    /// Which request.
+    /// The id of the request.
     pub request_id: RequestId,
-    /// Where it stands.
+    /// Its state.
     pub state: RequestState,
-    /// Computed by the robot over what it accepted.
+    /// The hash that the robot computed over the accepted value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content_hash: Option<ContentHash>,
-    /// When it is to start, while it is held or runs.
+    /// The planned start, while it is held or running.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_timestamp: Option<Timestamp<Robot>>,
-    /// When it really started, once it has.
+    /// The actual start, once it has started.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event_timestamp: Option<Timestamp<Robot>>,
-    /// How many steps have been executed.
+    /// Number of executed steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_done: Option<u32>,
-    /// How many of them more than a millisecond late.
+    /// Number of executed steps that were late by more than a millisecond.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
-    /// How late the latest of them was.
+    /// Delay of the latest step.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
-    /// Why one that has ended was refused or ended early. Absent: it completed.
+    /// Why an ended request was refused or ended early. Absent if it completed.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
 
-/// Where a request stands.
+/// The state of a request.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RequestState {
     /// The robot never received it, has forgotten it or has restarted since.
     Unknown,
-    /// Accepted; its start lies ahead.
+    /// Accepted, but not yet due.
     Held,
-    /// Begun and not ended.
+    /// Begun and not yet ended.
     Running,
     /// Completed, refused or ended early.
     Ended,
@@ -121,9 +121,9 @@ pub enum RequestState {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceReport {
-    /// Which device.
+    /// The id of the device.
     pub device_id: DeviceId,
-    /// As many as its script queue has places free.
+    /// Number of free places in its script queue.
     pub room: u32,
     /// The commanded position at the instant of the answer, in the device's unit. Absent if the device has no position or the
     /// robot does not know it.
@@ -133,8 +133,7 @@ pub struct DeviceReport {
 }
 
 impl InquiryResponse {
-    /// The answer to an inquiry that was received at one instant of the robot's clock and is answered at another, without what
-    /// was asked for.
+    /// The answer to an inquiry with the instants of its receipt and of the answer by the robot's clock, without entries.
     #[must_use]
     pub const fn new(
         inquiry: &Inquiry,
@@ -155,7 +154,7 @@ impl InquiryResponse {
 }
 
 impl RequestReport {
-    /// A report of which only the state is known.
+    /// A report with only the state.
     #[must_use]
     pub const fn new(request_id: RequestId, state: RequestState) -> Self {
         Self {
@@ -172,12 +171,12 @@ impl RequestReport {
     }
 }
 
-/// Reads a list of at most [`INQUIRY_NAMES_MAX`] entries; null is none.
+/// Reads a list of at most [`INQUIRY_NAMES_MAX`] entries; null is an empty list.
 fn names<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
     Ok(Option::<List<T>>::deserialize(deserializer)?.map(|List(names)| names).unwrap_or_default())
 }
 
-/// The same for entries that are objects.
+/// Reads a list of objects with the same limit.
 fn objects<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
     let list: Vec<Object<T>> = names(deserializer)?;
     Ok(list.into_iter().map(|Object(entry)| entry).collect())

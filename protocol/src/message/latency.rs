@@ -1,4 +1,4 @@
-//! How long a device takes from a command to visible motion.
+//! The time from a command to visible motion.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
@@ -6,14 +6,13 @@ use crate::limits::{LATENCY_MS_MAX, LimitError};
 use crate::number;
 use crate::time::Span;
 
-/// The actuation latency of a device: from the instant at which a value is handed over to the first visible motion
-/// (our extension).
+/// The actuation latency of a device: from the instant at which a value is passed to it until the first visible motion (our extension).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Latency {
-    /// Half of all trials take no longer.
+    /// The median of all trials.
     #[serde(rename = "median_ms")]
     pub median: Span,
-    /// 95 % of all trials lie within the median ± this.
+    /// 95 % of all trials are within the median ± this.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
 }
@@ -34,7 +33,7 @@ fn check(span: Span) -> Result<(), LimitError> {
     if (0.0..=LATENCY_MS_MAX).contains(&millis) { Ok(()) } else { Err(LimitError::Latency { millis }) }
 }
 
-/// A latency, or its spread, on the wire: milliseconds that may be left out or null.
+/// A latency, or its spread, on the wire: milliseconds that may be omitted or null.
 pub(super) mod wire {
     use super::{Deserialize, Deserializer, LimitError, Serialize, Serializer, Span, check, de, number};
 
@@ -45,7 +44,7 @@ pub(super) mod wire {
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Span>, D::Error> {
         let Some(number::Number(millis)) = Option::<number::Number>::deserialize(d)? else { return Ok(None) };
         let span = Span::from_millis_f64(millis);
-        // Rounding to nanoseconds would hide a number just below zero.
+        // Rounding to nanoseconds would hide a slightly negative number.
         if millis < 0.0 { Err(LimitError::Latency { millis }) } else { check(span).map(|()| Some(span)) }
             .map_err(de::Error::custom)
     }
@@ -81,7 +80,7 @@ mod tests {
         check_refused(r#""latency": 10000.1,"#, "expected 0 to 10000 ms");
         check_refused(r#""latency": 1, "latency_spread": -1,"#, "expected 0 to 10000 ms");
         check_refused(r#""latency": "1","#, "a number");
-        check_refused(r#""latency_spread": 1,"#, "`latency_spread` of device `d` without a `latency`");
+        check_refused(r#""latency_spread": 1,"#, "`latency_spread` of device `d` requires a `latency`");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The eight messages: one object with exactly one key that names it.
+//! The eight messages: an object with exactly one key, which names the message.
 
 mod availability;
 mod control_request;
@@ -40,7 +40,7 @@ pub use stop_condition::StopCondition;
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Message {
-    /// Step 1, server to robot: is the equipment there?
+    /// Step 1, server to robot: is the equipment available?
     #[serde(deserialize_with = "object::deserialize")]
     AvailabilityRequest(AvailabilityRequest),
     /// Step 2, robot to server.
@@ -56,7 +56,7 @@ pub enum Message {
     /// Step 6, robot to server.
     #[serde(deserialize_with = "object::deserialize")]
     ControlResponse(ControlResponse),
-    /// Server to robot: what became of these requests? A question that cannot act (our extension).
+    /// Server to robot: what is the state of these requests? A query without effect (our extension).
     #[serde(deserialize_with = "object::deserialize")]
     Inquiry(Inquiry),
     /// Robot to server.
@@ -64,7 +64,7 @@ pub enum Message {
     InquiryResponse(InquiryResponse),
 }
 
-/// Each kind of message becomes a [`Message`].
+/// Converts each kind of message into a [`Message`].
 macro_rules! is_a_message {
     ($($kind:ident),*) => {
         $(impl From<$kind> for Message {

@@ -1,15 +1,15 @@
-//! Messages with a gap where the text of a script belongs. A mission and a robot have written each of their scripts to hash it, and
-//! need not write it again, step by step, for a line of JSON.
+//! Messages with a gap for the text of a script. A mission and a robot have serialized each of their scripts to hash it, so the line of
+//! JSON reuses that text.
 
 use serde::{Serialize, Serializer};
 
 use super::{Command, Message, Script, StatusValue};
 
-/// The same as by [`Serialize`], but a script whose text is kept is an empty list.
+/// Serializes like [`Serialize`], but replaces a script whose text is kept by an empty list.
 pub(crate) struct OnLine<'a, T>(pub(crate) &'a T);
 
 impl<'a> OnLine<'a, Message> {
-    /// The key whose value is the empty list, and the text that belongs there; `None` where nothing is left out.
+    /// The key whose value is the empty list, and the text that replaces it; `None` without a gap.
     pub(crate) fn gap(&self) -> Option<(&'static str, &'a str)> {
         match self.0 {
             Message::ControlRequest(request) => match &request.command {

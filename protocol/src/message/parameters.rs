@@ -1,4 +1,4 @@
-//! The parameters of a custom control type: whatever JSON can say, within a limit.
+//! The parameters of a custom control type: any JSON within a size limit.
 
 use std::cell::Cell;
 use std::fmt;
@@ -11,12 +11,12 @@ use crate::limits::{LimitError, PARAMETERS_MAX};
 use crate::text::check_length;
 
 thread_local! {
-    /// Values that all dictionaries which are read on this thread may still have together.
+    /// Number of values that all further dictionaries read on this thread may have in total.
     static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
 }
 
-/// Reads something in which all dictionaries have at most so many values together: a robot that lists many of them takes no more
-/// memory than one.
+/// Calls `read` with a limit on the total number of values in all dictionaries, so that a robot with many dictionaries takes no more
+/// memory than one with few.
 pub(super) fn together<T>(values: usize, read: impl FnOnce() -> T) -> T {
     let before = ROOM.replace(values);
     let read = read();
@@ -24,12 +24,12 @@ pub(super) fn together<T>(values: usize, read: impl FnOnce() -> T) -> T {
     read
 }
 
-/// A dictionary whose numbers are finite, with at most [`PARAMETERS_MAX`] values in all.
+/// A dictionary with finite numbers and at most [`PARAMETERS_MAX`] values in total.
 pub(super) struct Parameters(pub(super) Map<String, Value>);
 
 impl<'de> Deserialize<'de> for Parameters {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // The dictionary itself is one of what is counted.
+        // The dictionary itself counts as one value.
         let (own, together) = (PARAMETERS_MAX + 1, ROOM.get());
         let mut room = own.min(together);
         let beyond =
@@ -38,16 +38,16 @@ impl<'de> Deserialize<'de> for Parameters {
         ROOM.set(together - (own.min(together) - room));
         match read {
             Value::Object(parameters) => Ok(Self(parameters)),
-            _ => Err(de::Error::custom("parameters of a custom control type, expected a dictionary")),
+            _ => Err(de::Error::custom("invalid parameters of a custom control type, expected a dictionary")),
         }
     }
 }
 
-/// One value with all that is in it.
+/// A value including its nested values.
 struct AnyValue<'a> {
-    /// Values that may still come.
+    /// Number of further permitted values.
     room: &'a mut usize,
-    /// What is said of more.
+    /// The error if there are more.
     beyond: &'a LimitError,
 }
 
@@ -64,7 +64,7 @@ impl<'de> Visitor<'de> for AnyValue<'_> {
     type Value = Value;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("null, a boolean, a number, a text, a list or a dictionary")
+        f.write_str("null, a boolean, a number, a string, a list or a dictionary")
     }
 
     fn visit_unit<E: de::Error>(self) -> Result<Value, E> {

@@ -1,4 +1,4 @@
-//! Setpoints, and the script: many of them in one command.
+//! Setpoints, and the script: many setpoints in one command.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -27,20 +27,20 @@ pub struct Setpoint {
 }
 
 impl Setpoint {
-    /// A setpoint of one value.
+    /// A setpoint with a single value.
     #[must_use]
     pub fn new(control_type: ControlType, value: f64) -> Self {
         Self { control_type, value, more: Box::default() }
     }
 
-    /// All values, the first included.
+    /// All values, including the first.
     pub fn values(&self) -> impl Iterator<Item = f64> + '_ {
         std::iter::once(self.value).chain(self.more.iter().copied())
     }
 }
 
-/// Steps in order of time. Without steps it cancels. Clones share their steps, and what was computed of them: once the hash has
-/// been asked for, it is kept, and so is the text from which it was made, if that is not long. Lines are written with it.
+/// Steps in order of time. A script without steps cancels. Clones share their steps and cached results: once the hash has been computed,
+/// it is kept, and so is its text, if that is not too long. That text is reused when lines are written.
 #[derive(Clone, Default)]
 pub struct Script(Arc<Shared>);
 
@@ -52,7 +52,7 @@ struct Shared {
 
 struct Hashed {
     hash: ContentHash,
-    /// The canonical JSON, `None` where it is longer than [`KEPT_TEXT_MAX`].
+    /// The canonical JSON; `None` if it is longer than [`KEPT_TEXT_MAX`].
     text: Option<Box<str>>,
 }
 
@@ -63,7 +63,7 @@ impl Hashed {
     }
 }
 
-/// The longest text that is kept, in bytes: about as much as its steps take in memory.
+/// Maximum length of a kept text, in bytes: about the memory that its steps take.
 const KEPT_TEXT_MAX: usize = 64 * 1024;
 
 impl PartialEq for Script {
@@ -79,10 +79,10 @@ impl fmt::Debug for Script {
 }
 
 impl Script {
-    /// Takes steps whose offsets do not decrease.
+    /// Creates a script from steps with non-decreasing offsets.
     ///
     /// # Errors
-    /// [`LimitError::StepsOutOfOrder`] names the first step that is earlier than the one ahead of it.
+    /// [`LimitError::StepsOutOfOrder`] names the first step that is earlier than its predecessor.
     pub fn new(steps: Vec<Step>) -> Result<Self, LimitError> {
         let fall = steps.windows(2).position(|pair| pair[1].offset < pair[0].offset);
         match fall {
@@ -95,7 +95,7 @@ impl Script {
         }
     }
 
-    /// The empty script, which cancels what is scheduled to start at its own start or later.
+    /// The empty script, which cancels everything that is scheduled to start at its own start or later.
     #[must_use]
     pub fn cancel() -> Self {
         Self::default()
@@ -110,13 +110,13 @@ impl Script {
     /// SHA-256 over the canonical JSON of the steps.
     pub(super) fn content_hash(&self) -> ContentHash {
         let hashed = self.0.hashed.get_or_init(|| {
-            // Writing steps into memory cannot fail: keys are strings, numbers finite.
+            // Serialization into memory cannot fail: keys are strings, numbers finite.
             Hashed::of(serde_json::to_string(self).unwrap_or_default())
         });
         hashed.hash
     }
 
-    /// Hashes the canonical JSON of the steps, which is known, so that it need not be written for that.
+    /// Hashes the known canonical JSON of the steps, which saves its serialization.
     pub(crate) fn hash_as(&self, canonical_json: &str) {
         debug_assert_eq!(serde_json::to_string(self).ok().as_deref(), Some(canonical_json));
         self.0.hashed.get_or_init(|| Hashed::of(canonical_json));
@@ -127,12 +127,12 @@ impl Script {
         self.0.hashed.get()?.text.as_deref()
     }
 
-    /// Whether it is a clone of the other.
+    /// Whether it is a clone of `other`.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// Whether it cancels instead of moving.
+    /// Whether it has no steps, so that it cancels instead of moving.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.steps().is_empty()
@@ -148,7 +148,7 @@ impl Script {
         }
     }
 
-    /// From its start to its last step.
+    /// Time from its start to its last step.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.steps().last().map_or(Span::ZERO, |step| step.offset.span())
@@ -173,11 +173,11 @@ impl<'de> Visitor<'de> for Steps {
     type Value = Script;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the list of a script's steps")
+        f.write_str("the list of steps of a script")
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Script, A::Error> {
-        // What a list says of its length is believed up to a point.
+        // The stated length of a list is trusted only up to a limit.
         let mut steps = Vec::with_capacity(list.size_hint().unwrap_or(STEPS_USUAL).min(STEPS_BELIEVED));
         while let Some(step) = list.next_element()? {
             if steps.len() == SCRIPT_STEPS_MAX {
@@ -189,9 +189,9 @@ impl<'de> Visitor<'de> for Steps {
     }
 }
 
-/// Steps for which room is made before they come.
+/// Maximum number of steps that are allocated in advance.
 const STEPS_BELIEVED: usize = 1_024;
-/// The same where the list does not say how many they are.
+/// Number of preallocated steps if the list does not state its length.
 const STEPS_USUAL: usize = 32;
 
 /// Writes `control_value` and the further values of a setpoint.
@@ -208,18 +208,18 @@ pub(super) fn serialize_values<M: SerializeMap>(setpoint: &Setpoint, map: &mut M
 pub(super) struct FurtherValues(Vec<Option<f64>>);
 
 impl FurtherValues {
-    /// The N of the key `control_value_N`, counted from 2, if it is one.
+    /// The N of the key `control_value_N`, as an index from 0 for N = 2; `None` for other keys.
     pub(super) fn index<E: de::Error>(key: &str) -> Result<Option<usize>, E> {
         let Some(digits) = key.strip_prefix("control_value_") else { return Ok(None) };
         match digits.parse::<usize>() {
             Ok(n) if (2..=CONTROL_VALUES_MAX).contains(&n) && !digits.starts_with('0') => Ok(Some(n - 2)),
             _ => Err(E::custom(format!(
-                "key `{key}`, expected control_value_2 to control_value_{CONTROL_VALUES_MAX}"
+                "unknown key `{key}`, expected control_value_2 to control_value_{CONTROL_VALUES_MAX}"
             ))),
         }
     }
 
-    /// Takes a value, or null for one that is left out.
+    /// Takes a value; null is an omitted one.
     pub(super) fn put<E: de::Error>(&mut self, index: usize, value: Option<Number>) -> Result<(), E> {
         let Some(value) = value else { return Ok(()) };
         if self.0.len() <= index {
@@ -244,7 +244,7 @@ impl FurtherValues {
     }
 }
 
-/// A key of an object, told apart in place: millions of steps have their keys read, and none needs a string of its own.
+/// A key of an object, recognized in place: millions of steps have keys, and none of these needs its own string.
 pub(super) struct Key<K>(pub(super) K);
 
 /// The keys of one kind of object.
@@ -270,7 +270,7 @@ impl<'de, K: Keys> Deserialize<'de> for Key<K> {
     }
 }
 
-/// Sets a field once.
+/// Sets a field that must not be set twice.
 pub(super) fn set_once<T, E: de::Error>(slot: &mut Option<T>, key: &'static str, value: T) -> Result<(), E> {
     match slot.replace(value) {
         None => Ok(()),

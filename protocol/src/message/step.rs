@@ -16,9 +16,9 @@ use crate::time::Millis;
 /// One step of a script.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
-    /// When, from the script's own start.
+    /// Milliseconds from the script's own start.
     pub offset: Millis,
-    /// What to set.
+    /// The values to set.
     pub setpoint: Setpoint,
     /// Overrides the script's lease while this step is the current one.
     pub stop_condition: Option<StopCondition>,
@@ -61,7 +61,7 @@ impl Step {
     fn checked<E: de::Error>(self) -> Result<Self, E> {
         match self.setpoint.control_type {
             control_type @ (ControlType::Script | ControlType::Sensor) => Err(E::custom(format!(
-                "control type `{control_type}` in a script step, expected position, speed, acceleration or custom_N"
+                "control type `{control_type}` is not supported in a script step, expected position, speed, acceleration or custom_N"
             ))),
             _ => Ok(self),
         }
@@ -81,7 +81,7 @@ impl<'de> Deserialize<'de> for Step {
     }
 }
 
-/// A step by names, or in the short form.
+/// Reads a step by names, or in the short form.
 struct ShortStepVisitor;
 
 impl<'de> Visitor<'de> for ShortStepVisitor {
@@ -118,7 +118,7 @@ enum StepKey {
     Offset,
     ControlType,
     Value,
-    /// `control_value_N`, counted from 2.
+    /// `control_value_N`, numbered from 2.
     Further(usize),
     StopCondition,
     Unknown,

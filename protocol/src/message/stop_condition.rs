@@ -1,4 +1,4 @@
-//! When to stop executing without being told: the lease.
+//! The lease: when to stop executing without a command.
 
 use std::fmt;
 
@@ -9,10 +9,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::number;
 use crate::time::Millis;
 
-/// How long the server may stay silent, in milliseconds, before the device drops what is pending, ends what is running
-/// and comes to rest. `None` means without limit.
+/// How long the server may be silent, in milliseconds, before the device drops pending commands, ends the running one and comes to rest.
+/// `None` means unlimited.
 ///
-/// On the wire a number for both, or `{"pending": ms, "running": ms or null}`.
+/// On the wire: a number for both, or `{"pending": ms, "running": ms or null}`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StopCondition {
     /// While the command waits for its start.

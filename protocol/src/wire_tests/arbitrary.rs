@@ -1,4 +1,4 @@
-//! Any message that the protocol allows.
+//! Generates any message that the protocol allows.
 
 use proptest::collection::{btree_map, vec};
 use proptest::num::f64::{NORMAL, SUBNORMAL, ZERO};
@@ -224,7 +224,7 @@ fn inquiry_response() -> impl Strategy<Value = InquiryResponse> {
     })
 }
 
-/// Parameters of a custom control type: whatever JSON can say.
+/// Parameters of a custom control type: any JSON.
 fn parameters() -> impl Strategy<Value = Value> {
     let leaf = prop_oneof![
         Just(Value::Null),

@@ -1,5 +1,4 @@
-//! A robot of any description that the protocol takes: it says what it is, and each device can be driven to its bounds
-//! and stopped on the way.
+//! Robots of any valid description: a robot describes itself, and each device can be driven to its bounds and stopped on the way.
 
 use downbeat_robot::{Input, LinkId, Output, Robot};
 use urrcp::{
@@ -10,11 +9,11 @@ use urrcp::{
 use crate::{BEGIN, Violation, hold};
 
 const LINK: LinkId = LinkId(1);
-/// From one bound to the other.
+/// Duration from one bound to the other.
 const WAY: Span = Span::from_millis(1_000);
 
-/// Asks a robot of this description for it and drives each device from bound to bound: it answers each request for the
-/// device that was asked, and wherever a device stands on its way is a number.
+/// Requests the description of a robot, and drives each of its devices from bound to bound. The robot answers each request for the
+/// requested device, and the value of a moving device is always a number.
 ///
 /// # Errors
 /// The first [`Violation`].
@@ -40,7 +39,7 @@ pub fn drive_all(block: &InitializationBlock) -> Result<(), Violation> {
     Ok(())
 }
 
-/// From bound to bound in every control type and half of the way back, a stop, a reading.
+/// Returns commands from bound to bound in every control type and half of the way back, a stop, and a reading.
 fn commands(device: &Device) -> Vec<Command> {
     let mut commands = Vec::new();
     for (control_type, _) in device.available_control_types.iter() {

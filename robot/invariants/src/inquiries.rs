@@ -1,4 +1,4 @@
-//! An inquiry is answered truthfully, and it changes nothing but leases.
+//! An inquiry is answered truthfully, and changes only leases.
 
 use downbeat_robot::{LinkId, Output};
 use urrcp::{
@@ -13,7 +13,7 @@ use crate::{Violation, hold};
 type Now = Timestamp<urrcp::Robot>;
 
 impl Judge {
-    /// An inquiry came, after everything that was due.
+    /// Judges an inquiry, after everything that was due.
     pub(crate) fn inquired(
         &mut self,
         now: Now,
@@ -32,7 +32,7 @@ impl Judge {
             Status::Ok => self.told(party, inquiry, answer)?,
             _ => self.not_told(inquiry, answer)?,
         }
-        // Only a lease that is over by now brings anything.
+        // Only an expired lease has further effects.
         self.passed(now, brought)
     }
 
@@ -90,7 +90,7 @@ impl Judge {
         }
         let Some(answer) = self.answers.get(id) else { return *report == unknown };
         let error = answer.error.clone();
-        // A refusal because of the session is not kept.
+        // A refusal because of the session is not remembered.
         let forgotten = error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy);
         let (steps_done, late_steps, late_ms_max) =
             (answer.steps_done, answer.late_steps, answer.late_ms_max);

@@ -1,4 +1,4 @@
-//! Compares what a robot does and says with what its accepted orders allow.
+//! Compares a robot's actions and messages with what its accepted orders allow.
 
 use std::collections::{HashMap, HashSet};
 
@@ -13,36 +13,36 @@ use crate::{Violation, hold};
 
 type Now = Timestamp<urrcp::Robot>;
 
-/// What the robot owes, and what it has said.
+/// The robot's duties, and its previous messages.
 #[derive(Debug)]
 pub(crate) struct Judge {
     pub(crate) heard: Heard,
     pub(crate) devices: HashMap<DeviceId, DeviceModel>,
     pub(crate) answers: HashMap<RequestId, ControlResponse>,
     pub(crate) serials: usize,
-    /// Orders that were cancelled by what is being judged.
+    /// Orders that the judged event has cancelled.
     pub(crate) cancelled: HashSet<usize>,
-    /// From where on what is being judged cancels; `None`: all.
+    /// The earliest start that the judged event cancels; `None`: all.
     cancels_from: Option<Now>,
     /// The content hash of each request that was accepted with one.
     pub(crate) hashes: HashMap<RequestId, ContentHash>,
-    /// When each request that has started did so.
+    /// Actual start of each started request.
     pub(crate) starts: HashMap<RequestId, Now>,
-    /// What leases of each device have ended by what is being judged.
+    /// The effects of the leases that the judged event has ended, per device.
     lost: HashMap<DeviceId, Lost>,
     /// Devices that came to rest.
     rested: HashSet<DeviceId>,
-    /// Whether what is being judged sends a device to its default state.
+    /// Whether the judged event sends a device to its default state.
     sends_home: bool,
-    /// Devices that reported something else than the end of a lease.
+    /// Devices with a report other than the end of a lease.
     acted: HashSet<DeviceId>,
 }
 
-/// What the leases that have ended take with them.
+/// The orders that ended leases take with them.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lost {
     everything: bool,
-    /// What has not begun and starts then or later.
+    /// Earliest start of the orders that have not begun.
     from: Option<Now>,
 }
 
@@ -79,18 +79,19 @@ impl Judge {
         }
     }
 
-    /// A message came on a link.
+    /// Records a message on a link.
     pub(crate) fn heard(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         self.heard.message(now, link, session)
     }
 
-    /// Time has passed, and nothing else has happened.
+    /// Judges outputs after time has passed without another event.
     pub(crate) fn passed(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.judge(now, out, None)?;
         hold(self.cancelled.is_empty(), || "a command was cancelled without a request".to_owned())
     }
 
-    /// An operator has seized the robot: if it held anything, all of that has ended, and what has gone to rest did so for that.
+    /// Judges the outputs after an operator has seized the robot: all held commands have ended, and every movement to rest was caused by
+    /// that.
     pub(crate) fn seized(
         &mut self,
         now: Now,
@@ -104,7 +105,7 @@ impl Judge {
         hold(held.is_none(), || format!("the robot was seized and still holds {held:?}"))
     }
 
-    /// Without a request: what may come is that all devices are stopped.
+    /// Judges outputs without a request: all devices may be stopped.
     fn judge_stopped(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.begin_untold(now);
         self.forget_the_last();
@@ -138,7 +139,7 @@ impl Judge {
         self.acted.clear();
     }
 
-    /// A request came, after everything that was due.
+    /// Judges a request, after everything that was due.
     pub(crate) fn asked(
         &mut self,
         now: Now,
@@ -192,7 +193,7 @@ impl Judge {
         Ok(())
     }
 
-    /// A lease that has ended took with it what it had to and nothing else.
+    /// Checks that an ended lease has ended exactly the orders that it must.
     fn check_lost(&self, asked: bool) -> Result<(), Violation> {
         for (id, lost) in &self.lost {
             let left = self.devices.get(id).and_then(|device| device.queue.iter().find(|o| lost.takes(o)));
@@ -313,7 +314,7 @@ impl Judge {
                     .is_some())
             }
             Some(ErrorCode::Cancelled) => {
-                // Among commands without an id, this means those that fall.
+                // Among commands without an id, this means one that the request cancels.
                 let from = self.cancels_from;
                 let cancelled = take(device, |order| of(order) && order.falls(from));
                 self.cancelled.extend(cancelled.as_ref().map(|order| order.serial));
@@ -324,7 +325,7 @@ impl Judge {
     }
 }
 
-/// The order that a report ends.
+/// Removes the order that a report ends.
 fn take(device: &mut DeviceModel, of: impl Fn(&Order) -> bool) -> Option<Order> {
     let at = device.queue.iter().position(of)?;
     Some(device.queue.remove(at))
@@ -383,7 +384,7 @@ fn is_unsupported(output: &Output) -> bool {
         if is_refused(answer, &ErrorCode::UnsupportedControlType))
 }
 
-/// Whether this is the order's step at its time, or the way to it.
+/// Whether this is the order's step at its time, or the movement to it.
 fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
     let setpoint = &order.steps[step].setpoint;
     let before = step.checked_sub(1).map_or(Some(order.start), |before| order.time_of(before));
@@ -399,10 +400,10 @@ fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
     }
 }
 
-/// At the instant of a movement both the lease until then and the lease from then on are in force.
+/// Checks that at the instant of a movement, both the lease before it and the lease after it are in force.
 fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Result<(), Violation> {
     let done = step + usize::from(matches!(set.motion, Motion::Set(_)));
-    // The way to a step begins with the step before it, which has been judged.
+    // The movement to a step begins with the previous step, which has already been judged.
     let until_then = match step {
         0 if set.due == order.start => order.pending_ends(heard),
         _ => order.running_ends(heard, step),
@@ -427,7 +428,7 @@ fn started(device: &mut DeviceModel, heard: &Heard, now: Now, report: &ControlRe
     begun && value.as_ref() == Some(&report.status_value)
 }
 
-/// Ends an order, if the report is of its end.
+/// Ends an order if the report is about its end.
 fn ended(device: &mut DeviceModel, report: &ControlResponse) -> bool {
     let Some(order) = take(device, |order| order.id == report.request_id && order.started && order.is_done())
     else {

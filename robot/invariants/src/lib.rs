@@ -1,11 +1,10 @@
-//! What must hold of a robot whatever happens to it: an independent, simpler account of what it owes, compared with what
-//! it does. The tests of this crate and the fuzzer feed it lists of operations. It uses only the public interface of robots.
+//! Invariants of a robot under any operations: an independent, simpler model of its duties is compared with its actions. The tests of
+//! this crate and the fuzzer play lists of operations. It uses only the public interface of robots.
 //!
-//! After every operation: no value outside the limits or off the granularity is set; nothing starts before its time or
-//! late; no lease is outlived, and none ends early; no device holds more than its queue; every accepted request ends
-//! once, and sets nothing afterwards; every answer names its request; no session touches what belongs to another one, unless
-//! an operator who may seizes the robot: then all that is held ends first; an inquiry is answered truthfully and changes
-//! nothing but leases.
+//! After every operation: no value outside the limits or off the granularity is set; nothing starts early or late; no command outlives
+//! its lease, and no lease ends early; no device holds more than its queue; every accepted request ends once, and sets nothing
+//! afterwards; every answer names its request; no session affects another session's commands, unless a permitted operator seizes the
+//! robot, and then all held commands end first; an inquiry is answered truthfully and changes only leases.
 
 mod answers;
 mod described;
@@ -26,18 +25,18 @@ pub use described::drive_all;
 use judge::Judge;
 pub use operation::{Operation, Pause, Question, Request, operations};
 
-/// An invariant does not hold.
+/// A violated invariant.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Violation(String);
 
-/// Wake-ups in a row after which a robot that has yet to come to rest counts as never resting.
+/// After this many consecutive wake-ups, a robot that is not at rest is considered to never rest.
 const WAKEUPS_MAX: usize = 100_000;
-/// Links at a time.
+/// Number of simultaneous links.
 const LINKS: usize = 4;
-/// The link of an operator who may seize the robot. It stands all the time.
+/// The link of an operator with permission to seize the robot. It is always up.
 const OPERATOR: LinkId = LinkId(1 << 32);
-/// Begin of time, in nanoseconds.
+/// Start time, in nanoseconds.
 const BEGIN: i64 = 1_000_000_000_000;
 
 /// A device of each kind: held and linear positions, rates, a deceleration, a sensor, custom control.
@@ -63,7 +62,7 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "position": {"min_value": 0, "max_value": 90, "granularity": 0.5}}},
   {"id": "thermometer", "name": "t", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
 
-/// Plays operations to a robot at rest, then lets time pass until nothing is left to do.
+/// Plays operations on a robot at rest, and then lets time pass until no work is left.
 ///
 /// # Errors
 /// The first [`Violation`].
@@ -74,7 +73,7 @@ pub fn play(operations: &[Operation]) -> Result<(), Violation> {
     bench.judge.check_rest(&bench.robot)
 }
 
-/// Sends a request to a robot at rest, twice, and lets time pass until nothing is left to do.
+/// Sends a request to a robot at rest, twice, and lets time pass until no work is left.
 ///
 /// # Errors
 /// The first [`Violation`].
@@ -86,7 +85,7 @@ pub fn ask(request: &ControlRequest) -> Result<(), Violation> {
     bench.judge.check_rest(&bench.robot)
 }
 
-/// Holds the robot to a rule.
+/// Returns a violation unless the rule holds.
 fn hold(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), Violation> {
     if holds { Ok(()) } else { Err(Violation(otherwise())) }
 }
@@ -161,7 +160,7 @@ impl Bench {
         self.links[link as usize % LINKS]
     }
 
-    /// From wake-up to wake-up.
+    /// Advances from wake-up to wake-up.
     fn wait_until(&mut self, end: Timestamp<urrcp::Robot>) -> Result<(), Violation> {
         for _ in 0..WAKEUPS_MAX {
             let Some(wakeup) = self.robot.next_wakeup().filter(|wakeup| *wakeup <= end) else {
@@ -181,7 +180,7 @@ impl Bench {
         self.judge.check_settled(self.now, &self.robot)
     }
 
-    /// First lets happen what is due, so that what then comes out is due to the input alone.
+    /// Executes due events first, so that further outputs are caused only by the input.
     fn handle(&mut self, link: LinkId, input: Input) -> Result<Vec<Output>, Violation> {
         self.advance()?;
         let mut out = Vec::new();
@@ -207,7 +206,7 @@ impl Bench {
         hold(answered, || format!("an availability request was answered by {out:?}"))
     }
 
-    /// Where nothing is proven nobody seizes a robot, and who tries renews nothing.
+    /// Checks that an unproven peer cannot seize the robot, and that the attempt renews nothing.
     fn seize_in_vain(&mut self, link: u8, session: u8) -> Result<(), Violation> {
         let link = self.link(link);
         let request =
@@ -218,7 +217,7 @@ impl Bench {
         hold(refused, || format!("a stranger that seizes was answered by {out:?}"))
     }
 
-    /// An operator who may seizes the robot.
+    /// Seizes the robot as a permitted operator.
     fn seize(&mut self) -> Result<(), Violation> {
         let session = SessionId::new("an operator's").ok();
         let request = AvailabilityRequest { timestamp: None, session: session.clone(), seize: true };

@@ -1,5 +1,4 @@
-//! What a device owes at any time, kept without the device machine: its accepted orders, how far each has come, and
-//! under which lease.
+//! The duties of a device at any time, tracked without the device machine: its accepted orders, their progress, and their leases.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,19 +8,19 @@ use urrcp::{
     Server, SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
-/// A robot that is delayed over a start drops what it would start later than this, as `docs/protocol.md` demands.
+/// A robot that is delayed over a start drops commands that would start later than this, as `docs/protocol.md` requires.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 
 type Now = Timestamp<Robot>;
 
-/// For which a lease counts: a link without a session, or a session on any of its links.
+/// The party of a lease: a link without a session, or a session on any of its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Party {
     Link(LinkId),
     Session(usize),
 }
 
-/// Who spoke on which link, and when last.
+/// The parties of links, and the times of their last messages.
 #[derive(Debug, Default)]
 pub(crate) struct Heard {
     of_link: HashMap<LinkId, Party>,
@@ -30,7 +29,7 @@ pub(crate) struct Heard {
 }
 
 impl Heard {
-    /// A message arrived, with its sender.
+    /// Records a message, and returns its party.
     pub(crate) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         let party = match session {
             None => self.of_link.get(&link).copied().unwrap_or(Party::Link(link)),
@@ -40,7 +39,7 @@ impl Heard {
         party
     }
 
-    /// A link becomes the party of the first session that it names; later ones are parties of their own.
+    /// Assigns a link to the party of the first session that it names; later sessions are parties of their own.
     fn session(&mut self, link: LinkId, session: &SessionId) -> Party {
         let fresh = if self.of_session.values().any(|party| *party == Party::Link(link)) {
             Party::Session(self.of_session.len())
@@ -52,7 +51,7 @@ impl Heard {
         party
     }
 
-    /// All sessions that ever named themselves.
+    /// Returns all sessions that were ever named.
     pub(crate) fn sessions(&self) -> impl Iterator<Item = &SessionId> {
         self.of_session.keys()
     }
@@ -63,7 +62,7 @@ impl Heard {
     }
 }
 
-/// A command that was accepted and of which no end was reported.
+/// An accepted command without a reported end.
 #[derive(Debug)]
 pub(crate) struct Order {
     pub(crate) serial: usize,
@@ -75,9 +74,9 @@ pub(crate) struct Order {
     pub(crate) steps: Vec<Step>,
     pub(crate) is_script: bool,
     condition: Option<StopCondition>,
-    /// The lease before the start ends then at the latest.
+    /// Latest end of the lease before the start.
     pending_until: Option<Now>,
-    /// Steps that were set.
+    /// Number of steps that were set.
     pub(crate) done: usize,
     /// Whether its start has come.
     pub(crate) began: bool,
@@ -123,7 +122,7 @@ impl Order {
         self.done == self.steps.len()
     }
 
-    /// Whether an empty script ends it: whatever has yet to begin from then on, or all.
+    /// Whether an empty script ends it: commands that begin at `from` or later, or all (`None`).
     pub(crate) fn falls(&self, from: Option<Now>) -> bool {
         from.is_none_or(|from| !self.began && self.start >= from)
     }
@@ -132,19 +131,19 @@ impl Order {
         if self.began { self.time_of(self.done) } else { Some(self.start) }
     }
 
-    /// When the lease before the start ends.
+    /// Returns when the lease before the start ends.
     pub(crate) fn pending_ends(&self, heard: &Heard) -> Option<Now> {
         let silent = heard.ends(self.party, self.accepted, self.condition.and_then(|lease| lease.pending));
         silent.into_iter().chain(self.pending_until).min()
     }
 
-    /// When the lease ends that holds once this many steps are done.
+    /// Returns when the lease ends that applies once this many steps are done.
     pub(crate) fn running_ends(&self, heard: &Heard, done: usize) -> Option<Now> {
         let own = done.checked_sub(1).and_then(|step| self.steps.get(step)?.stop_condition);
         heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
     }
 
-    /// It may wait for its start no longer than this without a word, and until this instant at the latest.
+    /// Limits the silence for which it may wait for its start, and the end of its pending lease.
     pub(crate) fn limit(&mut self, pending: Option<Millis>, until: Option<Now>) {
         self.pending_until = until.or(self.pending_until);
         let Some(pending) = pending else { return };
@@ -164,7 +163,7 @@ impl Order {
         !self.began && self.must_end(heard).is_some_and(|end| end <= now && end <= self.start)
     }
 
-    /// When it must be given up: its lease has ended, or would have ended once the next event has taken place.
+    /// Returns when it must be given up: when its lease has ended, or would have ended after the next event.
     pub(crate) fn must_end(&self, heard: &Heard) -> Option<Now> {
         let current =
             if !self.began { self.pending_ends(heard) } else { self.running_ends(heard, self.done) };
@@ -175,18 +174,18 @@ impl Order {
     }
 }
 
-/// The start of a request that comes now.
+/// Returns the start of a request that is received now.
 pub(crate) fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
-/// From where on a request cancels, if it is an empty script of a later start.
+/// Returns the time from which a request cancels, if it is an empty script with a later start.
 pub(crate) fn cancels_from(now: Now, request: &ControlRequest) -> Option<Now> {
     let empty = matches!(&request.command, Command::Script(script) if script.is_empty());
     Some(start_of(now, request)).filter(|from| empty && *from > now)
 }
 
-/// Rates left on by a command that has ended, still under its lease.
+/// Rates that continue after their command has ended, still under its lease.
 #[derive(Debug)]
 pub(crate) struct Guard {
     pub(crate) id: Option<RequestId>,
@@ -209,7 +208,7 @@ pub(crate) struct Way {
     pub(crate) since: Now,
     pub(crate) to: f64,
     pub(crate) until: Now,
-    /// It changes its speed on the way.
+    /// Whether its speed changes during the movement.
     pub(crate) is_slowing: bool,
 }
 
@@ -218,7 +217,7 @@ impl Way {
         Self { from: value, since: now, to: value, until: now, is_slowing: false }
     }
 
-    /// Where it is, if it goes at one speed.
+    /// Returns the value, if the speed is constant.
     pub(crate) fn value(&self, now: Now) -> Option<f64> {
         if now >= self.until {
             return Some(self.to);
@@ -232,20 +231,20 @@ impl Way {
     }
 }
 
-/// One device, as its orders and movements tell.
+/// One device, derived from its orders and movements.
 #[derive(Debug)]
 pub(crate) struct DeviceModel {
     pub(crate) spec: Device,
-    /// In the order in which they are to be done.
+    /// In the order of execution.
     pub(crate) queue: Vec<Order>,
     pub(crate) guards: Vec<Guard>,
-    /// Guards that a stop of this very moment released; their reports follow.
+    /// Guards that a stop has just released; their reports follow.
     pub(crate) released: Vec<Guard>,
-    /// How each signal moves, or where it rests.
+    /// The last movement of each signal.
     pub(crate) ways: BTreeMap<ControlType, Way>,
-    /// What was sent up to then has been taken back, from any sender.
+    /// Messages of any sender up to this time have been taken back.
     pub(crate) taken_back: Option<Timestamp<Server>>,
-    /// What was sent later has not been, from any sender.
+    /// Messages of any sender after this time have not been taken back.
     pub(crate) taken_back_at_most: Option<Timestamp<Server>>,
 }
 
@@ -269,7 +268,7 @@ impl DeviceModel {
         self.queue.insert(place, order);
     }
 
-    /// A signal is driven: it is no longer under the lease of the command before.
+    /// Records a driven signal: it is no longer under the lease of the previous command.
     pub(crate) fn drive(&mut self, control_type: ControlType, way: Way) {
         self.ways.insert(control_type, way);
         for guard in &mut self.guards {
@@ -278,7 +277,7 @@ impl DeviceModel {
         self.guards.retain(|guard| !guard.rates.is_empty());
     }
 
-    /// The last step of an order is set: the rates that it leaves on stay under its lease.
+    /// Records the last step of an order: the rates that it leaves on stay under its lease.
     pub(crate) fn guard_what_goes_on(&mut self, at: usize) {
         let order = &self.queue[at];
         let last = order.steps.last().and_then(|step| step.stop_condition);
@@ -296,7 +295,7 @@ impl DeviceModel {
         }
     }
 
-    /// Where a rate rests; `None` for what stays as it is.
+    /// Returns the resting value of a rate; `None` if the signal keeps its value.
     pub(crate) fn rest(&self, rate: ControlType) -> Option<f64> {
         match rate {
             ControlType::Speed | ControlType::Acceleration => Some(0.0),
@@ -304,26 +303,26 @@ impl DeviceModel {
         }
     }
 
-    /// The earliest instant at which the device has something to do.
+    /// Returns the time of the device's earliest event.
     pub(crate) fn earliest(&self, heard: &Heard) -> Option<Now> {
         let orders = self.queue.iter().flat_map(|order| [order.next_event(), order.must_end(heard)]);
         orders.chain(self.guards.iter().map(|guard| guard.must_end(heard))).flatten().min()
     }
 
-    /// Whether some lease of what runs, or of a rate left on, is over.
+    /// Whether a lease of a running command or of a continuing rate has ended.
     pub(crate) fn running_lease_is_over(&self, now: Now, heard: &Heard) -> bool {
         let guards = self.guards.iter().chain(&self.released).map(|guard| guard.must_end(heard));
         let running = self.queue.iter().filter(|order| order.began && !order.is_done());
         running.map(|order| order.must_end(heard)).chain(guards).flatten().any(|end| end <= now)
     }
 
-    /// The earliest start of what waited for it until its lease was over: what starts then or later falls.
+    /// Returns the earliest start of the orders whose lease ended while they waited: orders with this start or a later one are cancelled.
     pub(crate) fn falls_from(&self, now: Now, heard: &Heard) -> Option<Now> {
         let over = self.queue.iter().filter(|order| order.is_over_before_its_start(now, heard));
         over.map(|order| order.start).min()
     }
 
-    /// Begins orders of a device that holds if their start has come and their first value is due later.
+    /// Begins the orders of a holding device whose start has come and whose first value is due later.
     pub(crate) fn begin_untold(&mut self, now: Now, heard: &Heard) {
         let falls = self.falls_from(now, heard);
         let untold = self.spec.interpolation == Interpolation::Hold;
@@ -334,12 +333,12 @@ impl DeviceModel {
         }
     }
 
-    /// Whether its end is seen: a speed is set to zero.
+    /// Whether its rest is visible: a speed is set to zero.
     pub(crate) fn must_rest(&self) -> bool {
         self.spec.primary_control_type() == Some(ControlType::Speed)
     }
 
-    /// Whether a request may set this: of a type that the device has, within its limits, on its grid.
+    /// Whether a request may set this: the device has its type, and the value is within its limits and on its grid.
     pub(crate) fn can_take(&self, setpoint: &Setpoint) -> bool {
         match self.spec.available_control_types.get(setpoint.control_type) {
             Some(ControlParameters::Motion(limits)) => {

@@ -1,6 +1,6 @@
-//! What may happen to a robot, one operation at a time, decoded from arbitrary bytes.
+//! Operations on a robot, decoded from arbitrary bytes.
 //!
-//! Times are coarse, so that many events fall on one instant, with nudges of a nanosecond round them.
+//! Times are coarse, so that many events fall on the same instant, with offsets of a nanosecond around them.
 
 use arbitrary::{Arbitrary, Unstructured};
 use urrcp::{
@@ -8,9 +8,9 @@ use urrcp::{
     SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
-/// Operations that are played at most: fewer than the robot remembers requests.
+/// Maximum number of operations per run: fewer than the requests that the robot remembers.
 const OPERATIONS_MAX: usize = 128;
-/// Steps of one script at most; more than the devices take.
+/// Maximum number of steps of one script; more than the devices accept.
 const STEPS_MAX: usize = 6;
 /// The unit of all coarse times.
 const TICK: Span = Span::from_millis(50);
@@ -18,52 +18,52 @@ const TICK: Span = Span::from_millis(50);
 const NO_DEVICE: &str = "leg";
 const IDS: u8 = 8;
 const SESSIONS: u8 = 3;
-/// Below it a number stands for no session.
+/// Smaller numbers mean no session.
 const SESSIONLESS: u8 = 240;
 
-/// One thing that happens to a robot.
+/// One operation on a robot.
 #[derive(Clone, Debug)]
 pub enum Operation {
-    /// A control request comes.
+    /// A control request arrives.
     Request(Request),
-    /// An earlier request arrives again, maybe on another link.
+    /// An earlier request arrives again, possibly on another link.
     Repeat {
         /// Number of the earlier request.
         which: u8,
-        /// On which link.
+        /// Number of the link.
         link: u8,
     },
-    /// An availability request comes.
+    /// An availability request arrives.
     Ask {
-        /// On which link.
+        /// Number of the link.
         link: u8,
-        /// On whose behalf.
+        /// Number of the session.
         session: u8,
     },
-    /// An inquiry comes.
+    /// An inquiry arrives.
     Inquire(Question),
-    /// An initialization request comes.
+    /// An initialization request arrives.
     Describe {
-        /// On which link.
+        /// Number of the link.
         link: u8,
     },
-    /// An availability request comes that would take the robot from its session.
+    /// An availability request arrives that would seize the robot.
     Seize {
-        /// On which link, where nothing is proven; `None`: on that of an operator who may.
+        /// Number of a link without proof; `None`: the link of a permitted operator.
         link: Option<u8>,
-        /// On whose behalf, where nothing is proven.
+        /// Number of the session, on a link without proof.
         session: u8,
     },
-    /// A message comes that only a robot sends.
+    /// A message arrives that only robots send.
     Stray {
-        /// On which link.
+        /// Number of the link.
         link: u8,
     },
     /// A line arrives that is not a message.
     Noise {
-        /// On which link.
+        /// Number of the link.
         link: u8,
-        /// The device that can be recognised all the same.
+        /// The device that can still be recognised in the line.
         device: Option<u8>,
     },
     /// A link breaks; what arrives on it later arrives on a new one.
@@ -73,31 +73,31 @@ pub enum Operation {
     },
     /// Time passes, and the robot is woken whenever it asks to be.
     Wait(Pause),
-    /// Time passes, and the robot is woken in the end only, as when its process was stopped.
+    /// Time passes, and the robot is woken only at the end, as if its process had been stopped.
     HeldUp(Pause),
 }
 
-/// How long nothing arrives: to an instant of the coarse grid, or to a few nanoseconds next to it.
+/// A time without messages: to an instant of the coarse grid, or a few nanoseconds next to it.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Pause {
     ticks: u8,
     nudge: i8,
 }
 
-/// An inquiry before it is written out.
+/// Parameters of an inquiry.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Question {
     pub(crate) link: u8,
     session: u8,
-    /// Earlier requests, and one that never was.
+    /// Earlier requests; the written inquiry adds one that was never sent.
     requests: [u8; 3],
     device: u8,
     pending_ticks: Option<u8>,
-    /// From now; not all of them lie ahead.
+    /// Relative to now; some lie in the past.
     until_ticks: Option<i8>,
 }
 
-/// A control request before it is written out.
+/// Parameters of a control request.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Request {
     pub(crate) link: u8,
@@ -122,7 +122,7 @@ enum Id {
 #[derive(Clone, Debug)]
 enum Start {
     AtOnce,
-    /// A timestamp and no offset: a stop takes back what was sent before it.
+    /// A timestamp without an offset: a stop takes back earlier messages.
     Sent {
         ticks_ago: u8,
     },
@@ -180,7 +180,7 @@ enum Value {
     Any(f64),
 }
 
-/// Chooses by one byte: each choice with the bound below which it is taken, the last one in all other cases.
+/// Chooses by one byte: each choice with its exclusive upper bound, and the last choice in all other cases.
 macro_rules! chosen {
     ($kind:ty, $bytes:ident, $($below:literal => $choice:expr,)* else $last:expr) => {
         impl<'a> Arbitrary<'a> for $kind {
@@ -195,7 +195,7 @@ macro_rules! chosen {
     };
 }
 
-// What goes through is chosen more often than what is refused.
+// Accepted operations are more frequent than refused ones.
 chosen!(Operation, bytes,
     110 => Self::Request(bytes.arbitrary()?),
     176 => Self::Wait(bytes.arbitrary()?),
@@ -227,7 +227,7 @@ chosen!(Value, bytes,
     250 => Self::Fine(bytes.arbitrary()?),
     else Self::Any(bytes.arbitrary()?));
 
-/// Reads bytes as operations; any bytes give some.
+/// Decodes bytes as operations; any bytes are valid.
 #[must_use]
 pub fn operations(bytes: &[u8]) -> Vec<Operation> {
     let mut bytes = Unstructured::new(bytes);
@@ -240,16 +240,16 @@ pub fn operations(bytes: &[u8]) -> Vec<Operation> {
 }
 
 impl Pause {
-    /// The instant at which it is over.
+    /// Returns the instant at which it ends.
     pub(crate) fn until(&self, now: Timestamp<Robot>) -> Timestamp<Robot> {
-        // Mostly shorter than a script, now and then longer than all leases.
+        // Usually shorter than a script, sometimes longer than all leases.
         let ticks = if self.ticks < 240 { self.ticks % 12 } else { self.ticks };
         now.max(on_grid(now, i64::from(ticks)) + nudged(self.nudge))
     }
 }
 
 impl Question {
-    /// Writes the inquiry out: about requests that were sent, and about one that was not.
+    /// Creates the inquiry: about requests that were sent, and about one that was not.
     pub(crate) fn written(
         &self,
         now: Timestamp<Robot>,
@@ -272,7 +272,7 @@ impl Question {
 }
 
 impl Request {
-    /// Writes the request out, as of `now`, for one of these devices or for none. `fresh` makes an id that no other has.
+    /// Creates the request, as of `now`, for one of these devices or for none. `fresh` gives it a unique id.
     pub(crate) fn written(
         &self,
         now: Timestamp<Robot>,
@@ -307,7 +307,7 @@ impl Request {
     }
 }
 
-/// The session of a number, mostly none.
+/// Returns the session of a number, usually none.
 pub(crate) fn session(number: u8) -> Option<SessionId> {
     let named = number.checked_sub(SESSIONLESS)?;
     SessionId::new(format!("session-{}", named % SESSIONS)).ok()
@@ -384,12 +384,12 @@ impl Target {
     }
 }
 
-/// The instant this many ticks from the tick at or before `now`.
+/// Returns the instant this many ticks from the tick at or before `now`.
 fn on_grid(now: Timestamp<Robot>, ticks: i64) -> Timestamp<Robot> {
     now - Span::from_nanos(now.as_nanos().rem_euclid(TICK.as_nanos())) + TICK * ticks
 }
 
-/// Mostly nothing, else a nanosecond or two either way.
+/// Returns usually zero, otherwise a nanosecond or two in either direction.
 fn nudged(nudge: i8) -> Span {
     Span::from_nanos(i64::from(nudge / 50))
 }

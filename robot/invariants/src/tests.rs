@@ -1,4 +1,4 @@
-//! The invariants over random operations, and over what the fuzzer once found.
+//! The invariants over random operations, and over past findings of the fuzzer.
 
 use proptest::prelude::*;
 

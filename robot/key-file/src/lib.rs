@@ -1,4 +1,4 @@
-//! Reads files that contain a key, and refuses those that other users may read.
+//! Reads files that contain a key, and refuses those that other users can read.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -6,37 +6,37 @@ use std::path::{Path, PathBuf};
 
 use rustix::fs::{Mode, OFlags, Stat};
 
-/// Bytes of such a file at most: a key and two certificates are some three thousand.
+/// Maximum size of such a file: a key and two certificates are about three thousand bytes.
 const BYTES_MAX: u64 = 64 * 1024;
 
-/// A file with a key cannot be used.
+/// An error of a key file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyFileError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{}: {error}; expected a file that `downbeat keys` wrote", path.display())]
     Unreadable {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
         /// The error of the system.
         error: io::Error,
     },
-    /// Others may read the key.
-    #[error("{}: others may read this key (mode {mode:03o}); make it yours alone: chmod 600 {}", path.display(), path.display())]
+    /// Other users can read the key.
+    #[error("{}: other users can read this key (mode {mode:03o}); restrict the access with `chmod 600 {}`", path.display(), path.display())]
     NotPrivate {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
         /// Its permissions.
         mode: u32,
     },
 }
 
-/// What is in the file with a key, if it is a regular one that others cannot read.
+/// Reads a regular file with a key that other users cannot read.
 pub fn read_private(path: &Path) -> Result<Vec<u8>, KeyFileError> {
     read_private_of(path, BYTES_MAX)
 }
 
-/// The same with so many bytes at most.
+/// The same with at most `bytes_max` bytes.
 pub fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
     let (file, stat) = open_regular(path)?;
     let mode = stat.st_mode & 0o777;
@@ -48,7 +48,7 @@ pub fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileEr
     read(path, file, bytes_max)
 }
 
-/// What is in the file, so many bytes at most, if it is a regular one. It may be public.
+/// Reads a regular file of at most `bytes_max` bytes. It may be public.
 pub fn read_regular(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
     read(path, open_regular(path)?.0, bytes_max)
 }
@@ -57,21 +57,21 @@ fn read(path: &Path, file: File, bytes_max: u64) -> Result<Vec<u8>, KeyFileError
     let unreadable = |error| KeyFileError::Unreadable { path: path.into(), error };
     let mut bytes = Vec::new();
     let read = file.take(bytes_max + 1).read_to_end(&mut bytes).map_err(unreadable)?;
-    // A part would say something else than the whole.
+    // A truncated file could have a different meaning.
     if u64::try_from(read).is_ok_and(|read| read > bytes_max) {
         return Err(unreadable(io::Error::other(format!("it has more than {bytes_max} bytes"))));
     }
     Ok(bytes)
 }
 
-/// Opens a file, and nothing else in its place: a pipe would not be waited for.
+/// Opens only regular files: reading from a pipe would block.
 fn open_regular(path: &Path) -> Result<(File, Stat), KeyFileError> {
     let unreadable = |error: io::Error| KeyFileError::Unreadable { path: path.into(), error };
     let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK;
     let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| unreadable(error.into()))?;
     let stat = rustix::fs::fstat(&file).map_err(|error| unreadable(error.into()))?;
     if !rustix::fs::FileType::from_raw_mode(stat.st_mode).is_file() {
-        return Err(unreadable(io::Error::other("it is no regular file")));
+        return Err(unreadable(io::Error::other("it is not a regular file")));
     }
     Ok((file.into(), stat))
 }
@@ -82,7 +82,7 @@ mod tests {
 
     use super::*;
 
-    /// What is said of a file of this length and mode, of which this much may be read.
+    /// Returns the result for a file of this length and mode, with at most `bytes_max` bytes.
     fn read_of(bytes: usize, mode: u32, bytes_max: u64) -> Result<usize, String> {
         let name = format!("downbeat-key-file-{}-{bytes}-{mode:o}", std::process::id());
         let path = std::env::temp_dir().join(name);
@@ -100,7 +100,7 @@ mod tests {
         }
         for mode in [0o640, 0o604, 0o620, 0o601, 0o677] {
             let error = read_of(3, mode, 10).unwrap_err();
-            assert!(error.contains(&format!("others may read this key (mode {mode:o})")), "{error}");
+            assert!(error.contains(&format!("other users can read this key (mode {mode:o})")), "{error}");
         }
     }
 

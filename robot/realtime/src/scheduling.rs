@@ -1,7 +1,7 @@
-//! What the system grants to the thread that wakes robots: real-time scheduling, locked memory, a short time slice.
+//! The scheduling that the system grants to the thread that wakes robots: real-time scheduling, locked memory, a short time slice.
 //!
-//! Real-time scheduling and locked memory need permission; the short slice and the least timer slack need none. What was
-//! granted is told in one sentence, with what would allow the rest.
+//! Real-time scheduling and locked memory need permission; the short slice and the minimum timer slack need none. The result is reported
+//! in one sentence, with the settings that would permit the rest.
 
 use std::fmt;
 use std::num::NonZeroU64;
@@ -11,47 +11,47 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::CapabilitySet;
 use uapi::c;
 
-/// Above ordinary programs, and no higher than the threads of interrupts on real-time kernels.
+/// Above ordinary programs, and not above the interrupt threads on real-time kernels.
 const PRIORITY: u32 = 50;
-/// A woken thread with a short slice runs before those in the middle of a long one. The kernel takes no shorter slice.
+/// A woken thread with a short slice runs before those in the middle of a long one. The kernel does not accept a shorter slice.
 const SLICE_NANOS: u64 = 100_000;
 
-/// Whether to ask for real-time scheduling (SCHED_FIFO) and locked memory.
+/// Whether to request real-time scheduling (SCHED_FIFO) and locked memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Realtime {
-    /// Do not ask.
+    /// Do not request it.
     #[default]
     Off,
-    /// Take what is permitted, and continue without the rest.
+    /// Use what is permitted, and continue without the rest.
     Auto,
     /// Do not start without both.
     Required,
 }
 
-/// What a thread was granted. Displays as one sentence, without a full stop.
+/// The scheduling that a thread was granted. Displays as one sentence, without a full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Scheduling {
     realtime: Granted,
     locked: Granted,
 }
 
-/// Whether something was granted.
+/// The result of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Granted {
-    /// It was not asked for.
+    /// It was not requested.
     Unasked,
-    /// It was, in these words.
+    /// It was granted, as described.
     Yes(String),
-    /// It was not, for this reason.
+    /// It was refused, for this reason.
     No(String),
 }
 
 impl Scheduling {
-    /// Asks for this thread, and for the memory of its process.
+    /// Requests the scheduling for this thread, and locked memory for its process.
     #[must_use]
     pub fn of_this_thread(realtime: Realtime) -> Self {
         if let Err(error) = rustix::thread::set_current_timer_slack(NonZeroU64::new(1)) {
-            tracing::warn!("timer slack stays as it is: {error}");
+            tracing::warn!("cannot set the timer slack: {error}");
         }
         let asked = realtime != Realtime::Off;
         let granted = Self {
@@ -61,7 +61,7 @@ impl Scheduling {
         if !granted.is_realtime()
             && let Err(error) = shorten_slice()
         {
-            tracing::warn!("the time slice stays as it is: {error}");
+            tracing::warn!("cannot set the time slice: {error}");
         }
         granted
     }
@@ -72,13 +72,13 @@ impl Scheduling {
         matches!(self.realtime, Granted::Yes(_))
     }
 
-    /// Whether anything that was asked for was refused.
+    /// Whether any request was refused.
     #[must_use]
     pub const fn lacks_something(&self) -> bool {
         matches!(self.realtime, Granted::No(_)) || matches!(self.locked, Granted::No(_))
     }
 
-    /// What would allow what was refused: nothing where all was granted.
+    /// Returns the settings that would permit the refused requests; `None` if everything was granted.
     fn remedy(&self) -> Option<String> {
         let (systemd, limits) = match (&self.realtime, &self.locked) {
             (Granted::No(_), Granted::No(_)) => {
@@ -103,7 +103,7 @@ impl fmt::Display for Scheduling {
             Granted::No(why) => {
                 write!(
                     f,
-                    "no real-time scheduling ({why}), so that starts may be milliseconds late while cores are busy"
+                    "no real-time scheduling ({why}), so starts may be milliseconds late while the cores are busy"
                 )?;
             }
         }
@@ -145,7 +145,7 @@ fn ask_first_in_first_out() -> Result<String, String> {
     if let Some(found) = policy_found() {
         return Ok(found);
     }
-    // With the capability no limit counts, so the full priority comes first.
+    // With the capability no limit applies, so the full priority is tried first.
     let full = set_first_in_first_out(PRIORITY);
     let granted = full.or_else(|error| match within(raise_limit(Resource::Rtprio)) {
         Some(priority) => set_first_in_first_out(priority),
@@ -156,7 +156,7 @@ fn ask_first_in_first_out() -> Result<String, String> {
         .map_err(|error| std::io::Error::from(error).to_string())
 }
 
-/// The highest priority that a limit allows, where that is not the full one.
+/// Returns the highest priority that a limit permits, if that is below the full one.
 fn within(limit: Rlimit) -> Option<u32> {
     let allowed = u32::try_from(limit.maximum?).ok();
     allowed.filter(|allowed| *allowed > 0 && *allowed < PRIORITY)
@@ -172,7 +172,7 @@ fn set_first_in_first_out(priority: u32) -> Result<(), uapi::Errno> {
     uapi::sched_setattr(0, &attributes, 0)
 }
 
-/// Kernels before 6.12 take it and change nothing.
+/// Kernels before 6.12 accept it without effect.
 fn shorten_slice() -> Result<(), uapi::Errno> {
     let mut attributes = uapi::sched_getattr(0, 0)?;
     if c::c_int::try_from(attributes.sched_policy) != Ok(c::SCHED_OTHER) {
@@ -183,12 +183,12 @@ fn shorten_slice() -> Result<(), uapi::Errno> {
     uapi::sched_setattr(0, &attributes, 0)
 }
 
-/// Pages are locked once they are touched, so that no more memory is used than without.
+/// Pages are locked when they are first used, so that memory usage does not increase.
 fn lock_memory() -> Result<String, String> {
     let limit = raise_limit(Resource::Memlock).maximum;
     let capable = rustix::thread::capabilities(None)
         .is_ok_and(|capabilities| capabilities.effective.contains(CapabilitySet::IPC_LOCK));
-    // Within a limit, memory that is needed later could not be had at all.
+    // Under a limit, memory that is needed later could not be allocated at all.
     if let (Some(limit), false) = (limit, capable) {
         return Err(format!("the limit is {} KiB", limit / 1024));
     }
@@ -198,7 +198,7 @@ fn lock_memory() -> Result<String, String> {
         .map_err(|error| std::io::Error::from(error).to_string())
 }
 
-/// Raises a limit as far as it may be; returns it.
+/// Raises a limit to its maximum and returns it.
 fn raise_limit(resource: Resource) -> Rlimit {
     let limit = getrlimit(resource);
     let _always_allowed = setrlimit(resource, Rlimit { current: limit.maximum, ..limit });
@@ -277,7 +277,7 @@ mod tests {
         assert!(!scheduling.lacks_something());
         if !scheduling.is_realtime() {
             assert_eq!(attributes.sched_policy, c::SCHED_OTHER.unsigned_abs());
-            // Kernels before 6.12 tell no slice.
+            // Kernels before 6.12 report no slice.
             assert!([0, SLICE_NANOS].contains(&attributes.sched_runtime), "{}", attributes.sched_runtime);
         }
     }

@@ -1,4 +1,4 @@
-//! How late the thread that wakes robots wakes on this host, measured.
+//! Measures the wake-up delay of a thread that waits like the one that wakes robots.
 #![expect(clippy::disallowed_methods, reason = "compares an instant with the one that was asked for")]
 
 use std::io;
@@ -10,19 +10,19 @@ use crate::precise_wait::{PreciseWait, Woken};
 use crate::scheduling::{Realtime, Scheduling};
 
 const WAITS: usize = 100;
-/// From one deadline to the next, long enough that the thread sleeps in between.
+/// Interval between deadlines, long enough that the thread sleeps in between.
 const INTERVAL: Duration = Duration::from_millis(6);
 
-/// How late a thread woke that waited as robots wait.
+/// Wake-up delays of a thread that waited as robots wait.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WakeUp {
-    /// What the thread was granted.
+    /// The scheduling that the thread was granted.
     pub scheduling: Scheduling,
-    /// Half of the times it woke later.
+    /// Median delay.
     pub median: Span,
-    /// One time in a hundred it woke later.
+    /// 99th percentile of the delay.
     pub p99: Span,
-    /// It never woke later.
+    /// Maximum delay.
     pub longest: Span,
 }
 
@@ -30,7 +30,7 @@ impl WakeUp {
     /// Waits a hundred times on a thread of its own; takes 0.6 s.
     ///
     /// # Errors
-    /// When the system gives no thread.
+    /// If the system cannot create a thread.
     pub fn measure(realtime: Realtime) -> io::Result<Self> {
         let thread = std::thread::Builder::new().name("wake-up".into());
         let measuring = thread.spawn(move || {
@@ -53,7 +53,7 @@ impl WakeUp {
 }
 
 fn lateness(scheduling: &Scheduling) -> Vec<Span> {
-    // Nothing is ever sent; a sender keeps the channel open.
+    // No message is ever sent; a sender keeps the channel open.
     let (_open, messages) = flume::unbounded::<()>();
     let mut waits = PreciseWait::new(scheduling);
     let wait = |_| {

@@ -1,4 +1,4 @@
-//! What an operator claims to be, as a text that a pass vouches for.
+//! An operator's claim: a text that a pass proves.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,14 +8,14 @@ use urrcp::{Label, RobotId};
 
 use urrcp::{Proof, Roles};
 
-/// What stays as it is in a name: the unreserved characters of RFC 3986. So no name can hold a space or end a line.
+/// Unencoded characters of a name: the unreserved characters of RFC 3986. A name therefore cannot contain a space or end a line.
 const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
 pub(super) fn encoded(name: &str) -> String {
     utf8_percent_encode(name, ENCODED).to_string()
 }
 
-/// A name as it was before it was encoded; `None` where it could have been written in another way.
+/// Decodes a name; `None` if it could have been encoded in another way.
 pub(super) fn decoded(text: &str) -> Option<String> {
     let name = percent_decode_str(text).decode_utf8().ok()?.into_owned();
     (!name.is_empty() && encoded(&name) == text).then_some(name)
@@ -25,26 +25,26 @@ pub(super) fn robot_id(text: &str) -> Option<RobotId> {
     decoded(text)?.parse().ok()
 }
 
-/// Who an operator is, what it may do, and until when: the text `operator NAME ROLES EXPIRES SERIAL`.
+/// An operator's name, its roles, and its expiry: the text `operator NAME ROLES EXPIRES SERIAL`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Claim {
     /// The operator's name.
     pub name: String,
-    /// What it may do.
+    /// The operator's roles.
     pub roles: Roles,
-    /// The second after which it counts no more, since 1970 in UTC.
+    /// Time after which it is invalid, in seconds since 1970 in UTC.
     pub expires: i64,
-    /// Its number, by which it can be revoked: hexadecimal digits and colons, that of the operator's certificate.
+    /// Serial number of the operator's certificate, for revocation: hexadecimal digits and colons.
     pub serial: String,
 }
 
-/// A text is no claim.
+/// A text that is not a claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected `operator NAME ROLES EXPIRES SERIAL`")]
 pub struct NoClaim;
 
 impl Claim {
-    /// What it proves of a peer; `None` for a name that is too long for the protocol.
+    /// Returns the proof for a peer; `None` if the name is too long for the protocol.
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(format!("operator {}", self.name)).ok()?;
@@ -63,7 +63,7 @@ impl fmt::Display for Claim {
 impl FromStr for Claim {
     type Err = NoClaim;
 
-    /// Reads a claim that is written as this writes it: any other form of the same is none.
+    /// Parses a claim in exactly the form that `Display` writes: any other form of the same claim is invalid.
     fn from_str(text: &str) -> Result<Self, NoClaim> {
         let words: Vec<&str> = text.split(' ').collect();
         let ["operator", name, roles, expires, serial] = words.as_slice() else { return Err(NoClaim) };

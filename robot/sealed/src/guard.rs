@@ -1,4 +1,4 @@
-//! The door of a robot that shares a secret: who comes in has to prove a pass.
+//! The door of a robot that shares a secret: peers must prove a pass.
 
 use std::io;
 use std::sync::{Mutex, PoisonError};
@@ -13,35 +13,35 @@ use super::secret::{Pass, Secret};
 use super::stream::{Sealed, accept};
 use urrcp::Proof;
 
-/// What a robot knows, and whom it lets in: operators with a pass for it that counts.
+/// A robot's secret, and the check of its peers: it admits operators with a valid pass for it.
 #[derive(Debug)]
 pub struct Guard {
     robot: RobotId,
     secret: Secret,
     revoked: Option<RevokedSerials>,
-    /// The numbers as they were read last.
+    /// The serial numbers from the last successful reading.
     known: Mutex<Vec<String>>,
 }
 
 impl Guard {
-    /// A door for a robot with this id.
+    /// Creates a door for a robot with this id.
     #[must_use]
     pub fn new(robot: RobotId, secret: Secret, revoked: Option<RevokedSerials>) -> Self {
         Self { robot, secret, revoked, known: Mutex::default() }
     }
 
-    /// A list that cannot be read does not open the door to those that were revoked: the last one counts.
+    /// Whether this pass is revoked. If the list cannot be read, the last one applies, so that it does not admit revoked operators.
     fn is_revoked(&self, serial: &str) -> bool {
         let Some(revoked) = &self.revoked else { return false };
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         match revoked.read() {
             Ok(read) => *known = read,
-            Err(error) => tracing::warn!("the last list of revoked passes counts: {error}"),
+            Err(error) => tracing::warn!("the previous list of revoked passes remains in use: {error}"),
         }
         known.iter().any(|revoked| revoked == serial)
     }
 
-    /// The pass that a claim takes.
+    /// Returns the pass that a claim requires.
     fn judge(&self, hello: &Hello, now: i64) -> Result<Pass, Refused> {
         if hello.robot != self.robot {
             return Err(Refused::OtherRobot(self.robot.clone()));
@@ -55,10 +55,10 @@ impl Guard {
         Ok(self.secret.pass(&hello.claim))
     }
 
-    /// Lets an operator in.
+    /// Admits an operator.
     ///
     /// # Errors
-    /// The peer does not prove who it is.
+    /// The peer does not prove its identity.
     pub async fn accept<S>(&self, stream: S) -> io::Result<(Sealed<S>, Proof)>
     where
         S: AsyncRead + AsyncWrite + Unpin,

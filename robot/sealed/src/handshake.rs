@@ -1,5 +1,5 @@
-//! The three lines with which a connection begins. Each side answers a number that the other has drawn, so what was said on an
-//! earlier connection proves nothing on this one.
+//! The first three lines of a connection. Each side answers a random number of the other side, so messages from an earlier connection
+//! prove nothing on this one.
 
 use hmac::Mac;
 use urrcp::RobotId;
@@ -9,20 +9,20 @@ use super::hex;
 use super::record::{Opening, Sealing};
 use super::secret::{Pass, code};
 
-/// How all lines begin but the last.
+/// Prefix of all lines except the last.
 const VERSION: &str = "URRCP-HMAC 1 ";
-/// Bytes of a line at most, with its end: a robot's id and an operator's name have 256 characters each at most, of up to twelve
+/// Maximum length of a line, including its end: a robot's id and an operator's name have at most 256 characters each, of up to twelve
 /// bytes when encoded.
 pub(super) const LINE_BYTES_MAX: usize = 8 * 1024;
-/// Bytes of the number that each side draws.
+/// Size of each side's random number.
 pub const NONCE_BYTES: usize = 16;
-/// A number that is drawn for one connection.
+/// A random number for one connection.
 pub type Nonce = [u8; NONCE_BYTES];
 
-/// A new one.
+/// Returns a new random number.
 ///
 /// # Errors
-/// The system gives no random bytes.
+/// The system provides no random bytes.
 pub fn fresh_nonce() -> std::io::Result<Nonce> {
     let mut nonce = [0; NONCE_BYTES];
     getrandom::fill(&mut nonce).map_err(std::io::Error::other)?;
@@ -32,18 +32,18 @@ pub fn fresh_nonce() -> std::io::Result<Nonce> {
 /// Why a robot refuses a claim.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Refused {
-    /// It counts no more.
+    /// It has expired.
     Expired,
     /// It was revoked.
     Revoked,
-    /// Another robot is meant than this one.
+    /// It is for another robot than this one.
     OtherRobot(RobotId),
     /// It cannot be read.
     Unreadable,
 }
 
 impl Refused {
-    /// The robot's line that says so.
+    /// Returns the robot's line for this refusal.
     #[must_use]
     pub fn line(&self) -> String {
         let why = match self {
@@ -66,22 +66,22 @@ impl Refused {
     }
 }
 
-/// Why there is no sealed connection.
+/// Why a sealed connection could not be established.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotSealed {
-    /// What came is no line of this handshake.
-    #[error("what listens there does not speak hmac")]
+    /// The received line does not belong to this handshake.
+    #[error("the program at this address does not use hmac")]
     NotSpoken,
-    /// The robot refuses what the operator claims.
+    /// The robot refuses the operator's claim.
     #[error("{}", sentence(.0))]
     Refused(Refused),
-    /// The robot proves another secret than the one that the pass is from, or none.
+    /// The robot proves another secret than the pass's, or none.
     #[error(
-        "the robot does not know the secret that your pass is made from: copy its secret to it, or use the passes as `downbeat keys` wrote them last"
+        "the robot does not have the secret of your pass: copy its secret to it, or use the latest passes that `downbeat keys` wrote"
     )]
     OtherSecret,
-    /// The peer of a robot proves nothing.
-    #[error("the peer does not prove what it claims")]
+    /// The robot's peer has not proven its claim.
+    #[error("the peer did not prove its identity")]
     NotProven,
 }
 
@@ -89,7 +89,7 @@ fn sentence(refused: &Refused) -> String {
     match refused {
         Refused::Expired => "your pass has expired: `downbeat keys renew` makes a new one".to_owned(),
         Refused::Revoked => "your pass is revoked".to_owned(),
-        Refused::OtherRobot(own) => format!("it is robot {own}, another than your pass is for"),
+        Refused::OtherRobot(own) => format!("it is robot {own}, but your pass is for a different robot"),
         Refused::Unreadable => "the robot cannot read your claim".to_owned(),
     }
 }
@@ -97,26 +97,26 @@ fn sentence(refused: &Refused) -> String {
 /// The operator's first line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hello {
-    /// The operator's number.
+    /// The operator's random number.
     pub nonce: Nonce,
-    /// The robot that is meant.
+    /// The intended robot.
     pub robot: RobotId,
-    /// What the operator claims to be.
+    /// The operator's claim.
     pub claim: Claim,
 }
 
 impl Hello {
-    /// As it is sent.
+    /// Returns the line as it is sent.
     #[must_use]
     pub fn line(&self) -> String {
         let Self { nonce, robot, claim } = self;
         format!("{VERSION}{} {} {claim}\n", hex::hex(nonce), encoded(robot.as_str()))
     }
 
-    /// Reads it, with its end.
+    /// Parses the line, including its end.
     ///
     /// # Errors
-    /// [`NotSealed::NotSpoken`] for a line of something else, and [`Refused::Unreadable`] for one that claims nothing.
+    /// [`NotSealed::NotSpoken`] for a line of another protocol, and [`Refused::Unreadable`] for one without a valid claim.
     pub fn read(line: &str) -> Result<Self, NotSealed> {
         let rest = line.strip_prefix(VERSION).and_then(|rest| rest.strip_suffix('\n'));
         let rest = rest.ok_or(NotSealed::NotSpoken)?;
@@ -130,7 +130,7 @@ impl Hello {
         read().ok_or(NotSealed::Refused(Refused::Unreadable))
     }
 
-    /// The robot's answer to it, which proves that it knows the secret.
+    /// Returns the robot's answer to it, which proves that it knows the secret.
     #[must_use]
     pub fn answer(&self, pass: &Pass, nonce: &Nonce) -> String {
         let begun = format!("{VERSION}{}", hex::hex(nonce));
@@ -141,7 +141,7 @@ impl Hello {
     /// Checks the robot's answer.
     ///
     /// # Errors
-    /// [`NotSealed`], also where the robot refuses the claim.
+    /// [`NotSealed`], also if the robot refuses the claim.
     pub fn check_answer(&self, pass: &Pass, answer: &str) -> Result<(), NotSealed> {
         let rest = answer.strip_prefix(VERSION).and_then(|rest| rest.strip_suffix('\n'));
         let rest = rest.ok_or(NotSealed::NotSpoken)?;
@@ -161,7 +161,7 @@ fn operators_code(pass: &Pass, hello: &str, answer: &str) -> hmac::Hmac<sha2::Sh
     code(&pass.0, &[b"operator\n", hello.as_bytes(), answer.as_bytes()])
 }
 
-/// The operator's second line, which proves that it has the pass. Both lines before it are given with their ends.
+/// Returns the operator's second line, which proves that it has the pass. `hello` and `answer` include their line ends.
 #[must_use]
 pub fn proof_of_operator(pass: &Pass, hello: &str, answer: &str) -> String {
     format!("{}\n", hex::hex(&operators_code(pass, hello, answer).finalize().into_bytes()))
@@ -173,7 +173,7 @@ pub(super) fn check_operator(pass: &Pass, hello: &str, answer: &str, proof: &str
     operators_code(pass, hello, answer).verify(&proof.into()).map_err(|_| NotSealed::NotProven)
 }
 
-/// The keys of a connection, one for each direction. They follow from all that was said, so no two connections share one.
+/// The keys of a connection, one for each direction. They are derived from the whole handshake, so no two connections share one.
 #[derive(Clone)]
 pub struct Keys {
     to_robot: [u8; 32],
@@ -181,7 +181,7 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// From the first two lines, with their ends.
+    /// Derives the keys from the first two lines, including their ends.
     #[must_use]
     pub fn of(pass: &Pass, hello: &str, answer: &str) -> Self {
         let of = |direction: &[u8]| {
@@ -190,13 +190,13 @@ impl Keys {
         Self { to_robot: of(b"to robot\n"), to_operator: of(b"to operator\n") }
     }
 
-    /// The operator's end.
+    /// Returns the operator's end.
     #[must_use]
     pub const fn of_operator(&self) -> (Sealing, Opening) {
         (Sealing::new(self.to_robot), Opening::new(self.to_operator))
     }
 
-    /// The robot's end.
+    /// Returns the robot's end.
     #[must_use]
     pub const fn of_robot(&self) -> (Sealing, Opening) {
         (Sealing::new(self.to_operator), Opening::new(self.to_robot))

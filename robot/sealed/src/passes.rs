@@ -9,15 +9,15 @@ use super::secret::Pass;
 use super::{SecretError, hex};
 use downbeat_key_file::read_private_of;
 
-/// Bytes of a file of passes at most: a pass takes some 200.
+/// Maximum size of a file of passes: a pass takes about 200 bytes.
 const BYTES_MAX: u64 = 16 * 1024 * 1024;
 
-/// One of them.
+/// A pass with its claim and its robot.
 #[derive(Clone, Debug)]
 pub struct Held {
-    /// The robot that it is for.
+    /// The robot that accepts it.
     pub robot: RobotId,
-    /// What it proves.
+    /// The claim that it proves.
     pub claim: Claim,
     /// The pass itself.
     pub pass: Pass,
@@ -30,22 +30,22 @@ pub struct Passes {
 }
 
 impl Passes {
-    /// Those of these robots.
+    /// Wraps these passes.
     #[must_use]
     pub const fn new(held: Vec<Held>) -> Self {
         Self { held }
     }
 
-    /// Where those of the operator with this identity file are.
+    /// Returns the path of the passes for the operator with this identity file.
     #[must_use]
     pub fn next_to(identity: &Path) -> PathBuf {
         identity.with_extension("passes")
     }
 
-    /// Reads their file: in each line a robot, a claim and a pass.
+    /// Reads a file of passes: each line contains a robot, a claim and a pass.
     ///
     /// # Errors
-    /// It cannot be read, others may read it, or it is something else.
+    /// The file cannot be read, other users can read it, or it is not such a file.
     pub fn read(path: &Path) -> Result<Self, SecretError> {
         let none = || SecretError::NoPasses(path.into());
         let text = String::from_utf8(read_private_of(path, BYTES_MAX)?).map_err(|_| none())?;
@@ -54,7 +54,7 @@ impl Passes {
         held.map(Self::new).ok_or_else(none)
     }
 
-    /// What is in their file.
+    /// Returns the content of their file.
     #[must_use]
     pub fn text(&self) -> String {
         let head = "# Passes for robots with a secret, written by `downbeat keys`: robot, claim, pass.\n";
@@ -64,13 +64,13 @@ impl Passes {
         std::iter::once(head.to_owned()).chain(self.held.iter().map(line)).collect()
     }
 
-    /// All of them.
+    /// Returns all passes.
     #[must_use]
     pub fn held(&self) -> &[Held] {
         &self.held
     }
 
-    /// The one for a robot.
+    /// Returns the pass for a robot.
     #[must_use]
     pub fn of(&self, robot: &RobotId) -> Option<&Held> {
         self.held.iter().find(|held| held.robot == *robot)

@@ -1,25 +1,25 @@
-//! Records: bytes with their code, in one direction of a connection. The number of a record is part of what the code covers and
-//! is not sent, so a record that is repeated, left out or out of its order has the wrong code.
+//! Records: bytes with their code, in one direction of a connection. The code covers the number of the record, which is not sent, so a
+//! record that is repeated, omitted or reordered has a wrong code.
 
 use hmac::Mac;
 
 use super::secret::code;
 
-/// Bytes that a record carries at most. A robot has to keep a whole record until it knows its code to be right.
+/// Maximum content of a record. A robot has to keep a whole record until it has verified its code.
 pub const RECORD_BYTES_MAX: usize = 16 * 1024;
-/// Bytes of a code that are sent: 128 bits, as many as RFC 2104 asks for (section 5).
+/// Number of transmitted bytes of a code: 128 bits, the minimum of RFC 2104 (section 5).
 const TAG_BYTES: usize = 16;
 /// The length, and the code.
 const HEAD_BYTES: usize = 4 + TAG_BYTES;
 
-/// A record that is not what its sender wrote, or not where it wrote it.
+/// A record that differs from the one its sender wrote, or is out of place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadRecord {
-    /// It is empty, or longer than records may be.
+    /// It is empty, or exceeds the maximum length.
     #[error("a record of {0} bytes, expected 1 to {RECORD_BYTES_MAX}")]
     Length(u32),
     /// Its code is wrong.
-    #[error("a record was altered, repeated, left out or put in another order")]
+    #[error("a record was altered, repeated, omitted or reordered")]
     Code,
 }
 
@@ -35,7 +35,7 @@ impl Sealing {
         Self { key, next: 0 }
     }
 
-    /// Appends bytes as records, as few as carry them.
+    /// Appends bytes as records, as few as possible.
     pub fn seal(&mut self, bytes: &[u8], records: &mut Vec<u8>) {
         for part in bytes.chunks(RECORD_BYTES_MAX) {
             let length = (u32::try_from(part.len()).unwrap_or(u32::MAX)).to_be_bytes();
@@ -48,7 +48,7 @@ impl Sealing {
     }
 }
 
-/// Reads records. After a bad one there are no more.
+/// Reads records. After a bad record, no further ones are read.
 #[derive(Debug)]
 pub struct Opening {
     key: [u8; 32],
@@ -62,21 +62,21 @@ impl Opening {
         Self { key, next: 0, raw: Vec::new(), bad: None }
     }
 
-    /// Takes bytes as they came.
+    /// Adds received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.raw.extend_from_slice(bytes);
     }
 
-    /// Whether a record has begun and not ended.
+    /// Whether an incomplete record has been received.
     #[must_use]
     pub fn is_within_record(&self) -> bool {
         !self.raw.is_empty()
     }
 
-    /// Appends what the next record carries; returns whether there was one.
+    /// Appends the content of the next record; returns whether there was one.
     ///
     /// # Errors
-    /// [`BadRecord`], and the same ever after: what comes behind it cannot be trusted.
+    /// [`BadRecord`], and the same for every later call: later bytes cannot be trusted.
     pub fn open(&mut self, bytes: &mut Vec<u8>) -> Result<bool, BadRecord> {
         if let Some(bad) = self.bad {
             return Err(bad);

@@ -1,31 +1,31 @@
-//! Passes that count no more, though they have not expired: the authority's list of their numbers.
+//! Passes that are invalid although they have not expired: the authority's list of their serial numbers.
 
 use std::path::{Path, PathBuf};
 
 use downbeat_key_file::{KeyFileError, read_regular};
 
-/// Bytes of a list at most: a number takes some 60.
+/// Maximum size of a list: a number takes about 60 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
 
-/// A file with the number of a revoked pass in each line; lines that begin with `#` say nothing. Replace the file, and the next
-/// connection obeys it.
+/// A file with the serial number of a revoked pass in each line; lines that begin with `#` are ignored. After the file is replaced, the
+/// new list applies from the next connection.
 #[derive(Clone, Debug)]
 pub struct RevokedSerials {
     path: PathBuf,
 }
 
 impl RevokedSerials {
-    /// A list in this file.
+    /// Returns the list in this file.
     ///
     /// # Errors
-    /// It cannot be read now, or is something else.
+    /// The file cannot be read now, or is not such a list.
     pub fn in_file(path: &Path) -> Result<Self, KeyFileError> {
         let revoked = Self { path: path.into() };
         revoked.read()?;
         Ok(revoked)
     }
 
-    /// The numbers as they are now.
+    /// Reads the current numbers.
     pub(super) fn read(&self) -> Result<Vec<String>, KeyFileError> {
         let unreadable = |error| KeyFileError::Unreadable { path: self.path.clone(), error };
         let text = read_regular(&self.path, BYTES_MAX)?;
@@ -39,7 +39,7 @@ impl RevokedSerials {
                     Ok(line.to_owned())
                 } else {
                     Err(unreadable(std::io::Error::other(
-                        "this is no list of revoked passes, as `downbeat keys` writes it to revoked.serials",
+                        "it is not a list of revoked passes such as revoked.serials",
                     )))
                 }
             })

@@ -1,4 +1,4 @@
-//! The secret of a robot, and the passes that follow from it.
+//! The secret of a robot, and the passes that are derived from it.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -11,14 +11,14 @@ use super::claim::Claim;
 use super::hex;
 use downbeat_key_file::{KeyFileError, read_private};
 
-/// Bytes of a secret, of a pass and of a whole code.
+/// Size of a secret, of a pass and of a whole code.
 const BYTES: usize = 32;
-/// Ahead of a claim whose code is a pass.
+/// Precedes the claim in the code that is a pass.
 const OF_A_PASS: &[u8] = b"urrcp pass 1\n";
 
-/// A code over several parts, one behind the other.
+/// Returns a code over several consecutive parts.
 pub(super) fn code(key: &[u8; BYTES], parts: &[&[u8]]) -> Hmac<Sha256> {
-    // RFC 2104 fills a shorter key with zeros to the block of its hash.
+    // RFC 2104 pads a shorter key with zeros to the block size of its hash.
     let mut block = [0; 64];
     block[..BYTES].copy_from_slice(key);
     let mut code = Hmac::<Sha256>::new(&block.into());
@@ -26,49 +26,49 @@ pub(super) fn code(key: &[u8; BYTES], parts: &[&[u8]]) -> Hmac<Sha256> {
     code
 }
 
-/// A secret cannot be used.
+/// An error of a secret or of passes.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SecretError {
-    /// Its file cannot be read, or others may read it too.
+    /// The file cannot be read, or other users can read it too.
     #[error(transparent)]
     File(#[from] KeyFileError),
-    /// What is in the file is none.
+    /// The file does not contain a secret.
     #[error("{}: expected a file that `downbeat keys secret` wrote: one line of 64 hexadecimal digits, and lines that begin with #", .0.display())]
     NoSecret(PathBuf),
-    /// What is in the file are no passes.
+    /// The file does not contain passes.
     #[error("{}: expected a file of passes that `downbeat keys` wrote: in each line a robot, a claim and 64 hexadecimal digits", .0.display())]
     NoPasses(PathBuf),
-    /// The system gives no random bytes.
-    #[error("no random bytes: {0}")]
+    /// The system provides no random bytes.
+    #[error("cannot get random bytes: {0}")]
     NoRandomBytes(#[from] getrandom::Error),
 }
 
-/// What a robot and its authority know, and nobody else.
+/// A secret that only a robot and its authority know.
 #[derive(Clone)]
 pub struct Secret([u8; BYTES]);
 
 impl Secret {
-    /// A new one.
+    /// Generates a new secret.
     ///
     /// # Errors
-    /// The system gives no random bytes.
+    /// The system provides no random bytes.
     pub fn generate() -> Result<Self, SecretError> {
         let mut bytes = [0; BYTES];
         getrandom::fill(&mut bytes)?;
         Ok(Self(bytes))
     }
 
-    /// One that is known.
+    /// Wraps a known secret.
     #[must_use]
     pub const fn of_bytes(bytes: [u8; BYTES]) -> Self {
         Self(bytes)
     }
 
-    /// Reads the file of one.
+    /// Reads a secret from its file.
     ///
     /// # Errors
-    /// [`SecretError`], also where others may read the file.
+    /// [`SecretError`], also if other users can read the file.
     pub fn read(path: &Path) -> Result<Self, SecretError> {
         let none = || SecretError::NoSecret(path.into());
         let text = String::from_utf8(read_private(path)?).map_err(|_| none())?;
@@ -77,14 +77,14 @@ impl Secret {
         if lines.next().is_none() { Ok(Self(secret)) } else { Err(none()) }
     }
 
-    /// What is in its file.
+    /// Returns the content of its file.
     #[must_use]
     pub fn text(&self, robot: &RobotId) -> String {
         let robot = super::claim::encoded(robot.as_str());
         format!("# The secret of robot {robot}. Copy it to this robot alone.\n{}\n", hex::hex(&self.0))
     }
 
-    /// What an operator with this claim proves it with to this robot.
+    /// Returns the pass with which an operator proves this claim to this robot.
     #[must_use]
     pub fn pass(&self, claim: &Claim) -> Pass {
         let claim = claim.to_string();
@@ -98,12 +98,12 @@ impl fmt::Debug for Secret {
     }
 }
 
-/// What an operator proves a claim with, to one robot.
+/// A key with which an operator proves a claim to one robot.
 #[derive(Clone)]
 pub struct Pass(pub(super) [u8; BYTES]);
 
 impl Pass {
-    /// One that is known.
+    /// Wraps a known pass.
     #[must_use]
     pub const fn of_bytes(bytes: [u8; BYTES]) -> Self {
         Self(bytes)

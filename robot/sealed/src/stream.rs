@@ -1,4 +1,4 @@
-//! A connection whose bytes travel in records.
+//! A connection that transfers its bytes in records.
 
 use std::io;
 use std::pin::Pin;
@@ -13,19 +13,19 @@ use super::passes::Held;
 use super::record::{Opening, RECORD_BYTES_MAX, Sealing};
 use super::secret::Pass;
 
-/// Bytes that are read at a time.
+/// Number of bytes per read.
 const READ_BATCH: usize = 8 * 1024;
 
-/// A connection whose two sides have proven who they are. What was written may wait here until it is flushed.
+/// A connection whose two sides have proven their identity. Written bytes may be buffered until they are flushed.
 #[derive(Debug)]
 pub struct Sealed<S> {
     stream: S,
     sealing: Sealing,
     opening: Opening,
-    /// Opened, and read up to there.
+    /// Opened bytes; `read` of them are consumed.
     opened: Vec<u8>,
     read: usize,
-    /// Sealed, and written up to there.
+    /// Sealed bytes; `written` of them are sent.
     sealed: Vec<u8>,
     written: usize,
 }
@@ -93,7 +93,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Sealed<S> {
         ready!(own.poll_written(context))?;
         let count = bytes.len().min(RECORD_BYTES_MAX);
         own.sealing.seal(&bytes[..count], &mut own.sealed);
-        // What the peer does not take at once is written by the next call, or by a flush.
+        // Bytes that the peer does not take at once are written by the next call, or by a flush.
         if let Poll::Ready(Err(error)) = own.poll_written(context) {
             return Poll::Ready(Err(error));
         }
@@ -117,7 +117,7 @@ fn not_sealed(why: NotSealed) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, why)
 }
 
-/// The next line with its end; what came behind it stays in `came`. A line of something else is not waited for.
+/// Reads the next line with its end; later bytes stay in `came`. Fails at once if the line does not begin with `begin`.
 async fn line<S: AsyncRead + Unpin>(stream: &mut S, came: &mut Vec<u8>, begin: &[u8]) -> io::Result<String> {
     loop {
         let known = came.len().min(begin.len());
@@ -144,7 +144,7 @@ const BEGIN: &[u8] = b"URRCP-HMAC 1 ";
 /// Connects to a robot as an operator.
 ///
 /// # Errors
-/// The connection breaks, or with [`NotSealed`] within: the robot refuses the claim, or does not prove that it knows the secret.
+/// The connection breaks, or [`NotSealed`] as the inner error: the robot refuses the claim, or does not prove that it knows the secret.
 pub async fn connect<S>(mut stream: S, held: &Held) -> io::Result<Sealed<S>>
 where
     S: AsyncRead + AsyncWrite + Unpin,
@@ -161,7 +161,7 @@ where
     Ok(Sealed::new(stream, Keys::of(&held.pass, &said, &answer).of_operator(), &came))
 }
 
-/// Lets an operator in, as a robot. `judge` says what pass the claim takes, or why it is refused.
+/// Admits an operator, as a robot. `judge` returns the pass that the claim requires, or why it is refused.
 pub(super) async fn accept<S, J>(mut stream: S, judge: J) -> io::Result<(Sealed<S>, Hello)>
 where
     S: AsyncRead + AsyncWrite + Unpin,

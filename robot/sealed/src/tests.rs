@@ -1,4 +1,4 @@
-//! Both ends of a connection in one process, and what lies between them.
+//! Both ends of a connection in one process, and attacks between them.
 
 use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
@@ -24,7 +24,7 @@ fn guard(secret: &Secret) -> Guard {
     Guard::new("cf 1/ö".parse().unwrap(), secret.clone(), None)
 }
 
-/// Whom the robot has met, or why it let nobody in; and what the operator says of it.
+/// Returns the operator that the robot has admitted, or its error; and the operator's result.
 fn meet(guard: &Guard, held: &Held) -> (Result<Proof, String>, Result<(), String>) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
@@ -79,7 +79,7 @@ fn who_does_not_prove_a_pass_that_counts_is_refused() {
     refused(&guard, &of_another, &NotSealed::Refused(Refused::OtherRobot(own)));
     let expired = Claim { expires: 1_700_000_000, ..claim(&[Role::Drive]) };
     refused(&guard, &held(&secret, "cf 1/ö", expired), &NotSealed::Refused(Refused::Expired));
-    // A claim that was made greater than the pass vouches for.
+    // A claim that was extended beyond its pass.
     let more = Held { claim: claim(&[Role::Drive, Role::Stop]), ..right.clone() };
     refused(&guard, &more, &NotSealed::OtherSecret);
     let longer = Held { claim: Claim { expires: LATER + 1, ..claim(&[Role::Drive]) }, ..right.clone() };
@@ -191,7 +191,7 @@ fn a_first_line_is_taken_up_to_the_longest_that_there_may_be_however_it_comes() 
             let refused = runtime.block_on(async {
                 let (mut near, far) = duplex(piece);
                 let said = async {
-                    // The rest of a line that is too long is not heard.
+                    // The rest of a line that is too long is not read.
                     let _hung_up = near.write_all(&line).await;
                     let mut answer = String::new();
                     near.read_to_string(&mut answer).await.unwrap();
@@ -234,7 +234,7 @@ fn a_long_message_comes_whole_through_a_narrow_way() {
             stream.read_exact(&mut heard).await.unwrap();
             heard
         };
-        // The sender stays, and says nothing more.
+        // The sender stays connected, but sends nothing more.
         let (_stream, heard) = tokio::join!(sent, heard);
         assert!(heard == long);
     });
@@ -299,7 +299,7 @@ fn a_connection_that_ends_within_a_record_has_not_ended_well() {
     }
 }
 
-/// A file of this test alone, gone in the end.
+/// A file of this test alone, removed in the end.
 struct Kept(std::path::PathBuf);
 
 impl Kept {

@@ -1,25 +1,25 @@
-//! Whether a Thrift robot is the one that the edge was told of: by its own description.
+//! Checks whether a Thrift robot is the one that the edge was configured for, by the robot's own description.
 
 use serde_json::Value;
 use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
 
-/// Compares its id, where it tells one, the devices that are driven with those that the robot names, and their ranges.
+/// Compares the id, if the robot reports one, the driven devices with those that the robot lists, and their ranges.
 ///
 /// # Errors
-/// What does not fit. A description that cannot be read says nothing against the robot.
+/// The mismatch. A description that cannot be read is not evidence against the robot.
 pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), String> {
     let Ok(schema) = serde_json::from_str::<Value>(schema) else {
-        tracing::warn!(robot = %block.id, "it does not describe itself in JSON; its devices are not compared");
+        tracing::warn!(robot = %block.id, "its description is not JSON; its devices are not compared");
         return Ok(());
     };
     if let Some(told) = schema.get("id").and_then(Value::as_str).filter(|told| *told != block.id.as_str()) {
-        return Err(format!("it calls itself `{told}`, expected `{}`", block.id));
+        return Err(format!("its id is `{told}`, expected `{}`", block.id));
     }
     let Some(devices) = schema.get("devices").and_then(Value::as_object) else { return Ok(()) };
     for device in block.devices.iter().filter(|device| range(device).is_some()) {
         let Some(told) = devices.get(device.id.as_str()) else {
             let names: Vec<&str> = devices.keys().map(String::as_str).take(20).collect();
-            return Err(format!("it has no device `{}`, it has {}", device.id, names.join(", ")));
+            return Err(format!("it has no device `{}`; its devices are {}", device.id, names.join(", ")));
         };
         let Some((min, max)) = range(device) else { continue };
         let bound = |key| told.get(key).and_then(Value::as_f64);
@@ -27,7 +27,7 @@ pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Stri
             (bound("min_value").unwrap_or(f64::NEG_INFINITY), bound("max_value").unwrap_or(f64::INFINITY));
         if min < least || max > most {
             return Err(format!(
-                "its device `{}` takes {least} to {most}, expected {min} to {max}",
+                "its device `{}` accepts {least} to {most}, expected {min} to {max}",
                 device.id
             ));
         }
@@ -35,7 +35,7 @@ pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Stri
     Ok(())
 }
 
-/// The range of a device that is driven.
+/// Returns the range of a driven device.
 fn range(device: &Device) -> Option<(f64, f64)> {
     let mut driven =
         device.available_control_types.iter().filter(|(control_type, _)| is_driven(*control_type));
@@ -45,7 +45,7 @@ fn range(device: &Device) -> Option<(f64, f64)> {
     })
 }
 
-/// A control type whose values a plain driver sets by a number alone.
+/// Whether a plain driver sets values of this control type by a number alone.
 pub(super) fn is_driven(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Script | ControlType::Sensor)
 }
@@ -69,7 +69,7 @@ mod tests {
     fn a_robot_that_calls_itself_otherwise_is_not_the_one_expected() {
         let told = |id: &str| fits(&format!(r#"{{"id": "{id}"}}"#), &block("left", 0.0, 1.0));
         assert_eq!(told("r"), Ok(()));
-        assert_eq!(told("s"), Err("it calls itself `s`, expected `r`".into()));
+        assert_eq!(told("s"), Err("its id is `s`, expected `r`".into()));
     }
 
     #[test]
@@ -78,9 +78,12 @@ mod tests {
         assert_eq!(says(SCHEMA, "left", -50.0, 100.0), Ok(()));
         assert_eq!(says(SCHEMA, "lamp", 0.0, 1e9), Ok(()), "no range is told");
         assert_eq!(says("no JSON", "arm", 0.0, 1.0), Ok(()));
-        assert_eq!(says(SCHEMA, "arm", 0.0, 1.0), Err("it has no device `arm`, it has lamp, left".into()));
+        assert_eq!(
+            says(SCHEMA, "arm", 0.0, 1.0),
+            Err("it has no device `arm`; its devices are lamp, left".into())
+        );
         let narrow = says(SCHEMA, "left", -150.0, 100.0);
-        assert_eq!(narrow, Err("its device `left` takes -100 to 100, expected -150 to 100".into()));
+        assert_eq!(narrow, Err("its device `left` accepts -100 to 100, expected -150 to 100".into()));
     }
 
     #[test]

@@ -1,11 +1,11 @@
-//! Values as a device can take them, in the decimal digits in which its grid is written.
+//! Values as a device can take them, in the decimal digits of its grid.
 
 use urrcp::{Device, InitializationBlock};
 
 use super::Key;
 
-/// The value of a signal on the grid of its device: values between those of scripts come from movements and stops. 82 steps of
-/// 0.02 are 1.64, not 1.6400000000000001.
+/// Returns the value of a signal on the grid of its device: movements and stops produce values between those of scripts. For example, 82
+/// steps of 0.02 are 1.64, not 1.6400000000000001.
 pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key, value: f64) -> f64 {
     let device = block.device(device.as_str());
     let Some(limits) = device.and_then(|device| device.available_control_types.limits(*control_type)) else {

@@ -1,4 +1,4 @@
-//! Notices the end of a connection to hardware while nothing is asked of it.
+//! Detects the end of a connection to hardware while no request is pending.
 
 use std::io::{PipeReader, PipeWriter, pipe};
 use std::os::fd::{AsFd, OwnedFd};
@@ -10,7 +10,7 @@ use rustix::io::Errno;
 
 use super::Mailbox;
 
-/// A descriptor whose end is that of the hardware: its socket, or the pipe from its process.
+/// A descriptor that ends with the hardware: its socket, or the pipe from its process.
 #[derive(Debug)]
 pub struct Lifeline {
     descriptor: OwnedFd,
@@ -18,25 +18,25 @@ pub struct Lifeline {
 }
 
 impl Lifeline {
-    /// A copy of the descriptor, from which nothing is read; `ended` tells people what its end means. `None` where the
-    /// system gives no more descriptors.
+    /// Copies the descriptor without reading from it. `ended` is the message for people when it ends. `None` if the system has no free
+    /// descriptors.
     pub fn of(descriptor: &impl AsFd, ended: impl Into<String>) -> Option<Self> {
         let copy = descriptor.as_fd().try_clone_to_owned();
-        let copy =
-            copy.inspect_err(|error| tracing::warn!("the hardware's connection is not watched: {error}"));
+        let copy = copy
+            .inspect_err(|error| tracing::warn!("cannot monitor the connection to the hardware: {error}"));
         Some(Self { descriptor: copy.ok()?, ended: ended.into() })
     }
 }
 
-/// Watches a lifeline on a thread of its own. Dropping it lets the descriptor go.
+/// Watches a lifeline on a thread of its own. Dropping it closes the descriptor.
 pub(super) struct Watcher {
     thread: Option<JoinHandle<()>>,
-    /// Its end wakes the thread.
+    /// Closing it wakes the thread.
     over: Option<PipeWriter>,
 }
 
 impl Watcher {
-    /// Watches for the end of a connection, and tells the mailbox.
+    /// Watches for the end of a connection, and reports it to the mailbox.
     pub(super) fn begin(lifeline: Lifeline, mailbox: Arc<Mailbox>, connection: u64) -> std::io::Result<Self> {
         let (over, end) = pipe()?;
         let thread = std::thread::Builder::new().name("lifeline".into()).spawn(move || {
@@ -57,9 +57,9 @@ impl Drop for Watcher {
     }
 }
 
-/// Waits for the end of the descriptor, false when the watcher's own end comes first.
+/// Waits for the end of the descriptor; returns false if the watcher itself ends first.
 fn has_ended(descriptor: &OwnedFd, over: &PipeReader) -> bool {
-    // Ends and errors are always told; a peer that closes its half says nothing more either.
+    // `poll` always reports ends and errors. `RDHUP` adds the peer that closes its half: it sends nothing more either.
     let mut both = [PollFd::new(descriptor, PollFlags::RDHUP), PollFd::new(over, PollFlags::empty())];
     loop {
         match poll(&mut both, None) {
@@ -67,7 +67,7 @@ fn has_ended(descriptor: &OwnedFd, over: &PipeReader) -> bool {
             Ok(_) if !both[0].revents().is_empty() => return true,
             Ok(_) | Err(Errno::INTR) => {}
             Err(error) => {
-                tracing::warn!("the hardware's connection is not watched: {error}");
+                tracing::warn!("cannot monitor the connection to the hardware: {error}");
                 return false;
             }
         }

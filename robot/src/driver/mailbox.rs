@@ -1,7 +1,7 @@
-//! What is still to be set, between the precise thread and a driver's own.
+//! The pending values between the precise thread and a driver's own thread.
 //!
-//! For each signal of each device at most one value waits, and one movement that begins behind it: newer ones take their
-//! place. Putting a value in never waits for the driver.
+//! At most one value per signal of each device waits, and one movement that begins after it: newer ones replace them. Adding a value
+//! never waits for the driver.
 #![expect(clippy::disallowed_methods, reason = "waits until the next sample or ping is due")]
 
 use std::collections::hash_map::Entry;
@@ -20,47 +20,46 @@ use crate::plans::{PlanCancel, PlanPart};
 use crate::signal::Signal;
 use crate::tolerance::Tolerance;
 
-/// One signal of one device.
 pub(crate) type Key = (DeviceId, ControlType);
 
-/// A signal that moves, with the clock on which it does.
+/// A moving signal, and the clock that it follows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Movement {
     pub(crate) signal: Signal,
     pub(crate) clock: HostClock,
 }
 
-/// A value, and from when on it is too old to be set.
+/// A value, and the time when it was due.
 #[derive(Clone, Debug)]
 pub(crate) struct Value {
     pub(crate) setpoint: Setpoint,
-    /// `None`: a stop is never too old.
+    /// `None`: the value belongs to a stop, and is never too late.
     pub(crate) due: Option<Instant>,
 }
 
 impl Value {
-    /// By how much it is late, where that is more than `late_max`.
+    /// Returns by how much it is late, if that is more than `late_max`.
     pub(crate) fn stale(&self, now: Instant, late_max: Duration) -> Option<Duration> {
         let late = now.saturating_duration_since(self.due?);
         (late > late_max).then_some(late)
     }
 }
 
-/// What the machine wants of the hardware.
+/// A request of the machine to the hardware.
 #[derive(Clone, Debug)]
 pub(crate) enum Order {
     Set(Key, Value),
     Follow(Key, Movement),
     Read(ReadingId, DeviceId),
-    /// Say when all that was put in before for the device has been done.
+    /// Report when all earlier orders for the device have been executed.
     Confirm(Ticket, DeviceId),
     Plan(PlanOrder),
 }
 
-/// What a driver is to do with a script that it times by itself.
+/// An order for a driver that times scripts by itself.
 #[derive(Clone, Debug)]
 pub(crate) enum PlanOrder {
-    /// Take steps of it, with the clock of their times.
+    /// Take these steps, with the clock of their times.
     Take(PlanPart<Robot>, HostClock),
     Cancel(PlanCancel),
 }
@@ -74,105 +73,105 @@ impl PlanOrder {
     }
 }
 
-/// A signal, the value that is set, and the movement that begins then.
+/// A signal, its next value, and the movement that begins at that value.
 pub(crate) type Drive = (Key, Option<Value>, Option<Movement>);
 
-/// What the mailbox has to know of the driver of a connection.
+/// Properties of a connection's driver that the mailbox depends on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Manners {
-    /// The hardware has a value once the driver's call has returned.
+    /// Whether the hardware has a value once the driver's call has returned.
     pub(crate) acknowledges: bool,
-    /// It is told all values that wait at one instant.
+    /// Whether the driver receives all values of one instant in one call.
     pub(crate) takes_frames: bool,
-    /// Between two pings in the second before a start.
+    /// Interval between pings in the second before a start.
     pub(crate) ping_period: Duration,
-    /// How long the hardware may show no sign of life near a start, if its driver declares it.
+    /// Maximum time without a sign of life from the hardware near a start, if its driver declares one.
     pub(crate) silence_max: Option<Duration>,
 }
 
-/// What a driver's thread does next.
+/// The next action of a driver's thread.
 #[derive(Debug)]
 pub(crate) enum Work {
-    /// Set these, then follow those. Several only for a driver that takes frames.
+    /// Set these values, then follow these movements. Several only for a driver that takes frames.
     Drive(Vec<Drive>),
     Read(ReadingId, DeviceId),
-    /// Take a script, or end one.
+    /// Take or end a script.
     Plan(PlanOrder),
-    /// Pass on what the driver says of scripts that it times by itself.
+    /// Forward the driver's reports about scripts that it times by itself.
     Words(Vec<PlanWord>),
-    /// Tell that the hardware has taken what these ask about.
+    /// Report that the hardware has taken the orders that these tickets ask about.
     Confirm(Vec<Ticket>),
     /// Ask the hardware for a sign of life.
     Ping,
-    /// The connection has ended, as this tells.
+    /// The connection has ended, for this reason.
     HungUp(String),
-    /// The hardware has said that it failed.
+    /// The hardware has reported a fault.
     Fault(String),
-    /// Nothing until the time that was asked for.
+    /// No work until the requested time.
     Nothing,
-    /// Nothing is left, and nothing more will come.
+    /// No work remains, and none will follow.
     Closed,
 }
 
-/// Words of a driver about scripts that may wait to be passed on.
+/// Maximum number of driver reports about scripts that wait to be forwarded.
 const WORDS_MAX: usize = 10_000;
-/// Sensors whose readings are kept unasked.
+/// Maximum number of sensors whose unsolicited readings are kept.
 const PUSHED_MAX: usize = 10_000;
-/// A reading waits for a time without movements, but no longer than this.
+/// A reading is postponed until no movement is near, but at most for this long.
 const READ_WAIT_MAX: Duration = Duration::from_millis(200);
-/// Before it is looked again whether a ping would be in no movement's way.
+/// Delay before checking again whether a ping would delay a movement.
 const PING_RETRY: Duration = Duration::from_millis(2);
 
-/// What a call that has ended well tells of the hardware.
+/// Evidence of life from a successful call to the hardware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sign {
-    /// It has answered.
+    /// The hardware answered.
     Answered,
-    /// It showed itself this long ago, as its driver reports.
+    /// The hardware showed a sign of life this long ago, as its driver reports.
     Seen(Duration),
-    /// Nothing: the system under it may have taken the call.
+    /// None: the system below the driver may have taken the call.
     Unknown,
 }
 
 #[derive(Debug, Default)]
 struct State {
-    /// Counts connections; 0 while there is none.
+    /// Connection number; 0 while disconnected.
     connection: u64,
     values: HashMap<Key, Waiting>,
-    /// The keys of `values`, the longest waiting first.
+    /// The keys of `values`, longest waiting first.
     order: VecDeque<Key>,
     readings: VecDeque<(ReadingId, DeviceId, Instant)>,
-    /// With the numbers of their orders, the oldest first.
+    /// With their order numbers, oldest first.
     plans: VecDeque<(u64, PlanOrder)>,
     words: Vec<PlanWord>,
-    /// Words were passed on last: a driver that says many does not keep others waiting.
+    /// Whether reports were forwarded last: a driver with many reports does not delay other work.
     words_were_last: bool,
-    /// Counts orders.
+    /// Order counter.
     orders: u64,
-    /// What the driver was given last, until it asks for more.
+    /// The work that the driver received last, until it asks for more.
     in_hand: Vec<(DeviceId, u64)>,
     confirms: Vec<Confirm>,
-    /// There while there is a connection.
+    /// `Some` while connected.
     manners: Option<Manners>,
-    /// What sensors read by themselves, and when.
+    /// Unsolicited sensor readings, and their times.
     pushed: HashMap<DeviceId, (f64, Instant)>,
     fault: Option<String>,
     demand: Demand,
-    /// There while there is a connection.
+    /// `Some` while connected.
     pulse: Option<Pulse>,
-    /// Why the connection has ended, though nothing was asked of it.
+    /// Why the connection ended while no request was pending.
     hung_up: Option<String>,
-    /// A first try to connect has ended.
+    /// The first attempt to connect has ended.
     tried: bool,
     closed: bool,
 }
 
-/// What waits for one signal.
+/// The pending value and movement of one signal.
 #[derive(Debug, Default)]
 struct Waiting {
     set: Option<Value>,
     follow: Option<Movement>,
-    /// The number of the oldest order that it stands for.
+    /// The number of the oldest order that this entry includes.
     since: u64,
 }
 
@@ -182,7 +181,7 @@ struct Confirm {
     ticket: Ticket,
     device: DeviceId,
     up_to: u64,
-    /// The hardware has answered since they were done.
+    /// Whether the hardware has answered since they were executed.
     answered: bool,
 }
 
@@ -192,18 +191,18 @@ pub(crate) struct Mailbox {
     state: Mutex<State>,
     changed: Condvar,
     tolerance: Tolerance,
-    /// The instant that its clock shows all the time, in a test.
+    /// Fixed time of its clock, in a test.
     #[cfg(test)]
     stopped_at: Option<Instant>,
 }
 
 impl Mailbox {
-    /// With these limits of lateness.
+    /// Returns a mailbox with these limits of lateness.
     pub(crate) fn tolerating(tolerance: Tolerance) -> Self {
         Self { tolerance, ..Self::default() }
     }
 
-    /// Reads no clock, except where it waits.
+    /// Returns a mailbox that reads no clock, except while it waits.
     #[cfg(test)]
     pub(crate) fn stopped_at(instant: Instant) -> Self {
         Self { stopped_at: Some(instant), ..Self::default() }
@@ -222,11 +221,11 @@ impl Mailbox {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // Nothing in here panics; were it to, every state is a whole one.
+        // Nothing in here panics; even if it did, every intermediate state is consistent.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts in orders that were given under a connection; those of an earlier one are void.
+    /// Adds orders that were given under a connection; orders of an earlier connection are discarded.
     pub(crate) fn post(&self, connection: u64, orders: impl Iterator<Item = Order>, demand: Demand) {
         let now = self.now();
         let mut state = self.lock();
@@ -244,7 +243,7 @@ impl Mailbox {
         }
     }
 
-    /// No more will come: what is in is still to be done.
+    /// Closes the mailbox to new orders; pending ones are still executed.
     pub(crate) fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_all();
@@ -254,7 +253,7 @@ impl Mailbox {
         self.lock().closed
     }
 
-    /// A connection stands; orders are taken for it alone.
+    /// Records a new connection; only its orders are accepted.
     pub(crate) fn connected(&self, connection: u64, manners: Manners) {
         let now = self.now();
         let mut state = self.lock();
@@ -269,7 +268,7 @@ impl Mailbox {
         state.words.clear();
     }
 
-    /// The connection is gone, and everything that waited for it.
+    /// Discards the connection and all work that waits for it.
     pub(crate) fn disconnected(&self) {
         let mut state = self.lock();
         state.connection = 0;
@@ -302,7 +301,7 @@ impl Mailbox {
         true
     }
 
-    /// Waits, unless it is closed.
+    /// Waits for `pause`, or until the mailbox is closed.
     pub(crate) fn pause(&self, pause: Duration) {
         let until = Instant::now() + pause;
         let mut state = self.lock();
@@ -318,7 +317,7 @@ impl Mailbox {
         state
     }
 
-    /// The connection has ended by itself.
+    /// Records that the connection has ended by itself.
     pub(crate) fn hung_up(&self, connection: u64, reason: String) {
         let mut state = self.lock();
         if state.connection == connection {
@@ -328,7 +327,7 @@ impl Mailbox {
         }
     }
 
-    /// The hardware has said that it failed.
+    /// Records a fault that the hardware reported.
     pub(crate) fn failed_by_itself(&self, reason: String) {
         let mut state = self.lock();
         if state.connection > 0 {
@@ -338,7 +337,7 @@ impl Mailbox {
         }
     }
 
-    /// The driver has said something of a script.
+    /// Adds a report of the driver about a script.
     pub(super) fn told_of_plan(&self, word: PlanWord) {
         let mut state = self.lock();
         if state.connection == 0 {
@@ -347,18 +346,18 @@ impl Mailbox {
         if state.words.len() < WORDS_MAX {
             state.words.push(word);
         } else {
-            state.fault = Some(format!("it says more than {WORDS_MAX} things of scripts at a time"));
+            state.fault = Some(format!("it sent more than {WORDS_MAX} reports about scripts at a time"));
         }
         drop(state);
         self.changed.notify_all();
     }
 
-    /// What the driver has said of scripts since this was asked last.
+    /// Takes the driver's reports about scripts since the last call.
     pub(super) fn words(&self) -> Vec<PlanWord> {
         std::mem::take(&mut self.lock().words)
     }
 
-    /// A sensor has told what it reads.
+    /// Stores an unsolicited sensor reading.
     pub(super) fn read_by_itself(&self, sensor: &DeviceId, reading: f64) {
         let now = self.now();
         let mut state = self.lock();
@@ -368,14 +367,14 @@ impl Mailbox {
         }
     }
 
-    /// What a sensor has told within this time.
+    /// Returns a sensor's unsolicited reading, if it is not older than this.
     pub(super) fn pushed(&self, sensor: &DeviceId, within: Duration) -> Option<f64> {
         let now = self.now();
         let (reading, at) = *self.lock().pushed.get(sensor)?;
         (now.saturating_duration_since(at) <= within).then_some(reading)
     }
 
-    /// Notes what a call took, and whether it shows that the hardware lives.
+    /// Records the duration of a call, and whether it shows that the hardware is alive.
     pub(crate) fn called(&self, took: Duration, sign: Sign) {
         let now = self.now();
         let mut state = self.lock();
@@ -392,21 +391,21 @@ impl Mailbox {
         }
     }
 
-    /// A reading begins or has ended.
+    /// Records that a reading begins or has ended.
     pub(crate) fn reading(&self, under_way: bool) {
         if let Some(pulse) = &mut self.lock().pulse {
             pulse.reading(under_way);
         }
     }
 
-    /// For how long the hardware has not answered, where that is too long for what is held.
+    /// Returns how long the hardware has not answered, if that is too long for the held commands.
     pub(crate) fn silence(&self) -> Option<Duration> {
         let now = self.now();
         let state = self.lock();
         state.pulse.as_ref()?.silence(now, self.tolerance.silence)
     }
 
-    /// The next thing to do: values first, then signs of life, then readings where no movement is near.
+    /// Returns the next work: values first, then signs of life, then readings if no movement is near.
     pub(crate) fn next(&self, until: Instant) -> Work {
         let mut state = self.lock();
         state.in_hand.clear();
@@ -428,7 +427,7 @@ impl Mailbox {
     ) -> (MutexGuard<'a, State>, Work) {
         loop {
             let now = self.now();
-            // What was said before a fault or an end was so.
+            // Reports from before a fault or an end are still true.
             if !state.words.is_empty() && !std::mem::replace(&mut state.words_were_last, true) {
                 let words = std::mem::take(&mut state.words);
                 return (state, Work::Words(words));
@@ -476,7 +475,7 @@ impl Mailbox {
                 return (state, Work::Nothing);
             };
             let left = if state.readings.is_empty() { left } else { left.min(QUIET) };
-            // Where a movement is near the ping is looked for again behind it.
+            // If a movement is near, the ping is tried again after it.
             let ping = ping.map(|(ping, _)| ping.saturating_duration_since(now).max(PING_RETRY));
             let left = ping.map_or(left, |ping| left.min(ping));
             state = self.wait(state, left);
@@ -494,14 +493,14 @@ impl State {
             }
             // A value that is due at the same instant is still set first.
             Order::Follow(key, movement) => self.waiting(key).follow = Some(movement),
-            // One that finds no room is not answered, which its time limit tells.
+            // A reading that finds no room is not answered: its requester's time limit expires.
             Order::Read(id, sensor) if self.readings.len() < READINGS_MAX => {
                 self.readings.push_back((id, sensor, now));
             }
             Order::Read(..) => {}
             Order::Plan(plan) => {
                 if let PlanOrder::Cancel(PlanCancel { plan, .. }) = &plan {
-                    // What the driver has not been told it need not be told any more.
+                    // Drops the parts of the script that the driver has not received yet.
                     let of =
                         |order: &PlanOrder| matches!(order, PlanOrder::Take(part, _) if part.plan == *plan);
                     self.plans.retain(|(_, order)| !of(order));
@@ -515,7 +514,7 @@ impl State {
         }
     }
 
-    /// Whether all has been done that a question asks about.
+    /// Whether all orders that a question asks about have been executed.
     fn is_done(&self, confirm: &Confirm) -> bool {
         let waits = |(device, _): &Key, since: u64| *device == confirm.device && since <= confirm.up_to;
         let in_hand =
@@ -526,14 +525,14 @@ impl State {
         !in_hand && !waits_for_plan && !self.values.iter().any(|(key, waiting)| waits(key, waiting.since))
     }
 
-    /// The hardware has just answered.
+    /// Records an answer of the hardware.
     fn answered(&mut self) {
         let mut confirms = std::mem::take(&mut self.confirms);
         confirms.iter_mut().for_each(|confirm| confirm.answered |= self.is_done(confirm));
         self.confirms = confirms;
     }
 
-    /// The questions that can be answered with yes.
+    /// Takes the questions whose answer is yes.
     fn confirmed(&mut self) -> Vec<Ticket> {
         if self.confirms.is_empty() {
             return Vec::new();
@@ -556,7 +555,7 @@ impl State {
         }
     }
 
-    /// The next thing to do with a script, unless a value waits that was put in before.
+    /// Takes the next script order, unless an earlier value waits.
     fn take_plan(&mut self) -> Option<PlanOrder> {
         let since = self.plans.front()?.0;
         let value = self.order.front().and_then(|key| self.values.get(key));

@@ -1,8 +1,8 @@
-//! How an edge drives hardware: the trait of a driver, the drivers that come with Downbeat, and the thread round each.
+//! Driving hardware from an edge: the driver trait, the drivers that come with Downbeat, and the thread around each driver.
 //!
-//! The robot's machine decides what is set and when, on the precise thread; a driver is slow. So each has a thread of
-//! its own (`worker`) behind a short list of what is still to be set (`mailbox`), where the newest value of a signal
-//! takes the place of an older one: what a slow device cannot follow it skips, and no other robot waits for it.
+//! The robot's machine decides on the precise thread what is set and when; a driver is slow. Each driver therefore has its own thread
+//! (`worker`) behind a short list of pending values (`mailbox`). A newer value of a signal replaces an older one: a slow device skips
+//! values, and no other robot waits for it.
 
 #[cfg(feature = "thrift")]
 mod described;
@@ -52,15 +52,15 @@ use crate::hardware::ReadingId;
 use crate::plans::{Lookahead, PlanCancel, PlanPart};
 use crate::signal::Signal;
 
-/// Hardware did not do what it should.
+/// An error of a driver or its hardware.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriverError {
-    /// It is not there, or no longer: it is connected again before anything else is asked of it.
+    /// The hardware is not connected, or no longer: it is connected again before any other call.
     #[error("{0}")]
     Away(String),
-    /// It is there and says no. A reading fails alone, and so does a script that is handed over; after a refused value everything ends and the driver is connected
-    /// again, as after [`DriverError::Away`], since the device is not where the robot said that it would be.
+    /// The hardware is connected and refuses. A refused reading or script fails alone. After a refused value, everything ends and the
+    /// driver is connected again, as after [`DriverError::Away`], since the device is not where the robot reported it would be.
     #[error("{0}")]
     Refused(String),
 }
@@ -69,19 +69,19 @@ pub enum DriverError {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Ramp {
-    /// position, speed or acceleration.
+    /// Position, speed or acceleration.
     pub control_type: ControlType,
-    /// Where it ends, in the device's unit.
+    /// Target, in the device's unit.
     pub to: f64,
-    /// How long it still takes.
+    /// Remaining time.
     pub duration: Duration,
 }
 
 /// Drives the hardware of one robot.
 ///
-/// All calls come from one thread and may block, for a second or so: a call that may hang needs a time limit of its own.
-/// After an error, other than of a reading or a script, nothing but [`Driver::connect`] is called, with growing pauses, until it succeeds. A driver is dropped
-/// when its edge ends, after its devices were brought to rest and a last [`Driver::ping`].
+/// All calls come from one thread and may block for about a second: a call that may hang needs a time limit of its own. After an error,
+/// except of a reading or a script, only [`Driver::connect`] is called, with growing pauses, until it succeeds. When its edge ends, a
+/// driver is dropped after its devices were brought to rest and a last [`Driver::ping`].
 ///
 /// ```
 /// use downbeat_robot::driver::{Driver, DriverError};
@@ -107,55 +107,55 @@ pub struct Ramp {
 /// }
 /// ```
 pub trait Driver: Send {
-    /// Connects, or starts what is to be driven, and makes sure that it answers.
+    /// Connects to the hardware, or starts it, and makes sure that it answers.
     ///
     /// # Errors
-    /// Why it is not there.
+    /// Why the hardware is not available.
     fn connect(&mut self) -> Result<(), DriverError>;
 
-    /// Sets one signal of one device now: a value of a request, a step of a script, or a sample between two steps of a device that
-    /// moves linearly. It lies within the limits that the device declares. Returns once the hardware has it, or at least the
-    /// system under it.
+    /// Sets one signal of one device now: a value of a request, a step of a script, or a sample between two steps of a device that moves
+    /// linearly. The value lies within the limits that the device declares. Returns once the hardware has it, or at least the system
+    /// below the driver.
     ///
     /// # Errors
     /// Why it was not set.
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError>;
 
-    /// What a sensor reads now, in its unit. Never called for a robot without sensors.
+    /// Returns the current reading of a sensor, in its unit. Never called for a robot without sensors.
     ///
     /// # Errors
     /// Why there is no reading.
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError>;
 
-    /// Whether the hardware is there and could be moved: only its own answer tells. Asked twice a second while nothing is
-    /// held, 20 times while something is, 40 times in the second before a start, less often where calls take long. Near a
-    /// start hardware that has not answered for 150 ms, and twice what its calls take, counts as not ready.
+    /// Checks whether the hardware is available and could be moved: only the hardware's own answer proves that. Called twice a second
+    /// while nothing is held, 20 times while something is, 40 times in the second before a start, less often if calls take long. Near a
+    /// start, hardware that has not answered for 150 ms, and for twice the duration of its calls, is not ready.
     ///
     /// # Errors
-    /// Why it is not.
+    /// Why it is not available.
     fn ping(&mut self) -> Result<(), DriverError>;
 
-    /// How long before the last [`Driver::ping`] the hardware itself showed a sign of life, for a driver that hears from its hardware
-    /// without asking it: the age of its latest state or heartbeat. `None`, the default: the answer to the ping was that sign.
-    /// Hardware that shows none for longer than [`Rates::silence_max`] is away.
+    /// Returns the time between the hardware's last sign of life and the last [`Driver::ping`], for a driver whose hardware sends states
+    /// or heartbeats unasked. `None`, the default: the answer to the ping was that sign. Hardware that shows no sign of life for longer
+    /// than [`Rates::silence_max`] is away.
     fn last_sign(&self) -> Option<Duration> {
         None
     }
 
-    /// What ends with the hardware: its socket, the pipe from its process. Asked for after each [`Driver::connect`]; its
-    /// end is then noticed at once, also while nothing is asked. Without one the next ping has to tell.
+    /// Returns a descriptor that ends with the hardware: its socket, or the pipe from its process. Called after each [`Driver::connect`].
+    /// The end is then detected at once, even while no request is pending. Without a lifeline, the next ping detects it.
     fn lifeline(&self) -> Option<Lifeline> {
         None
     }
 
-    /// Whether the hardware itself has a value once [`Driver::set`] returns; asked after each [`Driver::connect`]. Without that,
-    /// which is the default, the end of a command is told once the hardware has answered a later call.
+    /// Whether the hardware itself has a value once [`Driver::set`] returns; called after each [`Driver::connect`]. If not, which is the
+    /// default, the end of a command is reported once the hardware has answered a later call.
     fn set_is_acknowledged(&self) -> bool {
         false
     }
 
-    /// Sets the values of several signals that are due at one instant. Only called where [`Driver::takes_frames`]; others are told
-    /// one value after another.
+    /// Sets the values of several signals that are due at one instant. Only called if [`Driver::takes_frames`]; other drivers receive one
+    /// value after another.
     ///
     /// # Errors
     /// Why not all of them were set.
@@ -163,119 +163,118 @@ pub trait Driver: Send {
         values.iter().try_for_each(|(device, setpoint)| self.set(device, setpoint))
     }
 
-    /// Whether it is told all values that are due at one instant by one call; asked after each [`Driver::connect`].
+    /// Whether the driver receives all values that are due at one instant in one call; called after each [`Driver::connect`].
     fn takes_frames(&self) -> bool {
         false
     }
 
-    /// How long each device takes from a value to its first visible motion, as far as the driver declares it; asked after each
-    /// [`Driver::connect`]. It is shown, not compensated.
+    /// Returns each device's latency from a value to its first visible motion, if the driver declares it; called after each
+    /// [`Driver::connect`]. It is displayed, not compensated.
     fn latency(&self) -> BTreeMap<DeviceId, Duration> {
         BTreeMap::new()
     }
 
-    /// Which devices' scripts it is told ahead of their time, to time them by itself; asked after each [`Driver::connect`]. For
-    /// these devices [`Driver::plan`] is called, and [`Driver::set`] only for the way to rest.
+    /// Returns the devices whose scripts the driver receives ahead of their time and times by itself; called after each
+    /// [`Driver::connect`]. For these devices [`Driver::plan`] is called, and [`Driver::set`] only for the way to rest.
     fn lookahead(&self) -> BTreeMap<DeviceId, Lookahead> {
         BTreeMap::new()
     }
 
-    /// Takes a script, or its continuation, and returns at once; a single value is a script of one step. What becomes of it is told by
-    /// [`Pushes::plan`]: that it began, steps if the driver knows of them, and that it is done. Without these words the script counts
-    /// as failed. What the hardware does not show is reported as assumed; a script whose end is assumed counts as failed as well. It must not begin after `begin_by`. A connection that ends takes its scripts with it: after
-    /// [`Driver::connect`] none of them may go on.
+    /// Takes a script, or its continuation, and returns at once; a single value is a script of one step. The driver reports its progress
+    /// by [`Pushes::plan`]: that it began, steps if the driver knows of them, and that it is done. Without these reports, the script
+    /// fails. An event that the hardware does not show is reported as assumed; a script with an assumed end fails as well. The script
+    /// must not begin after `begin_by`. If the connection ends, its scripts end: after [`Driver::connect`] none of them may continue.
     ///
     /// # Errors
-    /// [`DriverError::Refused`] why it was not taken: this script alone ends.
+    /// [`DriverError::Refused`] with the reason: only this script ends.
     fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
         let _ = part;
-        Err(DriverError::Refused("this driver times no scripts".to_owned()))
+        Err(DriverError::Refused("this driver does not time scripts".to_owned()))
     }
 
-    /// Ends a script, which may be waiting or under way. Returns once the hardware does not follow it any more: after that nothing of
-    /// it may be set.
+    /// Ends a waiting or running script. Returns once the hardware no longer follows it: after that, none of its values may be set.
     ///
     /// # Errors
-    /// Why it may still be under way. The driver is connected again then.
+    /// Why it may still be running. The driver is then connected again.
     fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), DriverError> {
         let _ = cancel;
-        Err(DriverError::Refused("this driver times no scripts".to_owned()))
+        Err(DriverError::Refused("this driver does not time scripts".to_owned()))
     }
 
-    /// How often it wants to be called; asked after each [`Driver::connect`].
+    /// Returns the preferred call rates; called after each [`Driver::connect`].
     fn rates(&self) -> Rates {
         Rates::default()
     }
 
-    /// Takes the handle by which it tells what it was not asked for. Called once, before the first [`Driver::connect`].
+    /// Takes the handle for unsolicited reports. Called once, before the first [`Driver::connect`].
     fn take_pushes(&mut self, pushes: Pushes) {
         let _ = pushes;
     }
 
-    /// Begins a linear movement and returns at once. A value or a further ramp takes its place.
-    /// Only called where [`Driver::takes_ramps`]; others are sent samples.
+    /// Begins a linear movement and returns at once. A value or a further ramp replaces it. Only called if [`Driver::takes_ramps`]; other
+    /// drivers receive samples.
     ///
     /// # Errors
     /// Why it did not begin.
     fn ramp(&mut self, device: &DeviceId, ramp: Ramp) -> Result<(), DriverError> {
         let _ = (device, ramp);
-        Err(DriverError::Refused("this driver takes no ramps".to_owned()))
+        Err(DriverError::Refused("this driver does not support ramps".to_owned()))
     }
 
-    /// Whether the hardware moves linearly by itself; asked after each [`Driver::connect`].
+    /// Whether the hardware moves linearly by itself; called after each [`Driver::connect`].
     fn takes_ramps(&self) -> bool {
         false
     }
 }
 
-/// How a driver is used.
+/// Options for the use of a driver.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DriverOptions {
-    /// Samples of a movement a second, for a driver that takes no ramps; `None`: as the driver declares, or [`SAMPLES_PER_SECOND`].
+    /// Samples of a movement per second, for a driver that takes no ramps; `None`: as the driver declares, or [`SAMPLES_PER_SECOND`].
     pub samples_per_second: Option<f64>,
-    /// The same of single devices, which comes first.
+    /// The same per device; takes precedence.
     pub samples_of: BTreeMap<DeviceId, f64>,
-    /// Pings a second in the second before a start, half as many while something is held; `None`: as the driver declares, or
+    /// Pings per second in the second before a start, half as many while something is held; `None`: as the driver declares, or
     /// [`PINGS_PER_SECOND`].
     pub pings_per_second: Option<f64>,
-    /// So often a second each sensor is read at most; requests in between are answered with the last reading. `None`: as the driver
-    /// declares, or as often as it is asked for.
+    /// Maximum readings per second of each sensor; requests in between are answered with the last reading. `None`: as the driver
+    /// declares, or one per request.
     pub readings_per_second: Option<f64>,
     /// Limits of the movements to rest and home, if they are tighter than those that the robot declares.
     pub limits: BTreeMap<DeviceId, MotionLimits>,
 }
 
 impl DriverOptions {
-    /// The same with these limits of the movements to rest and home.
+    /// Sets the limits of the movements to rest and home.
     #[must_use]
     pub fn with_limits(mut self, limits: BTreeMap<DeviceId, MotionLimits>) -> Self {
         self.limits = limits;
         self
     }
 
-    /// The same with so many samples a second.
+    /// Sets the samples per second.
     #[must_use]
     pub const fn with_samples_per_second(mut self, samples_per_second: f64) -> Self {
         self.samples_per_second = Some(samples_per_second);
         self
     }
 
-    /// The same with so many samples a second of one device.
+    /// Sets the samples per second of one device.
     #[must_use]
     pub fn with_samples_of(mut self, device: DeviceId, samples_per_second: f64) -> Self {
         self.samples_of.insert(device, samples_per_second);
         self
     }
 
-    /// The same with so many pings a second.
+    /// Sets the pings per second.
     #[must_use]
     pub const fn with_pings_per_second(mut self, pings_per_second: f64) -> Self {
         self.pings_per_second = Some(pings_per_second);
         self
     }
 
-    /// The same with at most so many readings of each sensor a second.
+    /// Sets the maximum readings per second of each sensor.
     #[must_use]
     pub const fn with_readings_per_second(mut self, readings_per_second: f64) -> Self {
         self.readings_per_second = Some(readings_per_second);
@@ -283,14 +282,14 @@ impl DriverOptions {
     }
 }
 
-/// What a machine wants of its hardware, in the robot's own time, which is the host's.
+/// A request of a machine to its hardware, in the robot's own time, which is the host's.
 #[derive(Clone, Debug)]
 pub(crate) enum Wanted {
-    /// A value of a script with when it was due, or one of a stop.
+    /// A value of a script with its due time, or a value of a stop.
     Set(Key, Setpoint, Option<Timestamp<Robot>>),
     Follow(Key, Signal),
     Read(ReadingId, DeviceId),
-    /// To be told when all that was wanted before of the device has been done.
+    /// Report when all earlier requests for the device have been executed.
     Confirm(Ticket, DeviceId),
     /// Steps of a script that the driver times by itself.
     Plan(PlanPart<Robot>),
@@ -298,7 +297,7 @@ pub(crate) enum Wanted {
 }
 
 impl Wanted {
-    /// With the clock to follow it by.
+    /// Converts the request to an order on the given clock.
     pub(crate) fn on_clock(self, clock: HostClock) -> mailbox::Order {
         match self {
             Self::Set(key, setpoint, due) => {

@@ -1,4 +1,4 @@
-//! Scripts that the driver of a connection times by itself: handing them over, ending them, passing on what it says of them.
+//! Scripts that a connection's driver times by itself: handing them over, ending them, and forwarding the driver's reports.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -12,26 +12,26 @@ use super::{DriverError, PlanWord};
 use crate::clock::{HostClock, HostTime};
 use crate::plans::{PlanCancel, PlanEvent, PlanId, PlanPart};
 
-/// What a driver's thread tells the machine of a script that the driver times.
+/// A report of a driver's thread about a script that the driver times.
 #[derive(Debug)]
 pub(crate) enum PlanNews {
-    /// The driver says what happened, and when.
+    /// An event that the driver reports, and its time.
     Word { plan: PlanId, at: Timestamp<HostTime>, event: PlanEvent },
-    /// It did not take the part that begins with this step.
+    /// The driver did not take the part that begins with this step.
     Refused { plan: PlanId, first: usize, error: ControlError },
-    /// It has ended the script, as it was asked to.
+    /// The driver has ended the script on request.
     Cancelled(PlanId),
 }
 
-/// The system's clock was set to another time if it is off by more than this.
+/// If the system clock is off by more than this, it was set.
 const CLOCK_SET: Span = Span::from_micros(100);
 
-/// Scripts that the driver has.
+/// The scripts that the driver has.
 #[derive(Debug, Default)]
 pub(super) struct Given {
     plans: BTreeMap<PlanId, Have>,
     last: PlanId,
-    /// How far the driver's clock was ahead last.
+    /// Last lead of the driver's clock.
     ahead: Span,
 }
 
@@ -39,7 +39,7 @@ pub(super) struct Given {
 struct Have {
     device: DeviceId,
     start: Instant,
-    /// How far the driver's clock was ahead when it was handed over.
+    /// Lead of the driver's clock when the script was handed over.
     ahead: Span,
 }
 
@@ -48,8 +48,8 @@ impl Given {
         self.plans.clear();
     }
 
-    /// How far the driver's clock is ahead of that of the plans. Two that start together are told the same instant: how exactly
-    /// clocks are read is no difference between them.
+    /// Returns how far the driver's clock is ahead of the plans' clock. Scripts that start together get the same start: small errors in
+    /// reading the clocks make no difference between them.
     fn ahead(&mut self, measured: Span) -> Span {
         if (measured - self.ahead).abs() > CLOCK_SET {
             self.ahead = measured;
@@ -57,7 +57,7 @@ impl Given {
         self.ahead
     }
 
-    /// Whether a device follows a script, so that it does not follow what it did before.
+    /// Whether a device follows a script, and therefore no longer an earlier movement.
     pub(super) fn is_followed_by(&self, device: &DeviceId, now: Instant) -> bool {
         self.plans.values().any(|have| have.device == *device && have.start <= now)
     }
@@ -71,14 +71,14 @@ impl Worker {
         }
     }
 
-    /// What comes too late is not handed over: the machine ends it.
+    /// Hands over a part of a script. A part that is too late is refused: the machine ends it.
     fn hand_over(&mut self, mut part: PlanPart<Robot>, clock: HostClock) -> Result<(), Lost> {
         let (plan, first) = (part.plan, part.first);
         let now: Timestamp<Robot> = clock.now().assume_clock();
         let stale = part.steps.first().map(|step| step.at + self.tolerance().step);
         let latest = if first == 0 { Some(part.begin_by) } else { stale };
         if let Some(late) = latest.filter(|latest| *latest < now).map(|latest| now - latest) {
-            let why = format!("a script reached the hardware {late} after it could have been played");
+            let why = format!("a script reached the hardware {late} too late to be played");
             self.refused(plan, first, ControlError::new(ErrorCode::Late, why));
             return Ok(());
         }
@@ -92,7 +92,7 @@ impl Worker {
         let part = part.on_clock(ahead);
         self.touch();
         self.given.last = self.given.last.max(plan);
-        // Before it is called: the driver may say at once that it has begun.
+        // Before the call: the driver may report at once that the script has begun.
         self.given.plans.insert(plan, Have { device: device.clone(), start, ahead });
         match self.call(Sign::Unknown, |driver| driver.plan(&part)) {
             Ok(()) => Ok(()),
@@ -112,7 +112,7 @@ impl Worker {
         self.tell(News::Plan(PlanNews::Refused { plan, first, error }));
     }
 
-    /// What the driver does not have, or has ended by itself, is over already.
+    /// Cancels a script. A script that the driver does not have, or has ended by itself, is already over.
     fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), Lost> {
         if self.given.plans.contains_key(&cancel.plan) {
             self.call(Sign::Unknown, |driver| driver.cancel(cancel)).map_err(|error| match error {
@@ -129,12 +129,12 @@ impl Worker {
         Ok(())
     }
 
-    /// Passes on what the driver says of scripts. Of one that is over it may still speak.
+    /// Forwards the driver's reports about scripts. A driver may still report on a script that is over.
     pub(super) fn pass_on(&mut self, words: Vec<PlanWord>) -> Result<(), Lost> {
         for PlanWord { plan, at, event } in words {
             let Some(have) = self.given.plans.get(&plan) else {
                 if plan > self.given.last || plan.0 == 0 {
-                    return Err(Lost::Fault(format!("it speaks of plan {}, which it does not have", plan.0)));
+                    return Err(Lost::Fault(format!("it reported plan {}, which it does not have", plan.0)));
                 }
                 continue;
             };

@@ -1,4 +1,4 @@
-//! An external program as a driver: it is told one line a value on its standard input and answers each with one line.
+//! An external program as a driver: it receives one line per value on its standard input and answers each with one line.
 //!
 //! | line | answer |
 //! |---|---|
@@ -8,14 +8,15 @@
 //! | `read SENSOR` | the reading, a number |
 //! | `ping` | `ok`, or `ok MILLISECONDS` since the hardware last showed a sign of life |
 //!
-//! A program that answers `hello` with `ok 2` speaks version 2. It is then told `init JSON` with the robot's description, answers
-//! `ok JSON` with what it can do, and may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it is told
-//! `frame JSON` in place of `set`.
+//! A program that answers `hello` with `ok 2` speaks version 2. It then receives `init JSON` with the robot's description, answers `ok
+//! JSON` with its capabilities, and may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it receives
+//! `frame JSON` instead of `set`.
 //!
-//! If it times scripts by itself, it is told `plan JSON`, `more JSON` and `cancel JSON`, and says `started PLAN NS`, `step PLAN INDEX NS`,
-//! `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`. Behind NS, `assumed` marks what the hardware has not shown.
+//! If it times scripts by itself, it receives `plan JSON`, `more JSON` and `cancel JSON`, and reports `started PLAN NS`, `step PLAN INDEX
+//! NS`, `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`. After NS, `assumed` marks events that the hardware has not
+//! shown.
 //!
-//! Anything may be answered with `error REASON`. What it writes to its standard error goes to the edge's.
+//! Any line may be answered with `error REASON`. The program's standard error goes to the edge's standard error.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write as _;
@@ -33,12 +34,12 @@ use super::{
 use crate::clock::SystemClock;
 use crate::plans::{Lookahead, PlanCancel, PlanPart, PlanStep};
 
-/// How long a program may take.
+/// Time limits of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timeouts {
-    /// To answer its first line, and to start its hardware in version 2: interpreters start slowly.
+    /// For the answer to the first line, and for starting the hardware in version 2: interpreters start slowly.
     pub start: Duration,
-    /// To answer any other line.
+    /// For the answer to any other line.
     pub answer: Duration,
 }
 
@@ -48,30 +49,30 @@ impl Default for Timeouts {
     }
 }
 
-/// What a program of version 2 can do.
+/// Capabilities of a program of version 2.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Declared {
-    /// It moves linearly by itself.
+    /// Whether it moves linearly by itself.
     ramps: bool,
-    /// It takes all values of one instant at a time.
+    /// Whether it takes all values of one instant at once.
     frames: bool,
-    /// From a value to visible motion, in milliseconds, by device.
+    /// Latency from a value to visible motion, in milliseconds, by device.
     latency_ms: BTreeMap<DeviceId, f64>,
-    /// It times scripts by itself, and wants them whole.
+    /// Set if it times scripts by itself and wants them whole.
     lookahead: Option<Of<Whole>>,
-    /// It times scripts by itself, and wants their steps this many milliseconds ahead.
+    /// Set if it times scripts by itself and wants their steps this many milliseconds ahead.
     lookahead_ms: Option<Of<f64>>,
-    /// Samples of a movement a second.
+    /// Samples of a movement per second.
     samples_per_second: Option<Of<f64>>,
     pings_per_second: Option<f64>,
-    /// How long the hardware may show no sign of life, in milliseconds, if `ping` is answered with the age of the last one.
+    /// Maximum time without a sign of life from the hardware, in milliseconds, if `ping` is answered with the age of the last one.
     hardware_silence_ms: Option<f64>,
-    /// Readings of a sensor a second at most.
+    /// Maximum readings of a sensor per second.
     readings_per_second: Option<Of<f64>>,
 }
 
-/// Something of all devices, or of some by their ids.
+/// A value for all devices, or one per device id.
 #[derive(Debug, Deserialize)]
 #[serde(untagged, expecting = "expected a value for all devices, or an object with one for each device")]
 enum Of<T> {
@@ -86,7 +87,7 @@ enum Whole {
 }
 
 impl<T: Copy> Of<T> {
-    /// By device; what holds of all holds of these.
+    /// Returns the values by device; a value for all applies to each device of `all`.
     fn each<'a>(&self, all: impl Iterator<Item = &'a DeviceId>) -> BTreeMap<DeviceId, T> {
         match self {
             Self::All(of_all) => all.map(|device| (device.clone(), *of_all)).collect(),
@@ -95,11 +96,11 @@ impl<T: Copy> Of<T> {
     }
 }
 
-/// How far ahead a program may want the steps of scripts, in milliseconds.
+/// Range of how far ahead a program may want the steps of scripts, in milliseconds.
 const LOOKAHEAD_MS: (f64, f64) = (20.0, 60_000.0);
-/// How long hardware may be declared to show no sign of life, in milliseconds.
+/// Range of the declared silence of hardware, in milliseconds.
 const HARDWARE_SILENCE_MS: (f64, f64) = (50.0, 60_000.0);
-/// After such silences of the edge a program does not begin a script, and ends one that runs.
+/// Silences of the edge after which a program does not begin a script, and ends a running one.
 const EDGE_SILENCE_MS: (u32, u32) = (400, 3_000);
 
 /// A program that drives a robot's devices.
@@ -110,24 +111,26 @@ pub struct Program {
     running: Option<Running>,
     declared: Declared,
     ear: Option<Ear>,
-    /// How long before the last ping the hardware showed itself, if the program says so.
+    /// Time between the hardware's last sign of life and the last ping, if the program reports it.
     last_sign: Option<Duration>,
-    /// After such silences of the edge it does not begin a script, and ends one that runs, in milliseconds.
+    /// Silences of the edge after which it does not begin a script, and ends a running one, in milliseconds.
     edge_silence_ms: (u32, u32),
 }
 
 impl Program {
-    /// For the devices of this robot. Starts nothing yet.
+    /// Creates a driver for the devices of this robot, without starting the program.
     ///
     /// # Errors
-    /// [`DriverError::Refused`] for a device whose id has a space in it, which no line could carry.
+    /// [`DriverError::Refused`] for a device whose id contains a space, which the line format does not permit.
     pub fn new(command: &str, block: &InitializationBlock) -> Result<Self, DriverError> {
         let spaced = |device: &&urrcp::Device| {
             device.id.as_str().chars().any(|char| char.is_whitespace() || char.is_control())
         };
         if let Some(device) = block.devices.iter().find(spaced) {
-            let message =
-                format!("device `{}` has a space in its id, which a program's lines cannot carry", device.id);
+            let message = format!(
+                "the id of device `{}` contains a space or a control character, which the lines of a program do not support",
+                device.id
+            );
             return Err(DriverError::Refused(message));
         }
         Ok(Self {
@@ -142,30 +145,30 @@ impl Program {
         })
     }
 
-    /// The same with other times to answer.
+    /// Sets the time limits.
     #[must_use]
     pub const fn within(mut self, timeouts: Timeouts) -> Self {
         self.timeouts = timeouts;
         self
     }
 
-    /// The same, and it lets the edge be silent for an hour.
+    /// Permits the edge to be silent for an hour.
     #[cfg(test)]
     pub(super) const fn borne_in_silence(mut self) -> Self {
         self.edge_silence_ms = (3_600_000, 3_600_000);
         self
     }
 
-    /// Sends a line and returns the answer. The program is ended when it gives none.
+    /// Sends a line and returns the answer. If there is no answer, the program is ended.
     fn ask(&mut self, line: &str, wait: Duration) -> Result<String, DriverError> {
-        let away = || DriverError::Away("the program does not run".to_owned());
+        let away = || DriverError::Away("the program is not running".to_owned());
         let answer = self.running.as_mut().ok_or_else(away)?.ask(line, wait);
         self.answered(answer)
     }
 
     /// Like `ask`, for the lines at the start: nothing has moved yet, so an edge that ends does not wait for the answer.
     fn ask_at_start(&mut self, line: &str) -> Result<String, DriverError> {
-        let away = || DriverError::Away("the program does not run".to_owned());
+        let away = || DriverError::Away("the program is not running".to_owned());
         let running = self.running.as_mut().ok_or_else(away)?;
         let is_over = || self.ear.as_ref().is_some_and(|ear| ear.pushes.is_over());
         let answer = running.ask_unless(line, self.timeouts.start, &is_over);
@@ -178,7 +181,7 @@ impl Program {
             DriverError::Away(format!("the program `{}` {reason}", self.command))
         })?;
         match answer.strip_prefix("error") {
-            Some(reason) => Err(DriverError::Refused(format!("the program says: {}", reason.trim()))),
+            Some(reason) => Err(DriverError::Refused(format!("the program reported: {}", reason.trim()))),
             None => Ok(answer),
         }
     }
@@ -190,14 +193,16 @@ impl Program {
         }
     }
 
-    /// The program is out of step, so that no further answer could be trusted either.
+    /// Ends a program that is out of step: no further answer could be trusted.
     fn misunderstood(&mut self, line: &str, answer: &str) -> DriverError {
         self.running = None;
         let command = &self.command;
-        DriverError::Away(format!("the program `{command}` answers `{line}` with `{answer}`"))
+        DriverError::Away(format!(
+            "the program `{command}` sent an unexpected answer to `{line}`: `{answer}`"
+        ))
     }
 
-    /// Tells a program of version 2 what it drives, and learns what it can do.
+    /// Sends the robot's description to a program of version 2, and returns its capabilities.
     fn introduce(&mut self) -> Result<Declared, DriverError> {
         if let Some(running) = &self.running {
             running.may_tell();
@@ -213,13 +218,15 @@ impl Program {
         declared.map_err(|error| {
             self.running = None;
             let command = &self.command;
-            DriverError::Away(format!("the program `{command}` answers `init` with `{answer}`: {error}"))
+            DriverError::Away(format!(
+                "the program `{command}` sent an invalid answer to `init`: `{answer}`: {error}"
+            ))
         })
     }
 }
 
 impl Declared {
-    /// How far ahead it is told each device's scripts.
+    /// Returns how far ahead it receives each device's scripts.
     fn lookahead(&self, block: &InitializationBlock) -> BTreeMap<DeviceId, Lookahead> {
         let whole = self.lookahead.iter().flat_map(|of| of.each(driven(block)));
         let whole = whole.map(|(device, Whole::Script)| (device, Lookahead::Script));
@@ -239,7 +246,7 @@ impl Declared {
         }
     }
 
-    /// Whether what it says of look-ahead and rates names devices that are there, and numbers that can be.
+    /// Whether its look-ahead and rates name existing devices and contain valid numbers.
     fn check_numbers(&self, block: &InitializationBlock) -> Result<(), String> {
         let rates = self.rates(block);
         let ms = self.lookahead_ms.iter().flat_map(|of| of.each(driven(block)));
@@ -251,7 +258,7 @@ impl Declared {
         for (key, (least, most), numbers) in numbers {
             for (device, number) in numbers {
                 if block.device(device.as_str()).is_none() {
-                    return Err(format!("{key} of `{device}`, which this robot does not have"));
+                    return Err(format!("{key} names `{device}`, which this robot does not have"));
                 }
                 if !(number >= least && number <= most) {
                     return Err(format!("{key} of `{device}` is {number}, expected {least} to {most}"));
@@ -268,13 +275,13 @@ impl Declared {
         }
         let each = |device: &DeviceId| driven(block).any(|driven| driven == device);
         if let Some(device) = self.lookahead(block).keys().find(|device| !each(device)) {
-            return Err(format!("lookahead of `{device}`, which is no device of this robot that moves"));
+            return Err(format!("lookahead names `{device}`, which is not a moving device of this robot"));
         }
         let whole = self.lookahead.as_ref().map(|of| of.each(driven(block))).unwrap_or_default();
         let ahead = self.lookahead_ms.as_ref().map(|of| of.each(driven(block))).unwrap_or_default();
         match whole.keys().find(|device| ahead.contains_key(*device)) {
             Some(device) => {
-                Err(format!("`{device}` has both lookahead and lookahead_ms, expected one of them"))
+                Err(format!("`{device}` has both lookahead and lookahead_ms, expected only one of them"))
             }
             None => Ok(()),
         }
@@ -284,7 +291,7 @@ impl Declared {
         self.check_numbers(block)?;
         for (device, ms) in &self.latency_ms {
             if block.device(device.as_str()).is_none() {
-                return Err(format!("a latency of `{device}`, which this robot does not have"));
+                return Err(format!("latency_ms names `{device}`, which this robot does not have"));
             }
             if !(*ms >= 0.0 && *ms <= LATENCY_MS_MAX) {
                 return Err(format!("a latency of {ms} ms, expected 0 to {LATENCY_MS_MAX} ms"));
@@ -294,7 +301,7 @@ impl Declared {
     }
 }
 
-/// The devices that can be moved.
+/// Returns the devices that can be moved.
 fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
     let moves = |device: &&urrcp::Device| {
         let mut types = device.available_control_types.iter().map(|(control_type, _)| control_type);
@@ -303,10 +310,10 @@ fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
     block.devices.iter().filter(moves).map(|device| &device.id)
 }
 
-/// A duration as a program writes it.
+/// Parses a duration as a program writes it.
 fn milliseconds(text: &str) -> Option<Duration> {
     let milliseconds: f64 = text.parse().ok().filter(|milliseconds: &f64| milliseconds.is_finite())?;
-    // Stamps of another clock may lie a little ahead.
+    // Timestamps of another clock may lie slightly in the future.
     Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0).ok()
 }
 
@@ -320,7 +327,7 @@ impl Driver for Program {
         self.last_sign = None;
         let started = Running::start(&self.command, self.ear.clone());
         self.running = Some(started.map_err(|error| {
-            DriverError::Away(format!("the program `{}` does not start: {error}", self.command))
+            DriverError::Away(format!("cannot start the program `{}`: {error}", self.command))
         })?);
         self.declared = match self.ask_at_start("hello")?.as_str() {
             "ok" => Declared::default(),
@@ -464,7 +471,10 @@ mod tests {
     fn what_a_program_cannot_declare_is_told() {
         for (json, why) in [
             (r#"{"lookahead": "film"}"#, "expected a value for all devices"),
-            (r#"{"lookahead": {"eye": "script"}}"#, "no device of this robot that moves"),
+            (
+                r#"{"lookahead": {"eye": "script"}}"#,
+                "lookahead names `eye`, which is not a moving device of this robot",
+            ),
             (r#"{"lookahead": "script", "lookahead_ms": 500}"#, "`arm` has both"),
             (r#"{"lookahead_ms": 1}"#, "expected 20 to 60000"),
             (r#"{"samples_per_second": {"leg": 5}}"#, "which this robot does not have"),
@@ -485,14 +495,14 @@ mod tests {
     use crate::PlanId;
     use crate::plans::Then;
 
-    /// A program that logs the lines that it is told, and answers them as the test says.
+    /// A program that logs the lines that it receives, and answers them as the test specifies.
     struct Logged {
         program: Program,
         log: PathBuf,
     }
 
     impl Logged {
-        /// With branches of a shell's `case`; any other line is answered with `ok`.
+        /// `answers` contains branches of a shell `case`; any other line is answered with `ok`.
         fn new(test: &str, answers: &str) -> Self {
             let log = std::env::temp_dir().join(format!("downbeat-program-{}-{test}", std::process::id()));
             let shown = log.display();
@@ -510,7 +520,7 @@ mod tests {
             std::fs::read_to_string(&self.log).unwrap().lines().map(str::to_owned).collect()
         }
 
-        /// The JSON behind the first word of a line.
+        /// Returns the JSON after the first word of a line.
         fn json(&self, line: usize, word: &str) -> serde_json::Value {
             serde_json::from_str(self.lines()[line].strip_prefix(word).unwrap()).unwrap()
         }
@@ -562,7 +572,7 @@ mod tests {
             assert_eq!(program.last_sign(), sign);
         }
         let error = program.ping().unwrap_err();
-        assert!(error.to_string().ends_with("answers `ping` with `ok soon`"), "{error}");
+        assert!(error.to_string().ends_with("sent an unexpected answer to `ping`: `ok soon`"), "{error}");
     }
 
     #[test]
@@ -572,19 +582,21 @@ mod tests {
         let program = &mut logged.program;
         program.connect().unwrap();
         assert!(!program.takes_ramps());
-        let refused = DriverError::Refused("the program says: too hot".to_owned());
+        let refused = DriverError::Refused("the program reported: too hot".to_owned());
         assert_eq!(program.set(&arm(), &position(8.0)), Err(refused));
         program.ping().unwrap();
         let out_of_step = program.set(&arm(), &position(9.0)).unwrap_err();
         assert!(matches!(&out_of_step, DriverError::Away(_)), "{out_of_step:?}");
         assert!(
-            out_of_step.to_string().ends_with("answers `set arm position 9` with `what`"),
+            out_of_step.to_string().ends_with("sent an unexpected answer to `set arm position 9`: `what`"),
             "{out_of_step}"
         );
-        assert_eq!(program.ping(), Err(DriverError::Away("the program does not run".to_owned())));
+        assert_eq!(program.ping(), Err(DriverError::Away("the program is not running".to_owned())));
         program.connect().unwrap();
         program.ping().unwrap();
-        assert!(program.read(&arm()).is_err_and(|error| error.to_string().ends_with("with `ok`")));
+        assert!(program.read(&arm()).is_err_and(|error| {
+            error.to_string().ends_with("sent an unexpected answer to `read arm`: `ok`")
+        }));
         assert!(program.lifeline().is_none());
     }
 
@@ -644,14 +656,22 @@ mod tests {
     #[test]
     fn an_answer_to_the_first_lines_that_says_nothing_is_told_and_ends_the_program() {
         for (test, answers, why) in [
-            ("greets", "hello) echo hi;;", "answers `hello` with `hi`"),
-            ("three", "hello) echo ok 3;;", "answers `hello` with `ok 3`"),
-            ("init", "hello) echo ok 2;; init*) echo yes;;", "with `yes`: expected `ok` and a JSON object"),
-            ("json", "hello) echo ok 2;; init*) echo 'ok {';;", "with `ok {`: EOF"),
+            ("greets", "hello) echo hi;;", "sent an unexpected answer to `hello`: `hi`"),
+            ("three", "hello) echo ok 3;;", "sent an unexpected answer to `hello`: `ok 3`"),
+            (
+                "init",
+                "hello) echo ok 2;; init*) echo yes;;",
+                "sent an invalid answer to `init`: `yes`: expected `ok` and a JSON object",
+            ),
+            (
+                "json",
+                "hello) echo ok 2;; init*) echo 'ok {';;",
+                "sent an invalid answer to `init`: `ok {`: EOF",
+            ),
             (
                 "latency",
                 r#"hello) echo ok 2;; init*) echo 'ok {"latency_ms": {"leg": 1}}';;"#,
-                "a latency of `leg`, which this robot does not have",
+                "latency_ms names `leg`, which this robot does not have",
             ),
         ] {
             let mut logged = Logged::new(test, answers);

@@ -1,56 +1,55 @@
-//! Signs of life: when hardware is asked for one, and for how long it may be silent.
+//! Signs of life: when the hardware is pinged, and how long it may be silent.
 //!
-//! Hardware for which nothing is held is asked now and then. Once the machine holds something, and more so as a start
-//! comes near, it is asked often, so that a start rests on a fresh sign of life. Answers take at most half of its time,
-//! and it is not asked right before a movement, which would have to wait.
+//! While nothing is held, the hardware is pinged occasionally. Once the machine holds something, and more often as a start approaches, it
+//! is pinged often, so that a start relies on a fresh sign of life. Pings take at most half of its time. None is sent right before a
+//! movement, because the movement would have to wait.
 
 use std::time::{Duration, Instant};
 
 use crate::hardware::START_NEAR;
 
-/// While nothing is held, at least.
+/// Minimum ping interval while nothing is held.
 const IDLE: Duration = Duration::from_millis(500);
-/// While something is held or runs, in times of those while a start is near.
+/// Ping interval while something is held or runs, as a multiple of the interval near a start.
 const HELD: u32 = 2;
-/// A question is not begun so shortly before a movement, or less where the answers come fast.
+/// No ping is begun within this time before a movement, or a shorter time if answers are fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);
-/// It is asked all the same once it is this long overdue: under a near start, and otherwise.
+/// Delays after which a ping is sent regardless: near a start, and otherwise.
 const OVERDUE: (Duration, Duration) = (Duration::from_millis(60), Duration::from_secs(2));
 
-/// What the machine holds, as far as its hardware has to be alive for it.
+/// State of the machine that determines how often its hardware is pinged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Demand {
-    /// Something is held or runs.
+    /// Whether something is held or runs.
     pub(crate) held: bool,
-    /// The next start.
     pub(crate) start: Option<Instant>,
-    /// When the machine next does anything.
+    /// Time of the machine's next action.
     pub(crate) next_due: Option<Instant>,
-    /// An end is not told before the hardware has answered.
+    /// Whether the report of an end waits for an answer of the hardware.
     pub(crate) confirmation: bool,
 }
 
-/// The signs of life of one connection.
+/// Signs of life of one connection.
 #[derive(Debug)]
 pub(super) struct Pulse {
-    /// Between two questions while a start is near.
+    /// Ping interval near a start.
     near: Duration,
-    /// When its driver last answered.
+    /// Time of the driver's last answer.
     answered: Instant,
-    /// When the hardware last showed itself.
+    /// Time of the hardware's last sign of life.
     seen: Instant,
-    /// The driver reports when the hardware last showed itself: other answers are no signs of life.
+    /// Whether the driver reports the hardware's signs of life: other answers are then no signs of life.
     reports_signs: bool,
-    /// How long the hardware may show no sign of life, if its driver reports these signs and declares it.
+    /// Maximum time without a sign of life, if the driver reports these signs and declares it.
     signs_max: Duration,
-    /// The longest of its recent calls.
+    /// Duration of the longest recent call.
     took: Duration,
     demand: Demand,
     held_since: Option<Instant>,
-    /// A sensor is being read, which may take as long as it takes.
+    /// Whether a sensor is being read, which has no time limit.
     reading: bool,
-    /// When its thread last began to do something, if it is not idle.
+    /// Since when its thread is busy; `None` if it is idle.
     busy_since: Option<Instant>,
 }
 
@@ -71,12 +70,12 @@ impl Pulse {
         }
     }
 
-    /// Its thread begins to do something that the hardware has to answer, or is idle again.
+    /// Records that its thread begins an action that the hardware has to answer, or is idle again.
     pub(super) const fn busy(&mut self, since: Option<Instant>) {
         self.busy_since = since;
     }
 
-    /// True when this changes when it is asked next.
+    /// Returns true if this changes the time of the next ping.
     pub(super) fn demand(&mut self, now: Instant, demand: Demand) -> bool {
         let before = std::mem::replace(&mut self.demand, demand);
         self.held_since = demand.held.then(|| self.held_since.unwrap_or(now));
@@ -84,12 +83,12 @@ impl Pulse {
         asks(before) != asks(demand)
     }
 
-    /// How long the hardware may show no sign of life, as its driver declares.
+    /// Sets the maximum time without a sign of life, as the driver declares it.
     pub(super) fn signs_within(&mut self, silence_max: Option<Duration>) {
         self.signs_max = silence_max.unwrap_or_default();
     }
 
-    /// It has just answered.
+    /// Records an answer of the driver.
     pub(super) fn answered(&mut self, now: Instant) {
         self.answered = now;
         if !self.reports_signs {
@@ -97,14 +96,14 @@ impl Pulse {
         }
     }
 
-    /// Its driver has just answered that the hardware showed itself this long ago.
+    /// Records an answer of the driver, which reports a sign of life this long ago.
     pub(super) fn seen(&mut self, now: Instant, ago: Duration) {
         self.reports_signs = true;
         self.answered = now;
         self.seen = now.checked_sub(ago).unwrap_or(self.seen);
     }
 
-    /// What a call took; a single long one is forgotten after some dozens of short ones.
+    /// Records the duration of a call; a single long one is forgotten after some dozens of short ones.
     pub(super) fn called(&mut self, took: Duration) {
         self.took = took.max(self.took - self.took / 16);
     }
@@ -113,7 +112,7 @@ impl Pulse {
         self.reading = reading;
     }
 
-    /// When it is to be asked next.
+    /// Returns the time of the next ping.
     pub(super) fn next_ping(&self, now: Instant) -> Instant {
         let every = match self.demand {
             Demand { held: false, .. } => IDLE.max(self.near * HELD),
@@ -123,7 +122,7 @@ impl Pulse {
         self.answered + every.max(self.took)
     }
 
-    /// Whether it is to be asked although a movement is near.
+    /// Whether a ping is sent even if a movement is near.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
         now.saturating_duration_since(self.answered) >= self.overdue(now)
     }
@@ -156,10 +155,11 @@ impl Pulse {
         (self.took * 4).clamp(QUIET_LEAST, QUIET)
     }
 
-    /// How long its driver has not answered, or the hardware has shown no sign of life, while something is held. `None` up to
-    /// `silence_max`, or longer if its calls are slow.
+    /// Returns how long the driver has not answered, or the hardware has shown no sign of life, while something is held. `None` up to
+    /// `silence_max`, or longer if calls are slow.
     ///
-    /// Time in which this machine was held up and asked nothing is not silence, unless a start is due: it rests on a fresh sign of life.
+    /// Time in which this machine was delayed and sent no ping is not silence, unless a start is due: a start relies on a fresh sign of
+    /// life.
     pub(super) fn silence(&self, now: Instant, silence_max: Duration) -> Option<Duration> {
         let held_since = self.held_since.filter(|_| !self.reading)?;
         let start_is_due = self.demand.start.is_some_and(|start| start <= now);

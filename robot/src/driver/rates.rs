@@ -1,4 +1,4 @@
-//! How often a driver is called: as it declares it, and as its user says.
+//! How often a driver is called, as the driver declares and as its user configures it.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -7,52 +7,52 @@ use urrcp::DeviceId;
 
 use super::DriverOptions;
 
-/// Samples a second by default: as often as hobby servos take a value.
+/// Default samples per second: the rate at which hobby servos take values.
 pub const SAMPLES_PER_SECOND: f64 = 50.0;
-/// Pings a second at most by default, in the second before a start.
+/// Default maximum of pings per second, in the second before a start.
 pub const PINGS_PER_SECOND: f64 = 40.0;
 
-/// Samples a second of one device: least and most.
+/// Range of samples per second of one device.
 pub const SAMPLES_BOUNDS: (f64, f64) = (0.1, 1_000.0);
-/// Pings a second: with fewer a start would rest on an old sign of life, more only cost time.
+/// Range of pings per second: with fewer, a start would rely on an old sign of life; more only cost time.
 pub const PINGS_BOUNDS: (f64, f64) = (10.0, 200.0);
-/// Readings a second of one sensor.
+/// Range of readings per second of one sensor.
 pub const READINGS_BOUNDS: (f64, f64) = (0.01, 1_000.0);
 
-/// How often a driver wants to be called. What the [`DriverOptions`] say comes first.
+/// The call rates that a driver prefers. The [`DriverOptions`] take precedence.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Rates {
-    /// Samples of a movement a second, by device; [`SAMPLES_PER_SECOND`] for others.
+    /// Samples of a movement per second, by device; [`SAMPLES_PER_SECOND`] for others.
     pub samples_per_second: BTreeMap<DeviceId, f64>,
-    /// Pings a second at most; [`PINGS_PER_SECOND`] if it does not say.
+    /// Maximum pings per second; `None`: [`PINGS_PER_SECOND`].
     pub pings_per_second: Option<f64>,
-    /// Calls for a reading a second at most, by sensor; no limit for others.
+    /// Maximum readings per second, by sensor; no limit for others.
     pub readings_per_second: BTreeMap<DeviceId, f64>,
-    /// How long the hardware may show no sign of life, for a driver that reports these signs: [`Driver::last_sign`].
+    /// Maximum time without a sign of life from the hardware, for a driver that reports these signs: [`Driver::last_sign`].
     ///
     /// [`Driver::last_sign`]: super::Driver::last_sign
     pub silence_max: Option<Duration>,
 }
 
-/// How long hardware may show no sign of life by default, if its driver reports these signs.
+/// Default maximum time without a sign of life from the hardware, if its driver reports these signs.
 pub const HARDWARE_SILENCE_MAX: Duration = Duration::from_secs(1);
 
 impl Rates {
-    /// Between two samples of a device.
+    /// Returns the interval between two samples of a device.
     pub(super) fn sample_period(&self, options: &DriverOptions, device: &DeviceId) -> Duration {
         let option = options.samples_of.get(device).copied().or(options.samples_per_second);
         let rate = option.or_else(|| self.samples_per_second.get(device).copied());
         period(rate.unwrap_or(SAMPLES_PER_SECOND), SAMPLES_BOUNDS)
     }
 
-    /// Between two pings in the second before a start.
+    /// Returns the interval between two pings in the second before a start.
     pub(super) fn ping_period(&self, options: &DriverOptions) -> Duration {
         let rate = options.pings_per_second.or(self.pings_per_second);
         period(rate.unwrap_or(PINGS_PER_SECOND), PINGS_BOUNDS)
     }
 
-    /// For how long a reading of a sensor answers further requests.
+    /// Returns how long a sensor's reading answers further requests.
     pub(super) fn reading_period(&self, options: &DriverOptions, sensor: &DeviceId) -> Option<Duration> {
         let rate = options.readings_per_second.or_else(|| self.readings_per_second.get(sensor).copied());
         rate.map(|rate| period(rate, READINGS_BOUNDS))

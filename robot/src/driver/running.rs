@@ -1,4 +1,4 @@
-//! A program at work: lines to it, answers from it, and what it tells unasked.
+//! A running program: lines to it, answers from it, and its unsolicited reports.
 
 use std::collections::HashSet;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
@@ -20,13 +20,13 @@ use crate::plans::{PlanEvent, PlanId};
 
 /// Longest answer, in bytes.
 const ANSWER_BYTES_MAX: u64 = 16_384;
-/// How long it may take to end once its input has ended.
+/// Maximum time until the program ends once its input has ended.
 const END_WAIT: Duration = Duration::from_secs(1);
 
 const PLAN_WORDS: &str = "`started PLAN NS`, `step PLAN INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` or `cancelled PLAN NS`, \
                           with NS in nanoseconds since 1970, and `assumed` after NS in the first three if the hardware has not shown it";
 
-/// What a program says of a script that it times by itself.
+/// Parses a program's report about a script that it times by itself.
 fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, PlanEvent)> {
     let mut parts = rest.splitn(3, ' ');
     let plan = PlanId(parts.next()?.parse().ok()?);
@@ -43,15 +43,15 @@ fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, 
         ("done", None) => (next, PlanEvent::Done),
         ("done", Some("assumed")) => (next, PlanEvent::AssumedDone),
         ("cancelled", _) => (next, PlanEvent::Cancelled),
-        ("failed", reason) => (next, PlanEvent::Failed(reason.unwrap_or("it gives no reason").to_owned())),
+        ("failed", reason) => (next, PlanEvent::Failed(reason.unwrap_or("no reason given").to_owned())),
         _ => return None,
     };
-    // Times of the years 1970 to 2255, so that none is beyond what is counted with.
+    // Limited to the years 1970 to 2255, so that no time overflows later arithmetic.
     let at = at.parse().ok().filter(|at| (0..=9_000_000_000_000_000_000).contains(at))?;
     Some((plan, Timestamp::from_nanos(at), event))
 }
 
-/// Takes what a program tells unasked.
+/// Receives a program's unsolicited reports.
 #[derive(Clone, Debug)]
 pub(super) struct Ear {
     pub(super) pushes: Pushes,
@@ -59,7 +59,7 @@ pub(super) struct Ear {
 }
 
 impl Ear {
-    /// Takes the line, if it is no answer.
+    /// Takes the line, if it is not an answer.
     fn hears(&self, line: &str) -> bool {
         match line.split_once(' ') {
             Some(("fault", reason)) => self.pushes.fault(reason.trim()),
@@ -70,14 +70,14 @@ impl Ear {
                 match read {
                     Some((sensor, value)) => self.pushes.reading(sensor, value),
                     None => self.pushes.fault(format!(
-                        "the program says `{line}`, expected `reading SENSOR NUMBER` with a sensor of this robot"
+                        "the program sent `{line}`, expected `reading SENSOR NUMBER` with a sensor of this robot"
                     )),
                 }
             }
             Some((word @ ("started" | "step" | "done" | "failed" | "cancelled"), rest)) => {
                 match plan_word(word, rest) {
                     Some((plan, at, event)) => self.pushes.plan(plan, at, event),
-                    None => self.pushes.fault(format!("the program says `{line}`, expected {PLAN_WORDS}")),
+                    None => self.pushes.fault(format!("the program sent `{line}`, expected {PLAN_WORDS}")),
                 }
             }
             _ => return false,
@@ -86,16 +86,16 @@ impl Ear {
     }
 }
 
-/// The program at work. Dropping it ends the program.
+/// A running program. Dropping it ends the program.
 pub(super) struct Running {
     child: Child,
     input: Option<ChildStdin>,
-    /// A copy of its output, to be watched alone.
+    /// A copy of its output, only to be watched.
     pub(super) output: OwnedFd,
     answers: Receiver<String>,
-    /// It may tell what it was not asked for.
+    /// Whether the program may send unsolicited reports.
     tells: Arc<AtomicBool>,
-    /// How long its output may outlive its input, if it has ended.
+    /// How long its output may stay open after its input has ended, if the program has ended.
     ends_within: Duration,
 }
 
@@ -103,15 +103,15 @@ impl Running {
     pub(super) fn start(command: &str, ear: Option<Ear>) -> std::io::Result<Self> {
         let mut shell = Command::new("sh");
         shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped());
-        // A group of its own: Ctrl-C is for the edge, which then has its devices brought to rest.
+        // A process group of its own: Ctrl-C is for the edge, which then brings its devices to rest.
         let mut child = shell.process_group(0).spawn()?;
         let no_pipe = || std::io::Error::other("no pipe");
         let output = child.stdout.take().ok_or_else(no_pipe)?;
         let input = child.stdin.take().ok_or_else(no_pipe)?;
-        // A description may be longer than a pipe, and a program need not read it.
+        // A description may be longer than the pipe buffer, and a program need not read it.
         fcntl_setfl(&input, fcntl_getfl(&input)? | OFlags::NONBLOCK)?;
         let watched = output.as_fd().try_clone_to_owned()?;
-        // One answer belongs to one line; a program that says more is soon out of step.
+        // Each line has one answer; a program that writes more is soon out of step.
         let (sender, answers) = sync_channel(1);
         let tells = Arc::new(AtomicBool::new(false));
         let ear = ear.map(|ear| (ear, Arc::clone(&tells)));
@@ -122,7 +122,7 @@ impl Running {
         Ok(Self { child, input: Some(input), output: watched, answers, tells, ends_within: ENDS_WITHIN })
     }
 
-    /// From now on it may tell what it was not asked for.
+    /// Permits unsolicited reports from this point.
     pub(super) fn may_tell(&self) {
         self.tells.store(true, Ordering::SeqCst);
     }
@@ -140,7 +140,7 @@ impl Running {
         is_over: &dyn Fn() -> bool,
     ) -> Result<String, String> {
         let Some(input) = &mut self.input else { return Err("has ended".to_owned()) };
-        // Together in one write: a program may read in pieces.
+        // One write for the whole line: a program may read in pieces.
         let verb = line.split(' ').next().unwrap_or(line);
         let shown = if line.len() > SHOWN_MAX { verb } else { line };
         match write_within(input, format!("{line}\n").as_bytes(), wait, is_over) {
@@ -148,7 +148,7 @@ impl Running {
             Ok(false) if is_over() => return Err(format!("had not read `{shown}` when it was ended")),
             Ok(false) => return Err(format!("did not read `{shown}` within {}", seconds(wait))),
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Err(self.why_it_reads_no_more()),
-            Err(error) => return Err(format!("takes no line: {error}")),
+            Err(error) => return Err(format!("does not accept input: {error}")),
         }
         let mut left = wait;
         loop {
@@ -168,7 +168,7 @@ impl Running {
     }
 
     fn why_it_reads_no_more(&self) -> String {
-        // What it said before is passed over.
+        // Earlier answers are skipped.
         let last =
             std::iter::repeat_with(|| self.answers.recv_timeout(self.ends_within)).take(LAST_WORDS_MAX);
         let ended = last.filter_map(Result::err).next() == Some(RecvTimeoutError::Disconnected);
@@ -176,15 +176,15 @@ impl Running {
     }
 }
 
-/// The interval at which a wait checks whether the answer is still needed.
+/// Interval at which a wait checks whether the answer is still needed.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// A program that ends closes its input and its output, one just before the other.
+/// A program that ends closes its input and its output shortly after each other, within this time.
 const ENDS_WITHIN: Duration = Duration::from_millis(200);
-/// Answers that may be left of it.
+/// Maximum number of unread answers.
 const LAST_WORDS_MAX: usize = 8;
 
-/// Of longer lines a reason names the first word alone.
+/// For longer lines, an error message contains only the first word.
 const SHOWN_MAX: usize = 200;
 
 fn seconds(wait: Duration) -> String {
@@ -222,7 +222,7 @@ fn write_within(
     Ok(true)
 }
 
-/// Passes on each line, as an answer or as what was told unasked.
+/// Forwards each line, as an answer or as an unsolicited report.
 fn hear(mut output: impl BufRead, ear: Option<&(Ear, Arc<AtomicBool>)>, answers: &SyncSender<String>) {
     loop {
         let mut line = Vec::new();
@@ -240,10 +240,10 @@ fn hear(mut output: impl BufRead, ear: Option<&(Ear, Arc<AtomicBool>)>, answers:
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // The next one would pay for what this one says now.
+        // Otherwise the next program would be charged with reports of this one.
         self.tells.store(false, Ordering::SeqCst);
         self.input = None;
-        // Its output ends with it; what it still says is of no more use, and too much of it is no end.
+        // Its output ends with it. Its remaining output is not needed, and too much of it does not count as an end.
         let last = (0..16).find_map(|_| self.answers.recv_timeout(END_WAIT).err());
         let ended = last == Some(RecvTimeoutError::Disconnected);
         if !ended
@@ -276,7 +276,7 @@ mod tests {
         check("step 7 2 5 assumed", Some((7, 5, PlanEvent::AssumedRunning)));
         check("done 7 5 assumed", Some((7, 5, PlanEvent::AssumedDone)));
         check("failed 7 5 too much torque", Some((7, 5, PlanEvent::Failed("too much torque".to_owned()))));
-        check("failed 7 5", Some((7, 5, PlanEvent::Failed("it gives no reason".to_owned()))));
+        check("failed 7 5", Some((7, 5, PlanEvent::Failed("no reason given".to_owned()))));
         check("cancelled 7 5", Some((7, 5, PlanEvent::Cancelled)));
     }
 
@@ -299,13 +299,13 @@ mod tests {
         check("done 7 9223372036854775807", None);
     }
 
-    /// What is said of a program that reads no more, in place of an answer.
+    /// Returns the error for a program that no longer reads, in place of an answer.
     fn said_of(command: &str, ends_within: Duration) -> String {
         let mut running = Running::start(command, None).unwrap();
         running.ends_within = ends_within;
         let wait = Duration::from_secs(60);
         assert_eq!(running.ask("hello", wait), Ok("ok".to_owned()));
-        // Until its input is closed it may still take a line, which it never answers.
+        // Until its input is closed it may still take a line, without ever answering it.
         (0..1_000)
             .find_map(|_| {
                 running.ask("ping", Duration::from_millis(20)).err().filter(|why| !why.contains("ping"))
@@ -317,12 +317,12 @@ mod tests {
     fn a_program_that_ended_is_told_from_one_that_closed_its_input() {
         let stays = "read line; echo ok; exec <&-; sleep 60";
         assert_eq!(said_of(stays, ENDS_WITHIN), "has closed its input");
-        // However long a slow machine takes to end it.
+        // Regardless of how long a slow machine takes to end it.
         let ends = "read line; echo ok; exec <&-; sleep 0.1";
         assert_eq!(said_of(ends, Duration::from_secs(50)), "has ended");
     }
 
-    /// An ear for the sensor `eye`, on a mailbox with a connection.
+    /// Returns an ear for the sensor `eye`, on a mailbox with a connection.
     fn ear() -> (Ear, Arc<crate::driver::Mailbox>) {
         let mailbox = Arc::new(crate::driver::Mailbox::default());
         let ping_period = Duration::from_millis(25);
@@ -375,7 +375,7 @@ mod tests {
             assert!(ear.hears(line), "{line}");
             let told = fault(&mailbox).unwrap();
             assert!(
-                told.starts_with(&format!("the program says `{line}`, ")) && told.contains(expected),
+                told.starts_with(&format!("the program sent `{line}`, ")) && told.contains(expected),
                 "{told}"
             );
         }
@@ -389,7 +389,7 @@ mod tests {
         assert_eq!(running.ask("reading eye 1", wait).as_deref(), Ok("reading eye 1"));
         running.may_tell();
         running.input.as_mut().unwrap().write_all(b"reading eye 2\n").unwrap();
-        assert_eq!(running.ask("ping", wait).as_deref(), Ok("ping"), "what was told before is no answer");
+        assert_eq!(running.ask("ping", wait).as_deref(), Ok("ping"), "an earlier line is not an answer");
         assert_eq!(mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)), Some(2.0));
     }
 

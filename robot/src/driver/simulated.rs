@@ -1,4 +1,4 @@
-//! A driver without hardware: takes everything, says it to the log.
+//! A driver without hardware: accepts everything and logs it.
 
 use std::collections::HashMap;
 
@@ -6,14 +6,14 @@ use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 use super::{Driver, DriverError};
 
-/// Hardware that is only imagined. A device reads what was last set, a sensor alone the middle of its range.
+/// Simulated hardware. A device reads the last value that was set; a sensor that cannot be set reads the middle of its range.
 #[derive(Clone, Debug)]
 pub struct SimulatedDriver {
     readings: HashMap<DeviceId, f64>,
 }
 
 impl SimulatedDriver {
-    /// For the devices of this robot.
+    /// Creates a driver for the devices of this robot.
     #[must_use]
     pub fn new(block: &InitializationBlock) -> Self {
         let middle = |device: &urrcp::Device| {
@@ -37,7 +37,7 @@ impl Driver for SimulatedDriver {
 
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
         let reading = self.readings.get(sensor).copied();
-        reading.ok_or_else(|| DriverError::Refused(format!("`{sensor}` is no sensor")))
+        reading.ok_or_else(|| DriverError::Refused(format!("`{sensor}` is not a sensor")))
     }
 
     fn set_is_acknowledged(&self) -> bool {

@@ -1,4 +1,4 @@
-//! Which driver: as the command line and the fleet file name it.
+//! The choice of a driver, as written on the command line and in the fleet file.
 
 use std::str::FromStr;
 
@@ -8,11 +8,11 @@ use urrcp::InitializationBlock;
 use super::ThriftRobot;
 use super::{Driver, DriverError, Program, SimulatedDriver, Timeouts};
 
-/// Names a driver and what it drives.
+/// A driver and its target.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DriverSpec {
-    /// `sim`: nothing.
+    /// `sim`: no hardware.
     Simulated,
     /// `thrift://host:port`: a robot that speaks the early Thrift form.
     Thrift {
@@ -21,14 +21,14 @@ pub enum DriverSpec {
         /// Port.
         port: u16,
     },
-    /// `program:COMMAND`: a program that is told on its standard input.
+    /// `program:COMMAND`: a program that receives lines on its standard input.
     Program {
         /// A command line of the shell.
         command: String,
     },
 }
 
-/// A text names no driver.
+/// A text that does not name a driver.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a driver, expected sim, thrift://host:port or program:COMMAND")]
 pub struct DriverSpecError(String);
@@ -57,15 +57,15 @@ impl FromStr for DriverSpec {
 }
 
 impl DriverSpec {
-    /// The driver for a robot. Connects to nothing yet.
+    /// Creates the driver for a robot, without connecting.
     ///
     /// # Errors
-    /// [`DriverError::Refused`] when this driver cannot drive such a robot, or is not part of this build.
+    /// [`DriverError::Refused`] if this driver cannot drive such a robot, or is not part of this build.
     pub fn driver(&self, block: &InitializationBlock) -> Result<Box<dyn Driver>, DriverError> {
         self.driver_within(block, Timeouts::default())
     }
 
-    /// The driver for a robot; a program has to answer within these times.
+    /// Creates the driver for a robot, with these time limits for a program.
     ///
     /// # Errors
     /// As [`DriverSpec::driver`].

@@ -1,4 +1,4 @@
-//! Drivers under their thread: what reaches the hardware, in which order, and what does when it fails.
+//! Drivers on their threads: the calls that reach the hardware, their order, and the effects of failures.
 
 mod edge;
 mod orders;
@@ -31,7 +31,7 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 8}}},
   {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9, "max_delay": 60000}}}]}"#;
 
-/// Slows down as it can.
+/// Slows down within its acceleration.
 const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "lift", "name": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
@@ -52,7 +52,7 @@ const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 1000,
                 "control_types": ["speed"]}}}]}"#;
 
-/// A script that starts this many milliseconds from now; `None`: when it is received, which is never too late.
+/// Returns a script that starts this many milliseconds from now; `None`: at its receipt, which is never too late.
 fn request(
     device: &str,
     id: &str,
@@ -75,7 +75,7 @@ fn request(
     })
 }
 
-/// The whole plan of a device that has no steps.
+/// Returns a complete plan without steps.
 fn empty_plan<C>(device: &DeviceId) -> PlanPart<C> {
     PlanPart {
         plan: crate::PlanId(1),
@@ -89,23 +89,22 @@ fn empty_plan<C>(device: &DeviceId) -> PlanPart<C> {
     }
 }
 
-/// Hardware of a test: tells what is done with it, and does what the test says.
+/// Test hardware: reports its calls, and behaves as the test specifies.
 #[derive(Default)]
 struct Bench {
     broken: AtomicBool,
-    /// It takes no value.
+    /// Whether it refuses values.
     refuses: AtomicBool,
     panics: AtomicBool,
     takes_ramps: bool,
-    /// Until a test lets it, a `set` does not return.
+    /// While this is set, `set` does not return.
     busy: AtomicBool,
     line: Option<std::os::unix::net::UnixStream>,
-    /// It times the scripts of the arm by itself.
+    /// Whether it times the scripts of the arm by itself.
     times_scripts: bool,
 }
 
-/// The end of the hardware that a test holds. It releases a call that hangs when the test ends or fails, because the host waits
-/// for that call.
+/// The test's handle of the hardware. When the test ends or fails, it releases a hanging call, because the host waits for that call.
 struct Shared(Arc<Bench>);
 
 impl std::ops::Deref for Shared {
@@ -179,7 +178,7 @@ impl Driver for Fake {
         arm.into_iter().collect()
     }
 
-    /// Begins on time, and is done when it has to be.
+    /// Begins on time, and is done on time.
     #[expect(clippy::disallowed_methods, reason = "hardware takes its time")]
     fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
         if self.bench.refuses.load(Ordering::SeqCst) {
@@ -189,7 +188,7 @@ impl Driver for Fake {
         self.act(format!("{} plan {}", part.device, values.join(" ")))?;
         let (plan, pushes) = (part.plan, self.pushes.clone().unwrap());
         let (start, end) = (part.start, part.steps.last().unwrap().at);
-        // Ends with what it has to say.
+        // Ends after its reports.
         std::thread::spawn(move || {
             for (at, event) in [(start, PlanEvent::Began), (end, PlanEvent::Done)] {
                 let left = at.assume_clock() - HostClock::anchored().now();
@@ -234,7 +233,7 @@ impl Rig {
         Self::tolerating(Tolerance::AN_HOUR, host, block, bench, options)
     }
 
-    /// With limits of lateness, in place of none.
+    /// With limits of lateness, instead of unlimited lateness.
     fn tolerating(
         tolerance: Tolerance,
         host: HostOptions,
@@ -276,7 +275,7 @@ impl Rig {
         }
     }
 
-    /// What is done with the hardware next, pings aside.
+    /// Checks the next calls to the hardware, except pings.
     #[track_caller]
     fn next_done(&self, expected: &[&str]) {
         for expected in expected {
@@ -307,12 +306,12 @@ impl Rig {
         tokio::time::timeout(Duration::from_secs(60), stepped).await.unwrap();
     }
 
-    /// What was done with the hardware up to its end, pings aside.
+    /// Stops the robot, and returns the calls to the hardware until its end, except pings.
     fn stop(self) -> Vec<String> {
         self.stop_and_tell().0
     }
 
-    /// And why it may not be at rest.
+    /// Also returns why it may not be at rest.
     fn stop_and_tell(self) -> (Vec<String>, Option<String>) {
         let Self { host, done, link, bench: _bench } = self;
         drop(link);
@@ -321,12 +320,12 @@ impl Rig {
     }
 }
 
-/// The value of this device that the hardware received, if this is one.
+/// Returns the value of this device that the hardware received, if this call is one.
 fn value_of(device: &str, done: &str) -> Option<f64> {
     done.strip_prefix(device)?.strip_prefix(' ')?.parse().ok()
 }
 
-/// Of a driver that is told one value after another.
+/// Of a driver that receives one value at a time.
 const MANNERS: mailbox::Manners = mailbox::Manners {
     acknowledges: false,
     takes_frames: false,

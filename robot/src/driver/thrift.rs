@@ -1,7 +1,6 @@
 //! Robots that speak the early Thrift form of URRCP: binary protocol, buffered transport, one connection at a time.
 //!
-//! The service has six calls, each with at most two arguments of plain types, so they are written out here and no
-//! generated code is carried along.
+//! The service has six calls with at most two arguments of plain types, so they are written out here instead of using generated code.
 
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
@@ -20,9 +19,9 @@ use urrcp::{DeviceId, InitializationBlock, Setpoint};
 use super::described::is_driven;
 use super::{Driver, DriverError, Lifeline, described};
 
-/// [`ThriftRobot::wait_max`] of robots on a network.
+/// [`ThriftRobot::wait_max`] for robots on a network.
 const WAIT_MAX: Duration = Duration::from_secs(1);
-/// Longest text that a robot may send, in bytes: as long as a line of URRCP.
+/// Maximum length of a text from a robot, in bytes: that of a URRCP line.
 const TEXT_BYTES_MAX: usize = urrcp::LINE_BYTES_MAX;
 
 /// A robot of the Thrift form.
@@ -31,15 +30,15 @@ pub struct ThriftRobot {
     port: u16,
     block: InitializationBlock,
     connection: Option<Connection>,
-    /// How long the robot may take to accept a connection, to take a call, to answer one. `None`: as long as it likes.
+    /// Time limit for the robot to accept a connection, to take a call, and to answer one. `None`: no limit.
     wait_max: Option<Duration>,
 }
 
 impl ThriftRobot {
-    /// For the devices of this robot. Connects to nothing yet.
+    /// Creates a driver for the devices of this robot, without connecting.
     ///
     /// # Errors
-    /// [`DriverError::Refused`] for a device with more than one control type: the Thrift form names none with a value.
+    /// [`DriverError::Refused`] for a device with more than one control type: a value in the Thrift form does not name its control type.
     pub fn new(host: &str, port: u16, block: &InitializationBlock) -> Result<Self, DriverError> {
         let driven = |device: &urrcp::Device| {
             let types = device.available_control_types.iter().map(|(control_type, _)| control_type);
@@ -47,7 +46,7 @@ impl ThriftRobot {
         };
         if let Some(device) = block.devices.iter().find(|device| driven(device) > 1) {
             let message = format!(
-                "device `{}` has several control types; a Thrift robot takes plain values, so leave it one",
+                "device `{}` has several control types, but a Thrift robot supports only one; leave one of them",
                 device.id
             );
             return Err(DriverError::Refused(message));
@@ -67,7 +66,7 @@ impl ThriftRobot {
         called.map_err(|error| match error {
             thrift::Error::Application(error) => DriverError::Refused(told(&error)),
             error => {
-                // The answer may still come, and would be taken for that of the next call.
+                // A late answer would be taken for the answer to the next call.
                 self.connection = None;
                 DriverError::Away(if has_ended(&error) {
                     self.ended()
@@ -85,8 +84,10 @@ impl ThriftRobot {
 
 fn told(error: &thrift::ApplicationError) -> String {
     match error.kind {
-        ApplicationErrorKind::UnknownMethod => format!("the robot knows no such call: {}", error.message),
-        _ => format!("the robot says: {}", error.message),
+        ApplicationErrorKind::UnknownMethod => {
+            format!("the robot does not support the call: {}", error.message)
+        }
+        _ => format!("the robot reported: {}", error.message),
     }
 }
 
@@ -95,7 +96,7 @@ impl Driver for ThriftRobot {
         self.connection = None;
         self.connection = Some(Connection::open(&self.host, self.port, self.wait_max)?);
         self.ping()?;
-        // It may be another one than before, or another than its init file says.
+        // It may be another robot than before, or than its init file describes.
         let schema = self.call(Connection::schema)?;
         described::fits(&schema, &self.block)
             .map_err(|why| DriverError::Away(format!("{}:{} is another robot: {why}", self.host, self.port)))
@@ -107,7 +108,7 @@ impl Driver for ThriftRobot {
 
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
         match self.call(|connection| connection.sensor_double(sensor.as_str())) {
-            // Some robots have sensors that answer in words; a number among them will do.
+            // Some robots have sensors that answer with text; a number in it is accepted.
             Err(DriverError::Refused(reason)) => {
                 let Ok(text) = self.call(|connection| connection.sensor_text(sensor.as_str())) else {
                     return Err(DriverError::Refused(reason));
@@ -123,7 +124,7 @@ impl Driver for ThriftRobot {
         if self.call(Connection::ping)? {
             Ok(())
         } else {
-            Err(DriverError::Away("the robot answers ping with false: not ready".to_owned()))
+            Err(DriverError::Away("the robot is not ready: it answers ping with false".to_owned()))
         }
     }
 
@@ -132,16 +133,16 @@ impl Driver for ThriftRobot {
     }
 }
 
-/// A call may learn of the end of a connection before the lifeline does.
+/// A call may notice the end of a connection before the lifeline does.
 fn has_ended(error: &thrift::Error) -> bool {
     let thrift::Error::Transport(error) = error else { return false };
     matches!(error.kind, TransportErrorKind::EndOfFile | TransportErrorKind::NotOpen)
 }
 
-/// Asks a Thrift robot for its description, a JSON text.
+/// Requests a Thrift robot's description, a JSON text.
 ///
 /// # Errors
-/// Why there is none.
+/// Why the description is missing.
 pub fn describe(host: &str, port: u16) -> Result<String, DriverError> {
     describe_within(host, port, Some(WAIT_MAX))
 }
@@ -151,7 +152,7 @@ fn describe_within(host: &str, port: u16, wait_max: Option<Duration>) -> Result<
     connection.schema().map_err(|error| DriverError::Away(format!("{host}:{port}: {error}")))
 }
 
-/// A connection to the first of the host's addresses that takes one.
+/// Connects to the first of the host's addresses that accepts a connection.
 fn stream(host: &str, port: u16, wait_max: Option<Duration>) -> io::Result<TcpStream> {
     let mut last = None;
     for address in (host, port).to_socket_addrs()? {
@@ -172,14 +173,13 @@ type Output = TBinaryOutputProtocol<TBufferedWriteTransport<WriteHalf<TTcpChanne
 
 /// A connection, with the six calls.
 struct Connection {
-    /// To be watched alone.
+    /// Only to be watched.
     stream: TcpStream,
     input: Input,
     output: Output,
     sequence: i32,
 }
 
-/// An argument of a call.
 enum Argument<'a> {
     Text(&'a str),
     Double(f64),
@@ -190,7 +190,7 @@ impl Connection {
         let away = |why: &dyn fmt::Display| {
             DriverError::Away(format!("no connection to thrift://{host}:{port}: {why}"))
         };
-        // In words of its kind: the library makes them "not open", the system adds a number.
+        // In words of the error kind: the library says "not open", and the system adds a number.
         let told = |error: std::io::Error| match error.raw_os_error() {
             Some(_) => away(&error.kind()),
             None => away(&error),
@@ -206,7 +206,7 @@ impl Connection {
         let watched = stream.try_clone()?;
         let (reader, writer) = TTcpChannel::with_stream(stream).split()?;
         let limits = TConfiguration::builder().max_string_size(Some(TEXT_BYTES_MAX)).build()?;
-        // Robots of the older, headerless form of the protocol are understood as well.
+        // Robots that use the older, headerless form of the protocol are accepted as well.
         let input = TBinaryInputProtocol::with_config(TBufferedReadTransport::new(reader), false, limits);
         let output = TBinaryOutputProtocol::new(TBufferedWriteTransport::new(writer), true);
         Ok(Self { stream: watched, input, output, sequence: 0 })
@@ -265,7 +265,7 @@ impl Connection {
         self.input.read_struct_end()?;
         self.input.read_message_end()?;
         result.ok_or_else(|| {
-            let message = format!("`{name}` came back without a result");
+            let message = format!("`{name}` returned no result");
             thrift::Error::Application(thrift::ApplicationError::new(
                 ApplicationErrorKind::MissingResult,
                 message,
@@ -302,7 +302,7 @@ impl Connection {
     }
 }
 
-/// An answer to another call: the connection is out of step and of no more use.
+/// An answer to another call: the connection is out of step and cannot be used any longer.
 fn foreign(error: &thrift::Error) -> thrift::Error {
     std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()).into()
 }
@@ -323,11 +323,11 @@ mod tests {
       {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
     const SCHEMA: &str = r#"{"id": "r", "devices": {"arm": {"min_value": 0, "max_value": 9}}}"#;
 
-    /// A test that takes longer fails. The limit is not one of the socket: when a process was suspended, Linux interrupts a read
-    /// that has such a limit, and the driver takes that for the end of the connection.
+    /// Time limit of a test. It is not a socket timeout: if a process was suspended, Linux interrupts a read with such a timeout, and the
+    /// driver takes that for the end of the connection.
     const PATIENCE: Duration = Duration::from_secs(60);
 
-    /// What the robot of a test answers.
+    /// An answer of a test's robot.
     enum Reply {
         Bool(bool),
         Double(f64),
@@ -337,12 +337,12 @@ mod tests {
         Error(ApplicationErrorKind),
         /// The answer to another call.
         Foreign,
-        /// None, to a call that needs none.
+        /// No answer, to a call that needs none.
         Nothing,
         HangsUp,
     }
 
-    /// A robot that takes one connection, answers each call by its name and arguments, and tells the calls in the end.
+    /// A robot that accepts one connection, answers each call by its name and arguments, and returns the calls in the end.
     fn robot(reply: impl Fn(&str) -> Reply + Send + 'static) -> (ThriftRobot, JoinHandle<Vec<String>>) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
@@ -352,12 +352,12 @@ mod tests {
         (ThriftRobot { wait_max: None, ..robot }, serving)
     }
 
-    /// Takes one connection, and breaks it once the test has taken too long.
+    /// Accepts one connection, and breaks it once the test has taken too long.
     #[expect(clippy::disallowed_methods, reason = "the longest time that a real connection takes")]
     fn serve_one(listener: &TcpListener, reply: impl Fn(&str) -> Reply) -> Vec<String> {
         let stream = Arc::new(listener.accept().unwrap().0);
         let watched = Arc::downgrade(&stream);
-        // Ends with the process, or has nothing left to break.
+        // The thread ends with the process, or finds no stream left to break.
         std::thread::spawn(move || {
             std::thread::sleep(PATIENCE);
             let _already_ended = watched.upgrade().map(|stream| stream.shutdown(Shutdown::Both));
@@ -420,7 +420,7 @@ mod tests {
         calls
     }
 
-    /// What a robot in order answers.
+    /// Returns the answers of a working robot.
     fn in_order(call: &str) -> Reply {
         match call.split(' ').next().unwrap() {
             "ping" => Reply::Bool(true),
@@ -458,10 +458,7 @@ mod tests {
         let (mut robot, _serving) = robot(other);
         let error = robot.connect().unwrap_err();
         assert!(matches!(error, DriverError::Away(_)), "{error:?}");
-        assert!(
-            error.to_string().ends_with("is another robot: it calls itself `s`, expected `r`"),
-            "{error}"
-        );
+        assert!(error.to_string().ends_with("is another robot: its id is `s`, expected `r`"), "{error}");
     }
 
     #[test]
@@ -478,8 +475,8 @@ mod tests {
     #[test]
     fn a_robot_that_says_no_stays_and_is_told_in_its_words() {
         for (kind, expected) in [
-            (ApplicationErrorKind::UnknownMethod, "the robot knows no such call: so it is"),
-            (ApplicationErrorKind::InternalError, "the robot says: so it is"),
+            (ApplicationErrorKind::UnknownMethod, "the robot does not support the call: so it is"),
+            (ApplicationErrorKind::InternalError, "the robot reported: so it is"),
         ] {
             let (mut robot, _serving) = robot(move |call| match call {
                 "get_sensor_double_value eye" | "get_sensor_string_value eye" => Reply::Error(kind),
@@ -515,7 +512,7 @@ mod tests {
             call => in_order(call),
         });
         robot.connect().unwrap();
-        let refused = "the robot says: `get_sensor_double_value` came back without a result";
+        let refused = "the robot reported: `get_sensor_double_value` returned no result";
         assert_eq!(robot.read(&eye()), Err(DriverError::Refused(refused.to_owned())));
     }
 
@@ -528,7 +525,7 @@ mod tests {
             assert!(matches!(error, DriverError::Away(_)), "{error:?}");
             (error.to_string(), robot.lifeline().is_some())
         };
-        let not_ready = "the robot answers ping with false: not ready".to_owned();
+        let not_ready = "the robot is not ready: it answers ping with false".to_owned();
         assert_eq!(of(|| Reply::Bool(false)), (not_ready, true));
         let (gone, is_connected) = of(|| Reply::HangsUp);
         assert!(gone.ends_with(" has closed the connection") && !is_connected, "{gone}");

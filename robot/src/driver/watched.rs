@@ -1,4 +1,4 @@
-//! What people at the edge's terminal want to know of the hardware.
+//! Hardware events for people at the edge's terminal.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,33 +8,32 @@ use urrcp::DeviceId;
 
 use super::{News, PlanNews};
 
-/// Something happened to the hardware of an edge.
+/// An event of the hardware of an edge.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum HardwareEvent {
-    /// It has answered, for the first time or again.
+    /// The hardware has answered, for the first time or again.
     There {
-        /// How long devices take from a value to visible motion, as the driver declares it.
+        /// Latency from a value to visible motion, by device, as the driver declares it.
         latency: BTreeMap<DeviceId, Duration>,
     },
-    /// It is away, or refused a value, as this sentence says. The edge connects to it again, and this comes again for each try
-    /// that fails.
+    /// The hardware is away, or refused a value, for this reason. The edge connects again; each failed attempt repeats this event.
     Lost(String),
-    /// It did not take a script, as this sentence says.
+    /// The hardware did not take a script, for this reason.
     Refused(String),
-    /// A sensor gave no reading.
+    /// A sensor gave no reading, for this reason.
     Unread(String),
-    /// A value came to the driver so late that it was not set.
+    /// A value reached the driver so late that it was not set.
     Late {
-        /// The device that was to take it.
+        /// The target device.
         device: DeviceId,
-        /// How late it was.
+        /// Its delay.
         late: Duration,
     },
 }
 
 impl HardwareEvent {
-    /// What this piece of news is for people, if anything.
+    /// Returns the event for people at the terminal, if there is one.
     pub(crate) fn of(news: &News) -> Option<Self> {
         match news {
             News::There { latency, .. } => Some(Self::There { latency: latency.clone() }),
@@ -56,7 +55,7 @@ impl fmt::Display for HardwareEvent {
                     format!("{device} {} ms", latency.as_secs_f64() * 1_000.0)
                 };
                 let all: Vec<_> = latency.iter().map(of).collect();
-                write!(f, "its driver declares a latency, which missions are told: {}", all.join(", "))
+                write!(f, "its driver declares a latency, which is reported to missions: {}", all.join(", "))
             }
             Self::Lost(why) | Self::Refused(why) => f.write_str(why),
             Self::Unread(why) => write!(f, "a sensor gave no reading: {why}"),
@@ -79,7 +78,7 @@ mod tests {
             (HardwareEvent::There { latency: BTreeMap::new() }, "the hardware answers"),
             (
                 HardwareEvent::There { latency },
-                "its driver declares a latency, which missions are told: arm 12.5 ms",
+                "its driver declares a latency, which is reported to missions: arm 12.5 ms",
             ),
             (HardwareEvent::Lost("pulled out".to_owned()), "pulled out"),
             (HardwareEvent::Unread("dark".to_owned()), "a sensor gave no reading: dark"),

@@ -1,4 +1,4 @@
-//! The thread round a driver: connects it, hands it what is to be set, samples movements, and says when it fails.
+//! The thread around a driver: connects the driver, passes values to it, samples movements, and reports failures.
 #![expect(clippy::disallowed_methods, reason = "samples and pings on the monotonic clock")]
 
 use std::collections::BTreeMap;
@@ -19,44 +19,44 @@ use crate::plans::Lookahead;
 use crate::signal::{is_rate, rest_of};
 use crate::tolerance::Tolerance;
 
-/// Between two tries to connect, at first and at most; it doubles.
+/// Pause between two attempts to connect, at first and at most; it doubles.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
-/// A reading that was told unasked answers requests for so long, if the sensor has no `max_delay`.
+/// How long an unsolicited reading answers requests, if the sensor has no `max_delay`.
 const PUSHED_COUNTS: Duration = Duration::from_secs(1);
-/// How often it is looked at the mailbox while nothing is due.
+/// Polling interval of the mailbox when idle.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
-/// Of a frame that was refused, so many values are named.
+/// Maximum number of values of a refused frame that an error names.
 const UNTAKEN_SHOWN: usize = 8;
-/// How long the devices may take to come to rest when the edge ends. Then speeds go to zero at once, and positions stay.
+/// Maximum time for the devices to come to rest when the edge ends. After it, speeds go to zero at once, and positions stay.
 const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 
-/// What a driver's thread tells the machine.
+/// A report of a driver's thread to the machine.
 #[derive(Debug)]
 pub(crate) enum News {
-    /// The hardware is there, by its so-many-th connection.
+    /// The hardware is connected; `connection` counts its connections.
     There {
         connection: u64,
         /// As the driver declares it.
         latency: BTreeMap<DeviceId, Duration>,
-        /// Whose scripts the driver times by itself.
+        /// The devices whose scripts the driver times by itself.
         lookahead: BTreeMap<DeviceId, Lookahead>,
     },
-    /// It is not, or no longer, as this sentence says.
+    /// The hardware is not connected, or no longer, for this reason.
     Away { reason: String },
-    /// A value came so late that it was not set.
+    /// A value was too late and was not set.
     Stale { device: urrcp::DeviceId, late: Duration },
-    /// Something about a script that the driver times by itself.
+    /// A report about a script that the driver times by itself.
     Plan(PlanNews),
-    /// The hardware has taken what these ask about.
+    /// The hardware has taken the orders that these tickets ask about.
     Confirmed(Vec<Ticket>),
     /// A sensor was read.
     Reading { id: ReadingId, reading: Result<f64, String> },
 }
 
-/// Why nothing more is asked of the hardware until it is connected again.
+/// Why no further calls are made until the hardware is connected again.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Lost {
-    #[error("the hardware is away: {0}")]
+    #[error("the hardware is not available: {0}")]
     Away(String),
     #[error("the hardware refused {0}")]
     Refused(String),
@@ -71,7 +71,7 @@ impl From<DriverError> for Lost {
 }
 
 impl Lost {
-    /// Devices did not take what they were told.
+    /// Returns the error for values that devices did not take.
     fn untaken(error: DriverError, values: &[(DeviceId, Setpoint)]) -> Self {
         match error {
             DriverError::Away(reason) => Self::Away(reason),
@@ -86,7 +86,7 @@ impl Lost {
     }
 }
 
-/// A driver with what it needs to know of its robot.
+/// A driver and the state of its thread.
 pub(crate) struct Worker {
     driver: Box<dyn Driver>,
     block: InitializationBlock,
@@ -96,23 +96,23 @@ pub(crate) struct Worker {
     /// As the driver declares them.
     rates: Rates,
     moving: BTreeMap<Key, Moving>,
-    /// Ramps that the hardware goes by itself.
+    /// Ramps that the hardware executes by itself.
     handed_over: BTreeMap<Key, Movement>,
     touched: Touched,
     /// Whether the hardware received a value, such as a speed, that must come to rest after a reconnection. Positions stay.
     owes_rest: bool,
-    /// When what is sampled with each period is sampled next.
+    /// Next sampling time of each sample period.
     beats: BTreeMap<Duration, Instant>,
     pub(super) given: Given,
-    /// What sensors read last, where they are not to be read more often.
+    /// Last readings of the sensors that must not be read more often.
     readings: BTreeMap<DeviceId, (f64, Instant)>,
 }
 
-/// What a driver was told to move.
+/// Whether the driver has received a movement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Touched {
     Never,
-    /// Not since it was connected again.
+    /// Not since the last reconnection.
     Before,
     Now,
 }
@@ -120,7 +120,7 @@ enum Touched {
 struct Moving {
     movement: Movement,
     sent: Option<f64>,
-    /// Between two samples.
+    /// Sample period.
     period: Duration,
 }
 
@@ -150,10 +150,10 @@ impl Worker {
         }
     }
 
-    /// Runs until the mailbox is closed and empty, or closed while there is no hardware.
+    /// Runs until the mailbox is closed and empty, or closed while the hardware is not connected.
     ///
     /// # Errors
-    /// Why devices that were moved may not be at rest.
+    /// Why moved devices may not be at rest.
     pub(crate) fn run(mut self) -> Result<(), String> {
         let mut pause = PAUSE.0;
         let mut connection = 0;
@@ -177,13 +177,15 @@ impl Worker {
                     (self.tell)(News::There { connection, latency, lookahead });
                     self.mailbox.tried();
                     let since = Instant::now();
-                    // Goes before the driver connects again: hardware may take one connection at a time.
+                    // Dropped before the driver connects again: hardware may accept only one connection at a time.
                     let watcher = self.watch(connection);
                     let served = self.serve();
                     drop(watcher);
                     let error = match served {
                         Ok(_) if self.touched == Touched::Before => {
-                            return Err("the hardware came back too late to be told anything".to_owned());
+                            return Err(
+                                "the hardware was reconnected too late to receive commands".to_owned()
+                            );
                         }
                         Ok(cut_short) => return cut_short,
                         Err(error) => error,
@@ -199,7 +201,7 @@ impl Worker {
             self.handed_over.clear();
             self.given.clear();
             self.readings.clear();
-            // First nothing more is taken, then it is told: no order of before reaches the next connection.
+            // Close the mailbox first, then report: no earlier order reaches the next connection.
             self.mailbox.disconnected();
             tracing::warn!(robot = %self.block.id, "{reason}");
             away = reason.to_string();
@@ -214,7 +216,7 @@ impl Worker {
         }
     }
 
-    /// Does what comes until the hardware fails or nothing more will come; then, what had to be cut short.
+    /// Executes work until the hardware fails or the mailbox is closed. In the latter case, returns which movement was cut short.
     fn serve(&mut self) -> Result<Result<(), String>, Lost> {
         let mut closing: Option<Instant> = None;
         loop {
@@ -243,7 +245,7 @@ impl Worker {
         }
     }
 
-    /// When to look again, while something is on its way to rest.
+    /// Returns the next time to check, while a device is moving to rest.
     fn next_until_rest(&self) -> Option<Instant> {
         let sample = self.next_sample();
         let left = self.handed_over.values().map(Movement::left).max().filter(|left| !left.is_zero());
@@ -251,7 +253,7 @@ impl Worker {
         sample.into_iter().chain(look).min()
     }
 
-    /// When anything is sampled next.
+    /// Returns the next sampling time.
     fn next_sample(&self) -> Option<Instant> {
         let at = |moving: &Moving| self.beats.get(&moving.period).copied();
         self.moving.values().filter_map(at).min()
@@ -275,23 +277,25 @@ impl Worker {
         spec.is_some_and(|spec| rest_of(spec, control_type, None).is_some())
     }
 
-    /// The driver is told to move something.
+    /// Records that the driver receives a movement.
     pub(super) const fn touch(&mut self) {
         self.touched = Touched::Now;
     }
 
-    /// What the driver has said of scripts and was not passed on.
+    /// Takes the driver's reports about scripts that were not forwarded yet.
     pub(super) fn words(&self) -> Vec<PlanWord> {
         self.mailbox.words()
     }
 
-    /// Has the end of the connection noticed, where the driver can name what ends with it.
+    /// Watches for the end of the connection, if the driver has a lifeline.
     fn watch(&self, connection: u64) -> Option<Watcher> {
         let watcher = Watcher::begin(self.driver.lifeline()?, Arc::clone(&self.mailbox), connection);
-        watcher.inspect_err(|error| tracing::warn!("the hardware's connection is not watched: {error}")).ok()
+        watcher
+            .inspect_err(|error| tracing::warn!("cannot monitor the connection to the hardware: {error}"))
+            .ok()
     }
 
-    /// Calls the driver and notes how long it took.
+    /// Calls the driver and records the duration.
     pub(super) fn call<T>(
         &mut self,
         sign: Sign,
@@ -305,7 +309,7 @@ impl Worker {
         called
     }
 
-    /// What has become stale is told and not set, and neither is what follows from it: the machine ends both.
+    /// Reports stale values instead of setting them, and skips the movements that follow them: the machine ends both.
     fn drive(&mut self, drives: Vec<Drive>) -> Result<(), Lost> {
         let late_max = self.tolerance().step.to_duration();
         let mut values = Vec::new();
@@ -325,14 +329,14 @@ impl Worker {
         }
         self.set(&values)?;
         movements.into_iter().try_for_each(|(key, movement)| self.follow(key, movement))?;
-        // The hardware is told at once: what is confirmed behind it must not be an intention of this process alone.
+        // Send at once: a confirmation that follows must not confirm an intention of this process alone.
         if self.moving.values().any(|moving| moving.sent.is_none()) {
             self.sample(Instant::now())?;
         }
         Ok(())
     }
 
-    /// By one call, if the driver takes several values at a time.
+    /// Sets the values, in one call if the driver takes several values at a time.
     fn set(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), Lost> {
         if values.is_empty() {
             return Ok(());
@@ -372,7 +376,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Sends where each movement is now, as far as that differs from what was sent, and ends it on its target.
+    /// Sends the current value of each movement if it differs from the last one sent, and ends the movement on its target.
     fn sample(&mut self, now: Instant) -> Result<(), Lost> {
         let mut values = Vec::new();
         let unsent = self.moving.values().filter(|moving| moving.sent.is_none()).map(|moving| moving.period);
@@ -395,7 +399,7 @@ impl Worker {
             now < moving.movement.signal.rests_at()
         });
         self.set(&values)?;
-        // On a fixed beat; beats that a slow device missed are left out.
+        // On a fixed beat; beats that a slow device missed are skipped.
         let now = Instant::now();
         for period in due {
             if let Some(at) = self.beats.get_mut(&period).filter(|at| **at <= now) {
@@ -405,8 +409,8 @@ impl Worker {
         Ok(())
     }
 
-    /// What went to rest by itself is told so, and what has taken too long is ended where it is: rates go to zero, a
-    /// position has been set by its last sample and stays, since the rest of its way would be one jump.
+    /// Ends the remaining movements. Rates are set to their target, which is rest. A position that is still moving stays at its last
+    /// sample, since the rest of its way would be one jump.
     fn end_movements(&mut self) -> Result<Result<(), String>, Lost> {
         let sampled =
             std::mem::take(&mut self.moving).into_iter().map(|(key, moving)| (key, moving.movement));
@@ -418,11 +422,13 @@ impl Worker {
                 self.set(&[(key.0, Setpoint::new(key.1, value))])?;
             } else if !movement.left().is_zero() {
                 let seconds = REST_WAIT_MAX.as_secs();
-                cut_short =
-                    Err(format!("`{}` was still on its way after {seconds} s, and stays there", key.0));
+                cut_short = Err(format!(
+                    "`{}` had not reached its target after {seconds} s and stays where it is",
+                    key.0
+                ));
             }
         }
-        // Calls that are not confirmed have been taken once a later one is answered.
+        // Unconfirmed calls have been taken once a later one is answered.
         if self.touched == Touched::Now {
             self.driver.ping()?;
         }
@@ -462,7 +468,7 @@ impl Worker {
         Ok(())
     }
 
-    /// For how long a reading that was told unasked answers requests.
+    /// Returns how long an unsolicited reading answers requests.
     pub(super) fn reading_counts_for(&self, sensor: &DeviceId) -> Duration {
         let sensor = self.block.device(sensor.as_str());
         let parameters = sensor.and_then(|device| device.available_control_types.sensor());
@@ -488,11 +494,13 @@ impl Worker {
 }
 
 impl Drop for Worker {
-    /// A driver that panics is hardware that is away, for good.
+    /// A driver that panics is permanently away.
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.mailbox.disconnected();
-            (self.tell)(News::Away { reason: "the hardware is away: its driver panicked".to_owned() });
+            (self.tell)(News::Away {
+                reason: "the hardware is not available: its driver panicked".to_owned(),
+            });
             self.mailbox.tried();
         }
     }
@@ -503,7 +511,7 @@ impl Movement {
         self.clock.now().assume_clock()
     }
 
-    /// How long it still takes.
+    /// Returns the remaining time.
     fn left(&self) -> Duration {
         (self.signal.rests_at() - self.now()).to_duration()
     }

@@ -13,11 +13,11 @@ use crate::robot::{Input, Robot};
 use crate::set_log::LogEntry;
 use crate::simulated::SimulatedRobot;
 
-/// What surrounds a robot's machine.
+/// The environment of a robot's machine.
 pub(super) enum Body {
     /// Hardware behind a driver.
     Edge(Box<Edge>),
-    /// A world with a clock, delays and faults of its own. Its true time is the host's.
+    /// A simulated world with a clock, delays and faults of its own. Its true time is the host's.
     Simulated(Box<SimulatedRobot>),
 }
 
@@ -29,7 +29,7 @@ impl Body {
         }
     }
 
-    /// The machine inside.
+    /// Returns the machine.
     pub(super) const fn machine(&self) -> &Robot {
         match self {
             Self::Edge(edge) => edge.machine(),
@@ -37,7 +37,7 @@ impl Body {
         }
     }
 
-    /// It looks whether the session to which it belonged is over.
+    /// Releases the robot if its session is over.
     pub(super) fn look(&mut self, now: Timestamp<HostTime>) {
         match self {
             Self::Edge(edge) => edge.look(now),
@@ -45,7 +45,7 @@ impl Body {
         }
     }
 
-    /// Something was sent to the robot at `now`.
+    /// Handles an input that was sent to the robot at `now`.
     pub(super) fn receive(&mut self, now: Timestamp<HostTime>, link: LinkId, input: Input) {
         match self {
             Self::Edge(edge) => edge.receive(now, link, input),
@@ -53,7 +53,7 @@ impl Body {
         }
     }
 
-    /// Does everything due at or before `now`.
+    /// Executes everything due at or before `now`.
     pub(super) fn advance(&mut self, now: Timestamp<HostTime>, out: &mut Vec<Outgoing>) {
         match self {
             Self::Edge(edge) => edge.advance(now, out),
@@ -61,7 +61,7 @@ impl Body {
         }
     }
 
-    /// The movements due at or before `now`, without their reports.
+    /// Executes the movements due at or before `now`, without their reports.
     pub(super) fn advance_movements(&mut self, now: Timestamp<HostTime>) {
         match self {
             Self::Edge(edge) => edge.advance_movements(now),
@@ -69,7 +69,7 @@ impl Body {
         }
     }
 
-    /// When [`Body::advance`] is next due.
+    /// Returns when [`Body::advance`] is next due.
     pub(super) fn next_wakeup(&self) -> Option<Timestamp<HostTime>> {
         match self {
             Self::Edge(edge) => edge.next_wakeup(),
@@ -77,7 +77,7 @@ impl Body {
         }
     }
 
-    /// Whether the robot itself has something to do by then: what travels on a simulated network does not count.
+    /// Whether the robot itself has work by then, not counting messages on a simulated network.
     pub(super) fn moves_by(&self, by: Timestamp<HostTime>) -> bool {
         match self {
             Self::Edge(edge) => edge.next_wakeup().is_some_and(|at| at <= by),
@@ -85,7 +85,7 @@ impl Body {
         }
     }
 
-    /// What was set since the last call.
+    /// Takes the log entries since the last call.
     pub(super) fn take_log(&mut self) -> Vec<LogEntry> {
         match self {
             Self::Edge(edge) => edge.take_log(),
@@ -93,7 +93,7 @@ impl Body {
         }
     }
 
-    /// Whether anything was set since then.
+    /// Whether there are log entries.
     pub(super) const fn has_log(&self) -> bool {
         match self {
             Self::Edge(edge) => edge.has_log(),
@@ -101,21 +101,21 @@ impl Body {
         }
     }
 
-    /// Passes on what is wanted of hardware.
+    /// Passes on the hardware requests.
     pub(super) fn post(&mut self, clock: &HostClock) {
         if let Self::Edge(edge) = self {
             edge.post(clock);
         }
     }
 
-    /// Tells what a driver's thread says.
+    /// Handles a report of a driver's thread.
     pub(super) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
         if let Self::Edge(edge) = self {
             edge.hear(now, news);
         }
     }
 
-    /// Hardware comes to rest, because the host ends. A simulated robot stays where it is.
+    /// Brings hardware to rest, because the host ends. A simulated robot stays where it is.
     pub(super) fn shut_down(&mut self, now: Timestamp<HostTime>) {
         if let Self::Edge(edge) = self {
             edge.shut_down(now);

@@ -1,4 +1,4 @@
-//! The precise thread: it wakes for what is due and for what it is told, lets the robots act, and sends what they say.
+//! The precise thread: it wakes for due events and for orders, advances the robots, and sends their messages.
 
 use std::collections::{BTreeSet, HashMap};
 use std::io;
@@ -23,35 +23,34 @@ use crate::robot::Input;
 use downbeat_realtime::{PreciseWait, Woken};
 use downbeat_realtime::{Realtime, Scheduling};
 
-/// A sleep may end so late.
+/// Maximum delay with which a sleep may end.
 const MOVES_SOON: Span = Span::from_millis(3);
 
-/// What the precise thread is told.
+/// An order for the precise thread.
 pub(super) enum Order {
     Open {
         robot: usize,
         link: LinkId,
         outbox: Outbox,
     },
-    /// The permit, where there is one, is given back once the robot has taken the input.
+    /// The permit, if any, is released once the robot has taken the input.
     Input {
         robot: usize,
         link: LinkId,
         input: Input,
         permit: Option<OwnedSemaphorePermit>,
     },
-    /// It is asked whether the session to which the robot belonged is over; [`HostHandle::owner`] knows it once the permit
-    /// is given back.
+    /// Checks whether the session of the robot is over. Once the permit is released, [`HostHandle::owner`] shows the result.
     Look {
         robot: usize,
         permit: oneshot::Sender<()>,
     },
-    /// A driver's thread has something to say.
+    /// A report of a driver's thread.
     Hardware {
         robot: usize,
         news: News,
     },
-    /// It is asked whether the thread runs.
+    /// Checks whether the thread runs.
     Beat {
         answer: oneshot::Sender<()>,
     },
@@ -59,11 +58,11 @@ pub(super) enum Order {
     Stop,
 }
 
-/// The precise thread, the channel on which it takes its robots, and what it was granted.
+/// The precise thread, the channel for its robots, and the scheduling that it was granted.
 pub(super) type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Scheduling);
 
-/// Starts the precise thread before there are robots, so that nothing moves if it is not granted what is required. Ends by
-/// [`Order::Stop`], when every handle is gone, or when it is given no robots.
+/// Starts the precise thread before the robots exist, so that nothing moves if the required scheduling is not granted. It ends with
+/// [`Order::Stop`], when every handle is dropped, or when it receives no robots.
 pub(super) fn prepared_thread(
     realtime: Realtime,
     told: Told,
@@ -87,23 +86,23 @@ pub(super) fn prepared_thread(
     Ok((thread, ready, scheduling))
 }
 
-/// To whom the precise thread tells what happens.
+/// The receivers of the precise thread's reports.
 pub(super) struct Told {
     pub(super) log: Option<Log>,
-    /// Of each robot.
+    /// Per robot.
     pub(super) owners: Vec<watch::Sender<Option<Claimant>>>,
     pub(super) refusals: Arc<Refusals>,
     pub(super) figures: Arc<Figures>,
 }
 
-/// What becomes of a connection.
+/// A change of a connection.
 #[derive(Clone, Copy, Debug)]
 enum Change {
     Opened,
     Closed,
 }
 
-/// The precise thread's state.
+/// State of the precise thread.
 struct Executor {
     robots: Vec<Body>,
     wakeups: BTreeSet<(Timestamp<HostTime>, usize)>,
@@ -112,9 +111,9 @@ struct Executor {
     clock: HostClock,
     waits: PreciseWait,
     told: Told,
-    /// Connections of each robot.
+    /// Number of connections per robot.
     connections: Vec<u64>,
-    /// How often the owner of each robot had changed when it was told last.
+    /// Number of owner changes of each robot at the last report.
     owner_changes: Vec<u64>,
     out: Vec<Outgoing>,
     due: Vec<usize>,
@@ -159,8 +158,8 @@ impl Executor {
         }
     }
 
-    /// Whether a robot moves at this instant, the next at which anything is due, or so soon after it that the thread had
-    /// better wait precisely. Otherwise simulated networks deliver.
+    /// Whether a robot moves at `at`, the next instant at which an event is due, or so soon after it that the thread should wait
+    /// precisely. Otherwise only simulated networks deliver.
     fn moves_soon(&self, at: Timestamp<HostTime>) -> bool {
         let by = at + MOVES_SOON;
         let mut due = self.wakeups.iter().take_while(|(at, _)| *at <= by);
@@ -170,7 +169,7 @@ impl Executor {
     fn obey(&mut self, order: Order) {
         match order {
             Order::Open { robot, link, outbox } => {
-                // Nothing is scheduled on an idle host, so it may follow the system's clock again.
+                // Nothing is scheduled on an idle host, so its clock may follow the system clock again.
                 if self.robots.len() <= 64 && self.robots.iter().all(Body::is_idle) {
                     self.clock = HostClock::anchored();
                 }
@@ -201,7 +200,7 @@ impl Executor {
         }
     }
 
-    /// A link is gone, or is not to be spoken on any more.
+    /// Forgets a link that is gone, or that must not be used any longer.
     fn forget(&mut self, link: LinkId) -> Option<Outbox> {
         let (robot, outbox) = self.peers.remove(&link)?;
         self.connected(robot, Change::Closed);
@@ -217,7 +216,7 @@ impl Executor {
         self.told.figures.robots()[robot].has_connections(*connections);
     }
 
-    /// Hardware comes to rest; the drivers' threads end when they have seen to that, as their ends here are gone.
+    /// Brings hardware to rest. The drivers' threads end afterwards, because their channels are dropped here.
     fn shut_down(mut self) {
         for robot in 0..self.robots.len() {
             self.robots[robot].shut_down(self.clock.now());
@@ -225,7 +224,7 @@ impl Executor {
         }
     }
 
-    /// First moves every robot that is due, then lets each speak: no robot's start waits for another's report.
+    /// Moves every due robot first, and then sends the messages of each: no robot's start waits for another's report.
     fn advance_due(&mut self) {
         let now = self.clock.now();
         if let Some((at, _)) = self.wakeups.first() {
@@ -238,7 +237,7 @@ impl Executor {
             self.robots[*robot].advance_movements(now);
             self.robots[*robot].post(&self.clock);
         }
-        // Words wake other threads, here and in the scheduler. Another process may need this core to move its robots.
+        // Messages wake other threads, here and in the scheduler. Another process may need this core to move its robots.
         if due.iter().any(|robot| self.robots[*robot].has_log()) {
             let next = self.wakeups.iter().find(|(at, _)| *at > now);
             self.waits.let_others_move(next.map(|(at, _)| self.clock.instant_of(*at)));
@@ -246,7 +245,7 @@ impl Executor {
         for robot in due.drain(..) {
             self.advance(robot);
         }
-        // Back goes the empty vector, so that its memory serves again.
+        // Returns the emptied vector to reuse its allocation.
         self.due = due;
     }
 
@@ -271,7 +270,7 @@ impl Executor {
         self.send_out();
     }
 
-    /// Before an answer that claims the robot leaves: what follows it may be treated as its owner's.
+    /// Runs before an answer that claims the robot is sent: messages after it may be treated as its owner's.
     fn tell_owner(&mut self, robot: usize) {
         let (changes, claimant) = self.robots[robot].machine().last_claimant();
         if self.owner_changes[robot] != changes {
@@ -306,7 +305,7 @@ impl Executor {
     }
 }
 
-/// Whether a message refuses because the robot is busy.
+/// Whether a message is a refusal because the robot is busy.
 fn is_busy(message: &Message) -> bool {
     let error = match message {
         Message::ControlResponse(response) => &response.error,
@@ -364,7 +363,7 @@ mod tests {
         }
     }
 
-    /// What hosts that this thread starts were granted, and whether they run.
+    /// Returns the scheduling that hosts started by this thread were granted, and whether they run.
     fn granted() -> Vec<(Realtime, Scheduling, bool)> {
         let start = |realtime| {
             let options = HostOptions::default().with_realtime(realtime);
@@ -377,7 +376,7 @@ mod tests {
         [Realtime::Off, Realtime::Auto, Realtime::Required].map(start).to_vec()
     }
 
-    /// Without the permission to ask for real-time scheduling, unless a limit gives it.
+    /// The same without the permission to request real-time scheduling, unless a limit gives it.
     fn granted_less() -> Vec<(Realtime, Scheduling, bool)> {
         let thread = std::thread::spawn(|| {
             let found = rustix::thread::capabilities(None).unwrap();

@@ -1,4 +1,4 @@
-//! What a host is given to run: a robot with hardware behind a driver, or one in a simulated world.
+//! A robot for a host: with hardware behind a driver, or in a simulated world.
 
 use std::io;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use crate::robot::Robot;
 use crate::simulated::SimulatedRobot;
 use crate::tolerance::Tolerance;
 
-/// A driver's thread; its error is why devices that were moved may not be at rest.
+/// A driver's thread; its error is the reason why moved devices may not be at rest.
 pub(super) type DriverThread = JoinHandle<Result<(), String>>;
 
-/// A robot for a host: with hardware behind a driver, by [`Hosted::driven`], or made from a simulated one by `into`.
+/// A robot for a host: with hardware behind a driver, by [`Hosted::driven`], or made from a simulated robot by `into`.
 pub struct Hosted(Surroundings);
 
 type Watch = Box<dyn Fn(&HardwareEvent) + Send>;
@@ -41,17 +41,17 @@ impl From<SimulatedRobot> for Hosted {
 }
 
 impl Hosted {
-    /// A robot that drives hardware. Its clock is the host's, which should follow NTP. It reports what it does and answers
-    /// inquiries, whatever the description says of that.
+    /// Creates a robot that drives hardware. Its clock is the host's, which should follow NTP. It reports its actions and answers
+    /// inquiries, regardless of the description.
     #[must_use]
     pub fn driven(mut block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions) -> Self {
-        // The machine reports, whatever the hardware can.
+        // The machine reports, regardless of the hardware's abilities.
         block.reports = true;
         let (watch, tolerance) = (Box::new(|_: &_| {}), Tolerance::default());
         Self(Surroundings::Hardware { block, driver, options, watch, tolerance })
     }
 
-    /// Tells this of the hardware's events, on the driver's thread. A robot in a simulated world has none.
+    /// Calls `watch` with the hardware's events, on the driver's thread. A robot in a simulated world has none.
     #[must_use]
     pub fn watched(mut self, watch: impl Fn(&HardwareEvent) + Send + 'static) -> Self {
         if let Surroundings::Hardware { watch: watched, .. } = &mut self.0 {
@@ -60,7 +60,7 @@ impl Hosted {
         self
     }
 
-    /// The same with these limits of lateness.
+    /// Sets the limits of lateness.
     #[cfg(test)]
     pub(crate) fn tolerating(mut self, limits: Tolerance) -> Self {
         match &mut self.0 {
@@ -81,7 +81,7 @@ impl Hosted {
         }
     }
 
-    /// Starts the driver's thread, if there is one. It ends once its mailbox is closed.
+    /// Starts the driver's thread, if there is a driver. It ends once its mailbox is closed.
     pub(super) fn attach(
         self,
         index: usize,
@@ -96,7 +96,7 @@ impl Hosted {
         let limits = options.limits.clone();
         let mailbox = Arc::new(Mailbox::tolerating(tolerance));
         let orders = orders.clone();
-        // At most the open readings and a word a connection are on the way; a host that has stopped hears nothing.
+        // At most the open readings and one report per connection are pending; a host that has stopped receives none.
         let tell = move |news| {
             HardwareEvent::of(&news).iter().for_each(&watch);
             drop(orders.send(Order::Hardware { robot: index, news }));

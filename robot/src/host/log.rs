@@ -1,4 +1,4 @@
-//! The log of what was set, written on a thread of its own: the precise thread waits for no disk.
+//! The log of the values that are set, written on a thread of its own: the precise thread does not wait for a disk.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -19,13 +19,13 @@ type Batch = (usize, Vec<LogEntry>);
 pub(super) struct Log(std_mpsc::Sender<Batch>);
 
 impl Log {
-    /// Takes what was set at a robot, by its index. A writer that is gone takes nothing.
+    /// Adds the values that were set at a robot, by its index. They are discarded if the writer is gone.
     pub(super) fn add(&self, robot: usize, entries: Vec<LogEntry>) {
         let _writer_gone = self.0.send((robot, entries));
     }
 }
 
-/// The thread that writes, and why it ended ahead of the robots if it did.
+/// The writing thread, and why it ended before the robots if it did.
 pub(super) struct Writer {
     pub(super) thread: JoinHandle<()>,
     pub(super) lost: oneshot::Receiver<HostError>,
@@ -54,8 +54,8 @@ struct LogLine<'a> {
     entry: &'a LogEntry,
 }
 
-/// Writes what was set, away from the precise thread. Whenever nothing waits to be written all is on its way to the
-/// file, so that a killed process loses little. Ends when the precise thread has ended, or where the file takes no more.
+/// Writes the log entries, outside the precise thread. Whenever no entry waits, all entries are flushed to the file, so that a killed
+/// process loses little. Ends when the precise thread has ended, or when writing fails.
 fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<Batch>) -> io::Result<()> {
     let mut file = io::BufWriter::new(file);
     while let Ok(first) = entries.recv() {

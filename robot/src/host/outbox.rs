@@ -1,5 +1,4 @@
-//! What a robot has said to a peer and the peer has not taken: bounded by bytes, so that a peer that asks and does not read
-//! costs little.
+//! A robot's messages that a peer has not taken yet. They are bounded by bytes, so that a peer that asks and does not read costs little.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,14 +9,14 @@ use urrcp::{Message, StatusValue};
 use super::LinkEvent;
 use crate::peer::Peer;
 
-/// Messages that may wait for any peer.
+/// Maximum number of messages that may wait for any peer.
 pub(super) const MESSAGES_MAX: usize = 65_536;
-/// Bytes that may wait for a peer that does not have the session of the robot, as they would go over the wire.
+/// Maximum number of bytes that may wait for a peer without the robot's session, in their size on the wire.
 pub(super) const BYTES_MAX: usize = 1024 * 1024;
-/// And for one that has.
+/// The same for a peer with the robot's session.
 pub(super) const OWNER_BYTES_MAX: usize = 64 * 1024 * 1024;
 
-/// The robot's end. Events are boxed, because a channel keeps room for 32 of them, and a robot has many peers.
+/// The robot's end. Events are boxed, because a channel reserves room for 32 of them, and a robot has many peers.
 pub(super) struct Outbox {
     events: mpsc::Sender<Box<LinkEvent>>,
     unread: Arc<AtomicUsize>,
@@ -43,8 +42,8 @@ impl Outbox {
         &self.peer
     }
 
-    /// Says something; false where so much waits already that the peer is to be hung up on. One message is always taken,
-    /// however long it is.
+    /// Sends a message; returns false if so much waits already that the peer must be disconnected. The first waiting message is always
+    /// accepted, however long it is.
     pub(super) fn say(&self, message: Message, is_owner: impl FnOnce() -> bool) -> bool {
         let unread = self.unread.load(Ordering::Relaxed);
         let too_much = unread > BYTES_MAX && (unread > OWNER_BYTES_MAX || !is_owner());
@@ -55,7 +54,7 @@ impl Outbox {
         self.events.try_send(Box::new(LinkEvent::Message(message))).is_ok()
     }
 
-    /// Closes the link behind what was said.
+    /// Closes the link after the pending messages.
     pub(super) fn close(&self) {
         let _full_or_gone = self.events.try_send(Box::new(LinkEvent::Closed));
     }
@@ -81,7 +80,7 @@ impl Inbox {
     }
 }
 
-/// About how many bytes a message has on the wire, without writing it.
+/// Estimates the bytes of a message on the wire, without writing it.
 pub(super) fn weight(message: &Message) -> usize {
     const BASE: usize = 256;
     let lists = match message {

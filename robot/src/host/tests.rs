@@ -1,4 +1,4 @@
-//! Robots on the real clock: what must come and in which order. How precisely is for the benchmark to say.
+//! Robots on the real clock: which events must occur, and in which order. The benchmark measures how precisely.
 
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": STEPS}}}"#;
 
-/// Robots of one arm, for which nothing is too late, however slow the machine is.
+/// Returns robots of one arm, for which nothing is too late, however slow the machine is.
 pub(crate) fn arms(count: usize, settings: &Settings) -> Vec<SimulatedRobot> {
     arms_with_steps(count, 4, settings)
 }
@@ -35,7 +35,7 @@ pub(crate) fn arms_with_steps(count: usize, steps: u32, settings: &Settings) -> 
 /// A request with this lead is received before its start, however busy the machine is.
 pub(crate) const LEAD_MS: f64 = 3_000.0;
 
-/// 45, 0, 45, a little faster than in the paper, `lead_ms` from now.
+/// Returns the script 45, 0, 45, a little faster than in the paper, `lead_ms` from now.
 pub(crate) fn paper(lead_ms: f64) -> Message {
     let step = |millis, value| Step {
         offset: Millis::new(millis).unwrap(),
@@ -55,7 +55,7 @@ pub(crate) fn paper(lead_ms: f64) -> Message {
     })
 }
 
-/// A log file of this test alone, gone in the end.
+/// A log file of this test alone, removed in the end.
 pub(crate) struct LogFile(pub(crate) PathBuf);
 
 impl LogFile {
@@ -190,7 +190,7 @@ async fn a_peer_that_does_not_read_is_hung_up_on_and_harms_no_other() {
     while deaf.recv().await.is_some() {
         waiting += 1;
     }
-    assert_eq!(waiting, MESSAGES_MAX, "what had been said before, and no more");
+    assert_eq!(waiting, MESSAGES_MAX, "only the earlier messages");
 }
 
 #[tokio::test]
@@ -233,7 +233,7 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
         assert_eq!(response.status, status);
     }
     assert_eq!(host.refusals().count(Reason::Busy), 1);
-    // Neither is a question or a command of another one answered.
+    // A question or a command of another session is not answered either.
     let session = urrcp::SessionId::new("show").ok();
     other.send(Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() }));
     let Some(LinkEvent::Message(Message::InquiryResponse(answer))) = other.recv().await else { panic!() };
@@ -243,7 +243,7 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
     assert_eq!(host.refusals().count(Reason::Busy), 3);
 }
 
-/// Of an operator who may drive.
+/// Returns the proof of an operator who may drive.
 fn proof(name: &str) -> urrcp::Proof {
     urrcp::Proof {
         name: urrcp::Label::new(name).unwrap(),

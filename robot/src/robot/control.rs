@@ -1,4 +1,4 @@
-//! What a robot makes of a control request: in the order of `docs/protocol.md`, section Refusing.
+//! Handling of control requests, in the order of `docs/protocol.md`, section Refusing.
 
 use urrcp::{
     Command, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType, ErrorCode, SessionId,
@@ -14,14 +14,14 @@ use urrcp::Role;
 /// The party to which the robot belongs.
 pub(super) enum Owner {
     Nobody,
-    /// To the session that asks.
+    /// The session that asks.
     Asker,
-    /// To another, with the refusal that says so.
+    /// Another session, with the refusal that reports this.
     Another(ControlError),
 }
 
 impl Robot {
-    /// With the hash of the command, where it was computed already.
+    /// Handles a control request. `computed` is the hash of the command, if it was already computed.
     pub(super) fn control(
         &mut self,
         now: Now,
@@ -37,7 +37,7 @@ impl Robot {
             && !self.stops_others(link, &request)
             && let Err(error) = self.claim(now, link, request.session.as_ref())
         {
-            // Not remembered: the same request may be taken once the robot is free.
+            // Not remembered: the same request may be accepted once the robot is free.
             return tell(link, ControlResponse::refusal(now, &request, error), out);
         }
         let Some(&index) = self.index_of.get(&request.device_id) else {
@@ -52,7 +52,7 @@ impl Robot {
             Err(error) => return self.refuse(now, link, &request, error, out),
         };
         if let Some(missing) = self.hardware.away() {
-            // Not remembered either: once the hardware is back the same request may be taken.
+            // Not remembered either: once the hardware is back, the same request may be accepted.
             return tell(link, ControlResponse::refusal(now, &request, missing), out);
         }
         match &request.command {
@@ -69,8 +69,7 @@ impl Robot {
             }
             Err(error) => {
                 if error.code == ErrorCode::UnsupportedControlType {
-                    let why =
-                        "the device went to its default state: it was sent a control type that it lacks";
+                    let why = "the device went to its default state: it received an unsupported control type";
                     self.stop(now, index, why, Rest::Home, out);
                 }
                 self.refuse(now, link, &request, error, out);
@@ -78,22 +77,22 @@ impl Robot {
         }
     }
 
-    /// Whether a request leaves the robot as it is. A reading that a device cannot give sends it to its default state.
+    /// Whether a request leaves the robot as it is. A device that cannot give a reading moves to its default state instead.
     fn only_reads(&self, request: &ControlRequest) -> bool {
         let device = self.index_of.get(&request.device_id).map(|index| &self.devices[*index].spec);
         matches!(request.command, Command::ReadSensor)
             && device.is_some_and(|spec| spec.available_control_types.sensor().is_some())
     }
 
-    /// Whether its sender stops the robot, whichever session that belongs to. A stop that names a session means what this has on
-    /// the robot: the mission from which the robot was seized does not stop the one that has it now.
+    /// Whether its sender may stop the robot regardless of the owner. A stop that names a session affects only that session's commands:
+    /// the mission from which the robot was seized does not stop the one that has it now.
     fn stops_others(&self, link: LinkId, request: &ControlRequest) -> bool {
         let may = || self.parties.proof(link).is_some_and(|proof| proof.roles.has(Role::Stop));
         request.is_stop() && request.session.is_none() && may()
     }
 
-    /// Takes the robot for a session, if it is free. Without a session nothing is taken, and what another session has
-    /// taken stays out of reach.
+    /// Claims the robot for a session, if it is free. Without a session nothing is claimed, and a robot that another session has claimed
+    /// stays out of reach.
     pub(super) fn claim(
         &mut self,
         now: Now,
@@ -103,7 +102,7 @@ impl Robot {
         match self.owner(now, link, session) {
             Owner::Another(busy) => return Err(busy),
             Owner::Asker => {}
-            // Once over it stays so, whatever others hold from now on.
+            // An ended claim stays ended, whatever others hold later.
             Owner::Nobody => {
                 self.parties.release();
                 if session.is_some() {
@@ -118,8 +117,8 @@ impl Robot {
         Ok(())
     }
 
-    /// The party to which the robot belongs, as this session sees it. The name of another session is a secret: with it
-    /// anyone could stop the robot, renew leases and divert reports.
+    /// Returns the owner of the robot, as seen by this session. The name of another session is a secret: with it anyone could stop the
+    /// robot, renew leases and divert reports.
     pub(super) fn owner(&self, now: Now, link: LinkId, session: Option<&SessionId>) -> Owner {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         match self.parties.owner(now, idle, &self.heard) {
@@ -132,8 +131,8 @@ impl Robot {
             Some(_) => {
                 let id = &self.block.id;
                 let message = match session.and_then(|session| self.parties.seized_by(link, session)) {
-                    Some(by) => format!("`{id}` was taken by {by}"),
-                    None => format!("`{id}` belongs to another session until that ends"),
+                    Some(by) => format!("`{id}` was taken over by {by}"),
+                    None => format!("`{id}` belongs to another session until that session ends"),
                 };
                 Owner::Another(ControlError::new(ErrorCode::Busy, message))
             }
@@ -188,9 +187,9 @@ impl Robot {
     ) {
         let spec = &self.devices[index].spec;
         let Some(sensor) = spec.available_control_types.sensor() else {
-            let message = format!("`{}` is no sensor", spec.id);
+            let message = format!("`{}` is not a sensor", spec.id);
             let error = ControlError::new(ErrorCode::UnsupportedControlType, message);
-            let why = "the device went to its default state: it was asked for a reading and is no sensor";
+            let why = "the device went to its default state: it received a request for a reading, but it is not a sensor";
             self.stop(now, index, why, Rest::Home, out);
             return self.refuse(now, link, request, error, out);
         };
@@ -206,7 +205,7 @@ impl Robot {
             request_id: request.request_id.clone(),
             ..ControlResponse::new(now, request.device_id.clone(), Status::Provide)
         };
-        // Not remembered: a request that comes again reads again.
+        // Not remembered: a repeated request reads again.
         tell(link, answer, out);
     }
 
@@ -251,12 +250,12 @@ impl Robot {
     }
 }
 
-/// When a request that comes now is to start.
+/// Returns the start of a request that is received now.
 fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
-/// The robot's own hash of what it takes, where the request carries one to compare.
+/// Returns the robot's own hash of the command, if the request carries one to compare.
 fn check_hash(
     request: &ControlRequest,
     computed: Option<ContentHash>,
@@ -269,7 +268,7 @@ fn check_hash(
     match computed.unwrap_or_else(|| request.command.content_hash()) {
         computed if computed == expected => Ok(Some(computed)),
         computed => {
-            let message = format!("content_hash is {expected}, the control_value hashes to {computed}");
+            let message = format!("content_hash is {expected}, but the hash of control_value is {computed}");
             Err(ControlError::new(ErrorCode::Malformed, message))
         }
     }

@@ -1,4 +1,4 @@
-//! A robot with hardware: what changes when that comes and goes, and readings that are answered later.
+//! A robot with hardware: the effects when the hardware comes and goes, and readings that are answered later.
 
 #[cfg(feature = "host")]
 use std::collections::BTreeMap;
@@ -21,12 +21,12 @@ use crate::signal::Signal;
 #[cfg(feature = "host")]
 use crate::tolerance::Tolerance;
 
-/// A command that was accepted at least this long before its start does not start while the hardware is silent: there was
-/// time to ask it.
+/// A command that was accepted at least this long before its start does not start while the hardware is silent: there was time to ping
+/// the hardware.
 const NOTICE: Span = Span::from_millis(200);
 
 impl Robot {
-    /// A robot whose values drive hardware. Until [`Robot::hardware_found`] it refuses everything.
+    /// Creates a robot that drives hardware. Until [`Robot::hardware_found`] it refuses everything.
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
         let mut robot = Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) };
@@ -34,8 +34,8 @@ impl Robot {
         robot
     }
 
-    /// Takes over what its driver declares: its initialization block says so from now on. A spread that the block has stays; of
-    /// devices that the driver says nothing of, all stays.
+    /// Adds the latencies that its driver declares to its initialization block. A spread in the block is kept; devices that the driver
+    /// does not list are unchanged.
     #[cfg(feature = "host")]
     pub(crate) fn declare_latencies(&mut self, declared: &BTreeMap<DeviceId, Duration>) {
         for (id, latency) in declared {
@@ -47,7 +47,7 @@ impl Robot {
         }
     }
 
-    /// The same robot with these limits of lateness.
+    /// Sets the limits of lateness.
     #[cfg(feature = "host")]
     pub(crate) fn tolerating(mut self, tolerance: Tolerance) -> Self {
         self.tolerance = tolerance;
@@ -58,14 +58,14 @@ impl Robot {
         self
     }
 
-    /// The same robot, but it tells the end of a command, and confirms a stop, only once [`Robot::confirmed`] says that the
-    /// hardware has taken its last value.
+    /// Makes the robot report the end of a command, and confirm a stop, only after [`Robot::confirmed`] reports that the hardware has
+    /// taken its last value.
     #[must_use]
     pub fn confirmed_by_its_driver(self) -> Self {
         Self { unconfirmed: Some(Unconfirmed::default()), ..self }
     }
 
-    /// The hardware has taken what it was told before [`Output::Confirm`].
+    /// Records that the hardware has taken all values before [`Output::Confirm`].
     pub fn confirmed(&mut self, now: Now, ticket: Ticket, out: &mut Vec<Output>) {
         let Some((index, said)) = self.unconfirmed.as_mut().and_then(|all| all.take(ticket)) else { return };
         match said {
@@ -74,7 +74,7 @@ impl Robot {
         }
     }
 
-    /// Whether the hardware has yet to confirm something.
+    /// Whether a confirmation of the hardware is pending.
     pub(crate) fn awaits_confirmation(&self) -> bool {
         self.unconfirmed.as_ref().is_some_and(|unconfirmed| !unconfirmed.is_empty())
     }
@@ -93,10 +93,10 @@ impl Robot {
         out.push(Output::Confirm { ticket, device });
     }
 
-    /// What waits for the hardware to confirm it fails: whether the hardware has taken the last value is unknown.
+    /// Fails the reports that wait for the hardware's confirmation: it is unknown whether the hardware has taken the last value.
     fn fail_unconfirmed(&mut self, now: Now, index: usize, error: &ControlError, out: &mut Vec<Output>) {
         let given_up = self.unconfirmed.as_mut().map(|unconfirmed| unconfirmed.give_up(index));
-        let message = format!("it is unknown whether the hardware took the last value: {}", error.message);
+        let message = format!("the hardware may not have accepted the last value: {}", error.message);
         let error = ControlError::new(error.code.clone(), message);
         for said in given_up.into_iter().flatten() {
             match said {
@@ -116,8 +116,8 @@ impl Robot {
         }
     }
 
-    /// The hardware is there. Speeds that were driven before go to zero: whether it took the last ones is unknown. Nothing begins
-    /// to move.
+    /// Records that the hardware is connected. Speeds that were driven before go to zero: it is unknown whether the hardware took the
+    /// last ones. No movement begins.
     pub fn hardware_found(&mut self, now: Now, out: &mut Vec<Output>) {
         self.hardware.found();
         for index in 0..self.devices.len() {
@@ -126,12 +126,12 @@ impl Robot {
         }
     }
 
-    /// The hardware is gone: everything that is held or runs ends as `Failed`, code `internal`, and so do open readings.
+    /// Records the loss of the hardware: all held and running commands, and open readings, end as `Failed`, code `internal`.
     pub fn hardware_lost(&mut self, now: Now, reason: &str, out: &mut Vec<Output>) {
-        self.hardware_failed(now, &format!("the hardware is away: {reason}"), out);
+        self.hardware_failed(now, &format!("the hardware is not available: {reason}"), out);
     }
 
-    /// [`Robot::hardware_lost`] with a whole sentence, since hardware that refuses a value is not away.
+    /// [`Robot::hardware_lost`] with a complete sentence, since hardware that refuses a value is not away.
     pub(crate) fn hardware_failed(&mut self, now: Now, why: &str, out: &mut Vec<Output>) {
         self.hardware.lost(why);
         let error = ControlError::new(ErrorCode::Internal, why);
@@ -147,8 +147,8 @@ impl Robot {
         }
     }
 
-    /// Before anything is done: whether the robot was delayed, and whether the hardware answers, where a start is near.
-    /// `silence` tells for how long it has not answered, where that is too long.
+    /// Checks before other work whether the robot was delayed, and whether the hardware answers, if a start is near. `silence` returns
+    /// for how long it has not answered, if that is too long.
     pub(crate) fn look_after(
         &mut self,
         now: Now,
@@ -161,14 +161,14 @@ impl Robot {
         self.hardware_silent(now, start.and_then(|_| silence()), NOTICE, out);
     }
 
-    /// When the next command starts, of those that were accepted at least this long before their start.
+    /// Returns the next start among the commands that were accepted at least `notice` before their start.
     #[must_use]
     pub fn next_start(&self, notice: Span) -> Option<Now> {
         self.devices.iter().filter_map(|device| device.next_start(notice)).min()
     }
 
-    /// The hardware has not answered for so long that nothing can be promised, or it has after all. Starts that are due
-    /// meanwhile end as `Failed`, code `internal`, as far as they were accepted with this much notice; `None` lets all be.
+    /// Records that the hardware has been silent for so long that no start can be promised, or that it answers again (`None`). Starts
+    /// that are due during silence end as `Failed`, code `internal`, if they were accepted with this much notice.
     pub fn hardware_silent(&mut self, now: Now, silence: Option<Span>, notice: Span, out: &mut Vec<Output>) {
         self.hardware.silent(silence);
         let Some(silence) = silence else { return };
@@ -181,19 +181,19 @@ impl Robot {
         }
     }
 
-    /// Ends as `Failed`, code `late`, what runs and has a step that is overdue by more than this: the edge was delayed,
-    /// and what would follow is out of sync. Those devices come to rest.
+    /// Ends running commands with a step that is overdue by more than this, as `Failed`, code `late`: the edge was delayed, and the rest
+    /// would be out of sync. Those devices come to rest.
     pub fn give_up_overdue(&mut self, now: Now, late_max: Span, out: &mut Vec<Output>) {
         for index in 0..self.devices.len() {
             let late = self.devices[index].overdue(now).filter(|late| *late > late_max);
             if let Some(late) = late {
-                self.fail_late(now, index, &format!("the edge was held up: a step is {late} late"), out);
+                self.fail_late(now, index, &format!("the edge was delayed: a step is {late} late"), out);
             }
         }
     }
 
-    /// A value came so late to the hardware that it was not set: the device is not where it should be, so what runs ends
-    /// as `Failed`, code `late`, and the device comes to rest.
+    /// Records a value that was too late for the hardware and was not set. The device is not where it should be, so its running command
+    /// ends as `Failed`, code `late`, and the device comes to rest.
     pub fn value_stale(&mut self, now: Now, device: &DeviceId, late: Span, out: &mut Vec<Output>) {
         if let Some(&index) = self.index_of.get(device) {
             let why = format!("a value reached the hardware {late} late and was not set");
@@ -209,7 +209,7 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// The hardware has answered a reading. One that has been given up already is nothing.
+    /// Takes the hardware's result of a reading. A reading that has been given up is ignored.
     pub fn reading_came(
         &mut self,
         now: Now,
@@ -222,7 +222,7 @@ impl Robot {
             if value.is_finite() {
                 Ok(value)
             } else {
-                Err(format!("the hardware reads {value}, which is no number"))
+                Err(format!("the reading of the hardware is {value}, expected a finite number"))
             }
         });
         match reading {
@@ -241,7 +241,7 @@ impl Robot {
         }
     }
 
-    /// Ends everything and brings every device to rest, because the edge ends. Nothing, if nothing was ever set.
+    /// Ends all commands and brings every device to rest, because the edge ends. Does nothing if nothing was ever set.
     pub fn shut_down(&mut self, now: Now, out: &mut Vec<Output>) {
         if !self.moved || self.hardware.away().is_some() {
             return;
@@ -259,7 +259,7 @@ impl Robot {
         max_delay: Option<f64>,
         out: &mut Vec<Output>,
     ) {
-        // Without a session it counts for the one that its link named last.
+        // A request without a session belongs to the session that its link named last.
         let party = self.parties.party(link);
         let standing = match self.owner(now, link, request.session.as_ref()) {
             Owner::Nobody => Standing::Free,
@@ -282,7 +282,7 @@ impl Robot {
         }
     }
 
-    /// A signal as it moves now.
+    /// Returns the current signal.
     #[cfg(feature = "host")]
     pub(crate) fn signal(&self, device: &str, control_type: urrcp::ControlType) -> Option<Signal> {
         self.devices[*self.index_of.get(device)?].signal(control_type)

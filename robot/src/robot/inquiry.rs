@@ -1,4 +1,4 @@
-//! What a robot answers to an inquiry: a question that neither starts, stops nor moves anything, and claims nothing.
+//! Answers to inquiries: questions that neither start, stop nor move anything, and claim nothing.
 
 use urrcp::{
     ControlError, DeviceId, DeviceReport, Inquiry, InquiryResponse, Message, RequestId, RequestReport,
@@ -25,7 +25,7 @@ impl Robot {
             let (pending, until) = (inquiry.pending_lease, inquiry.pending_until);
             let limit = Limit { pending, until, asked: inquiry.timestamp.map(|asked| (link, asked)) };
             inquiry.requests.iter().for_each(|id| self.limit(id, party, limit));
-            // A lease of no length ends at once.
+            // A zero-length lease ends at once.
             self.advance(now, out);
         }
     }
@@ -74,7 +74,7 @@ impl Robot {
         }
     }
 
-    /// The command that runs on the device of a request, if any.
+    /// Returns the command that runs on the device of a request, if any.
     fn running(&self, known: &Known) -> Option<&Held> {
         self.devices[*self.index_of.get(&known.answer.device_id)?].running()
     }
@@ -101,7 +101,7 @@ impl Robot {
         }
     }
 
-    /// Hardware that is away takes nothing.
+    /// Hardware that is away takes no commands.
     fn device_report(&self, now: Now, id: &DeviceId) -> Option<DeviceReport> {
         let device = &self.devices[*self.index_of.get(id)?];
         let is_missing = self.hardware.missing().is_some();
@@ -112,7 +112,7 @@ impl Robot {
         })
     }
 
-    /// Only what this party has sent itself: its message has just renewed those leases.
+    /// Limits only requests that this party has sent itself: its message has just renewed those leases.
     fn limit(&mut self, id: &RequestId, party: LinkId, limit: Limit) {
         let Some(known) = self.answers.known(id) else { return };
         let (Some(start), Some(&index)) = (known.start, self.index_of.get(&known.answer.device_id)) else {

@@ -1,4 +1,4 @@
-//! What a peer may ask of the robot that has proven who it is. Where nothing is asked for a proof, sessions alone decide.
+//! Permissions of a peer with a proven identity. If no proof is required, sessions alone decide.
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, ControlError, ControlRequest, ControlResponse, ErrorCode,
@@ -10,7 +10,7 @@ use crate::ids::LinkId;
 use urrcp::Role;
 
 impl Robot {
-    /// Why the peer of this link may not send this.
+    /// Returns why the peer of this link may not send this message.
     pub(super) fn forbids(&self, link: LinkId, message: &Message) -> Option<ControlError> {
         self.lacks(link, Role::needed_for(message)).or_else(|| match message {
             Message::AvailabilityRequest(request) if request.seize => self.forbids_seizing(link, request),
@@ -18,15 +18,15 @@ impl Robot {
         })
     }
 
-    /// Why a peer that may claim the robot may not seize it. On a connection on which nothing is proven, no peer may.
+    /// Returns why a peer that may claim the robot may not seize it. On a connection without proofs, no peer may.
     fn forbids_seizing(&self, link: LinkId, request: &AvailabilityRequest) -> Option<ControlError> {
         if request.session.is_none() {
-            let message = "`seize` takes the robot for a session, and there is no `session`";
+            let message = "`seize` requires a `session`";
             return Some(ControlError::new(ErrorCode::Malformed, message));
         }
         if self.parties.proof(link).is_none() {
             let message = format!(
-                "`{}` is seized only by an operator who proves to have the role seize; on this connection nothing is proven",
+                "`{}` can be seized only by an operator with the role seize; this connection proves no role",
                 self.block.id
             );
             tracing::warn!(robot = %self.block.id, "refused: {message}");
@@ -35,7 +35,7 @@ impl Robot {
         self.lacks(link, &[Role::Seize])
     }
 
-    /// The same of a control request.
+    /// The same for a control request.
     pub(super) fn forbids_request(&self, link: LinkId, request: &ControlRequest) -> Option<ControlError> {
         self.lacks(link, Role::needed_for_request(request))
     }
@@ -47,7 +47,7 @@ impl Robot {
         }
         let needed: Vec<&str> = needed.iter().map(|role| role.as_str()).collect();
         let message = format!(
-            "{} may {}, and this takes {}",
+            "{} may {}, but this requires the role {}",
             proof.name,
             if proof.roles.iter().next().is_some() {
                 proof.roles.to_string()
@@ -60,7 +60,7 @@ impl Robot {
         Some(ControlError::new(ErrorCode::Forbidden, message))
     }
 
-    /// The answer renews no lease, claims nothing, and is not kept.
+    /// Answers a forbidden message. The answer renews no lease, claims nothing, and is not kept.
     pub(super) fn answer_forbidden(
         &self,
         now: Now,

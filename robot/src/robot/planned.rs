@@ -1,4 +1,4 @@
-//! Devices whose driver times scripts by itself: what it is told and when, and what is reported of what it says.
+//! Devices whose driver times scripts by itself: handing over scripts, and reporting what the driver reports.
 
 use std::collections::BTreeMap;
 
@@ -10,9 +10,9 @@ use crate::ids::CommandId;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
 
 impl Robot {
-    /// Which devices' scripts the driver is told ahead of their time, to time them by itself. To be said before
-    /// [`Robot::hardware_found`], of each connection. Such a driver starts by its own clock what it was handed, so the robot no longer
-    /// declares that it drops what was not committed.
+    /// Sets the devices whose scripts the driver receives ahead of their time and times by itself. Must be called for each connection,
+    /// before [`Robot::hardware_found`]. Such a driver starts its scripts by its own clock, so the robot no longer declares that it drops
+    /// uncommitted commands.
     pub fn plans_ahead(&mut self, lookahead: &BTreeMap<DeviceId, Lookahead>) {
         for device in &mut self.devices {
             device.lookahead = lookahead.get(&device.spec.id).copied();
@@ -20,7 +20,7 @@ impl Robot {
         self.block.pending_until = lookahead.is_empty();
     }
 
-    /// A command of a device was accepted: it is a plan if the driver times it.
+    /// Adds an accepted command as a plan, if the driver times it.
     pub(super) fn plan(&mut self, index: usize, command: CommandId) {
         let device = &self.devices[index];
         let (Some(lookahead), Some(held)) = (device.lookahead, device.command(command)) else { return };
@@ -29,12 +29,12 @@ impl Robot {
         self.plans.add(index, told, command, held);
     }
 
-    /// Hands over the steps that are due to be told. What comes too late is not begun, and not continued.
+    /// Hands over the steps that are due. A script whose steps are too late is not begun, or not continued.
     pub(super) fn hand_over(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.to_hand_over(now) {
             let Some(plan) = self.plans.get_mut(id) else { continue };
             if let Some(late) = plan.handover_late(now) {
-                let why = format!("the edge was held up: it was to hand over a step {late} ago");
+                let why = format!("the edge was delayed: a step should have been handed over {late} ago");
                 self.fail_plan(now, id, ControlError::new(ErrorCode::Late, why), out);
             } else if let Some(part) = plan.hand_over(id, now) {
                 self.moved = true;
@@ -43,24 +43,21 @@ impl Robot {
         }
     }
 
-    /// Ends what the driver should have spoken of by now.
+    /// Ends the scripts with an overdue driver report.
     pub(super) fn give_up_unreported(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.unreported(now) {
             let Some(plan) = self.plans.get(id) else { continue };
-            let missing = if plan.has_begun() {
-                "did not say that it was over"
-            } else {
-                "did not say that it had started"
-            };
+            let missing =
+                if plan.has_begun() { "did not report its end" } else { "did not report its start" };
             let message = unknown_fate(plan.device(), missing);
             self.fail_plan(now, id, ControlError::new(ErrorCode::Internal, message), out);
         }
     }
 
-    /// The driver says what happened to a script that it times, and when.
+    /// Takes a driver's report about a script that it times.
     ///
     /// # Errors
-    /// Why that cannot be true. Nothing is reported then.
+    /// Why the report cannot be true. It is then discarded.
     pub fn plan_reported(
         &mut self,
         now: Now,
@@ -70,7 +67,7 @@ impl Robot {
         out: &mut Vec<Output>,
     ) -> Result<(), String> {
         let Some(plan) = self.plans.get_mut(id).filter(|plan| plan.given > 0) else {
-            // One that is over may still be spoken of.
+            // The driver may still report on a script that is over.
             return if self.plans.has_been(id) {
                 Ok(())
             } else {
@@ -78,12 +75,12 @@ impl Robot {
             };
         };
         let (done_before, device) = (plan.steps_done, plan.device().clone());
-        let at = plan.note(now, at, event).map_err(|why| format!("of plan {}: {why}", id.0))?;
+        let at = plan.note(now, at, event).map_err(|why| format!("plan {}: {why}", id.0))?;
         self.log_steps(id, at, done_before, out);
         let failed = match event {
             PlanEvent::Failed(reason) => Some(format!("the hardware failed {{place}}: {reason}")),
-            PlanEvent::Cancelled => Some("the hardware was stopped {place}, by itself".to_owned()),
-            PlanEvent::AssumedDone => Some(unknown_fate(&device, "did not observe the end")),
+            PlanEvent::Cancelled => Some("the hardware stopped by itself {place}".to_owned()),
+            PlanEvent::AssumedDone => Some(unknown_fate(&device, "did not observe its end")),
             PlanEvent::Began | PlanEvent::Step(_) | PlanEvent::Done | PlanEvent::AssumedRunning => None,
         };
         match (failed, self.plans.get(id)) {
@@ -98,7 +95,7 @@ impl Robot {
         Ok(())
     }
 
-    /// For the log of what was set: the steps that the driver has just said to be done.
+    /// Logs the steps that the driver has just reported as done.
     fn log_steps(&self, id: PlanId, at: Now, done_before: u32, out: &mut Vec<Output>) {
         let Some(plan) = self.plans.get(id) else { return };
         let sets = (done_before..plan.steps_done).filter_map(|step| {
@@ -111,7 +108,7 @@ impl Robot {
         out.extend(sets);
     }
 
-    /// The driver did not take the part of a script that begins with this step, or not in time: then this is told.
+    /// Records that the driver did not take the part of a script that begins with this step, or not in time. `error` is reported.
     pub fn plan_refused(
         &mut self,
         now: Now,
@@ -121,12 +118,12 @@ impl Robot {
         out: &mut Vec<Output>,
     ) {
         let Some(plan) = self.plans.get_mut(id) else { return };
-        // What it was told before it still has.
+        // The driver still has the earlier parts.
         plan.is_over_there |= first == 0;
         self.fail_plan(now, id, error, out);
     }
 
-    /// The driver has ended a script because it was asked to.
+    /// Records that the driver has ended a script on request.
     pub fn plan_cancelled(&mut self, now: Now, id: PlanId, out: &mut Vec<Output>) {
         if let Some(Stage::Cancelling(error)) = self.plans.get(id).map(|plan| plan.stage.clone()) {
             if let Some(plan) = self.plans.get_mut(id) {
@@ -137,7 +134,7 @@ impl Robot {
         }
     }
 
-    /// The device cannot go on with this script: all that it holds ends, and it comes to rest.
+    /// Ends everything that the device holds, because it cannot continue with this script, and brings it to rest.
     fn fail_plan(&mut self, now: Now, id: PlanId, error: ControlError, out: &mut Vec<Output>) {
         let Some(plan) = self.plans.get(id) else { return };
         let (index, is_over) = (plan.index, plan.stage == Stage::Over);
@@ -149,8 +146,8 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// What a device's machine wants, if its driver times scripts: movements of scripts are the driver's, ends are asked for, and
-    /// reports wait for what the driver says.
+    /// Handles the effects of a device whose driver times scripts: the driver moves it, ends are requested from the driver, and reports
+    /// wait for the driver's reports.
     pub(super) fn plan_effects(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         let mut failed = self.plans.take_failing();
         let (mut rest, mut stopped) = (Vec::new(), false);
@@ -189,10 +186,10 @@ impl Robot {
         self.tell_plans(index);
     }
 
-    /// Scripts whose end was due and that the driver has not said to be over: with their device they end as well.
+    /// Returns scripts whose end was due, but was not reported by the driver: they end with their device.
     fn left_over(&self, index: usize, failed: &[(PlanId, ControlError)]) -> Vec<(PlanId, ControlError)> {
         let error = || {
-            let message = "the device was stopped before its driver had said that the script was over";
+            let message = "the device was stopped before its driver reported the end of the script";
             ControlError::new(ErrorCode::Cancelled, message)
         };
         let is_left = |id: &PlanId| {
@@ -203,7 +200,7 @@ impl Robot {
         self.plans.of_device(index).into_iter().filter(is_left).map(|id| (id, error())).collect()
     }
 
-    /// A script is over for the machine: the driver ends it first, if it has it.
+    /// Ends a script that is over for the machine. If the driver has it, the driver ends it first.
     fn end_plan(&mut self, now: Now, id: PlanId, error: ControlError, then: Then, out: &mut Vec<Output>) {
         let is_away = self.hardware.away().is_some();
         let Some(plan) = self.plans.get_mut(id) else { return };
@@ -217,21 +214,19 @@ impl Robot {
         }
     }
 
-    /// The hardware is gone, and with it what it had of a device's scripts.
+    /// Ends a device's scripts after the loss of the hardware, which had them.
     pub(super) fn abandon_plans(&mut self, now: Now, index: usize, error: &ControlError) {
         for id in self.plans.of_device(index) {
             let Some(plan) = self.plans.get(id) else { continue };
             let error = match &plan.stage {
                 Stage::Cancelling(why) => {
-                    let message = format!(
-                        "{}; it is unknown whether the hardware stopped: {}",
-                        why.message, error.message
-                    );
+                    let message =
+                        format!("{}; the hardware may not have stopped: {}", why.message, error.message);
                     ControlError::new(why.code.clone(), message)
                 }
                 _ => {
                     let message =
-                        format!("it is unknown whether the hardware played it to its end: {}", error.message);
+                        format!("the hardware may not have played it to its end: {}", error.message);
                     ControlError::new(error.code.clone(), message)
                 }
             };
@@ -239,7 +234,7 @@ impl Robot {
         }
     }
 
-    /// Tells what the driver has said, as far as the machine is there as well.
+    /// Forwards the driver's reports that the machine has reached as well.
     fn tell_plans(&mut self, index: usize) {
         for id in self.plans.of_device(index) {
             let Some(plan) = self.plans.get(id) else { continue };
@@ -273,7 +268,7 @@ impl Robot {
         self.reports.push((plan.index, began, started));
     }
 
-    /// That it began is told first, if the driver has said so.
+    /// Reports a failure, after its start if the driver has reported one.
     fn tell_failed(&mut self, now: Timestamp<urrcp::Robot>, id: PlanId, error: ControlError) {
         self.tell_began(id);
         let Some(plan) = self.plans.remove(id) else { return };
@@ -286,15 +281,15 @@ impl Robot {
 }
 
 fn unknown_fate(device: &DeviceId, missing: &str) -> String {
-    format!("it is unknown what became of the script of `{device}`: its driver {missing}")
+    format!("the result of the script of `{device}` is unknown: its driver {missing}")
 }
 
-/// Whether it brings a device to rest, so that it is no movement of a script.
+/// Whether the motion brings a device to rest, and is not a movement of a script.
 const fn is_rest(motion: &Motion) -> bool {
     matches!(motion, Motion::Rest(_) | Motion::Default(_) | Motion::Slow { .. })
 }
 
-/// Whether the machine would set a position where it thinks the device to be: the driver knows better where it is.
+/// Whether the machine would set a position where it assumes the device to be: the driver knows the position better.
 fn stays(set: &SetValue) -> bool {
     matches!(&set.motion, Motion::Rest(rest) if rest.control_type == ControlType::Position)
 }

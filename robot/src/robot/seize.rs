@@ -1,4 +1,4 @@
-//! A robot that changes hands: an operator with the role takes it from the session to which it belongs.
+//! Seizing: an operator with the role takes the robot from the session that owns it.
 
 use urrcp::SessionId;
 
@@ -8,16 +8,16 @@ use crate::device::{DeviceMachine, Rest};
 use crate::ids::LinkId;
 
 impl Robot {
-    /// Takes the robot for this session, whose peer may do so. What others hold ends and every device comes to rest
-    /// first, so that the answer comes behind that. A robot that is free, or belongs to the session, is left as it is, and so is
-    /// one whose hardware is away: it holds nothing, and what it was sent last may still be on the way to the hardware.
+    /// Takes the robot for this session, whose peer may do so. First, the commands of others end and every device comes to rest, so that
+    /// the answer follows that. Nothing changes if the robot is free, or belongs to the session. The same applies if its hardware is
+    /// away: the robot holds nothing, and its last values may still be on the way to the hardware.
     pub(super) fn seize(&mut self, now: Now, link: LinkId, session: &SessionId, out: &mut Vec<Output>) {
         let Some(by) = self.parties.proof(link).map(|proof| proof.name.clone()) else { return };
         let holds = || !self.devices.iter().all(DeviceMachine::is_idle);
         let is_taken = match self.owner(now, link, Some(session)) {
             Owner::Asker => false,
             Owner::Another(_) => true,
-            // Without a session any peer that reaches a free robot can command it.
+            // Without a session, any peer that reaches a free robot can command it.
             Owner::Nobody => holds(),
         };
         if !is_taken || self.hardware.away().is_some() {

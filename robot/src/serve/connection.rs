@@ -1,4 +1,4 @@
-//! One connection of a robot: what it brings is read within its budget and handed on, what the robot says is written.
+//! One connection of a robot: it reads input within its budget and forwards it, and writes the robot's messages.
 #![expect(clippy::disallowed_methods, reason = "real sockets are silent in real time")]
 
 use std::future::poll_fn;
@@ -25,29 +25,29 @@ use crate::peer::Peer;
 use crate::refusals::Reason;
 use crate::robot::Input;
 
-/// The longest line or frame of a peer without the robot's session, in bytes.
+/// Maximum length of a line or frame of a peer without the robot's session, in bytes.
 pub(super) const STRANGERS_LINE_MAX: usize = 64 * 1024;
 /// While the robot belongs to no session, longer ones are read one or two at a time.
 pub(super) const FREE_LINE_MAX: usize = 1024 * 1024;
-/// Messages that are longer are read on a thread of their own, so that no other connection waits for that.
+/// Longer messages are read on a thread of their own, so that no other connection waits for them.
 const READ_AT_ONCE: usize = 64 * 1024;
-/// The longest single pause before the budget is looked at again: how a peer stands to the robot may change meanwhile.
+/// Maximum single pause before the budget is checked again: the standing of a peer may change meanwhile.
 const PAUSE_MAX: Duration = Duration::from_millis(100);
-/// How long a peer may take no bytes before it is hung up on.
+/// Maximum time for which a peer may take no bytes before it is disconnected.
 const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
-/// Bytes that are written at a time.
+/// Number of bytes per write.
 const WRITE_BATCH: usize = 64 * 1024;
 
-/// How long peers may take.
+/// Time limits of peers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patience {
     /// If another connection waits for a place, one that has been silent for this long is closed: its peer may be long gone.
     pub(super) silence: Duration,
-    /// The first whole message comes within this time.
+    /// Limit for the first complete message.
     pub(super) first_message: Duration,
-    /// A message of a peer without the robot's session ends this long after it begins.
+    /// Limit from the begin to the end of a message of a peer without the robot's session.
     pub(super) message: Duration,
-    /// A claim that is on its way is decided within this time, or the line behind it counts as too long.
+    /// Limit for the decision on a pending claim; after it, the line that follows the claim is treated as too long.
     pub(super) claim: Duration,
 }
 
@@ -62,7 +62,7 @@ impl Default for Patience {
     }
 }
 
-/// What all connections of one robot share.
+/// State that all connections of one robot share.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
     pub(super) host: HostHandle,
@@ -71,8 +71,8 @@ pub(super) struct Shared {
     pub(super) patience: Patience,
 }
 
-/// Carries both ways until either side closes or the connection has to give way. While the peer does not read, nothing more is
-/// read from it either.
+/// Carries both directions until either side closes or the connection must give way. While the peer does not read, no further input is
+/// read from it.
 pub(super) async fn carry<R, W>(
     (reader, writer): (R, W),
     peer: Peer,
@@ -86,7 +86,7 @@ where
 {
     let hung_up = ticket.hung_up();
     let longest = shared.host.longest_command(&link);
-    // How the peer wrote last is how it is answered.
+    // A peer is answered in the encoding of its last message.
     let (heard, encoding) = watch::channel(Encoding::Json);
     let being_written = AtomicBool::new(false);
     let reading = Reading {
@@ -106,7 +106,7 @@ where
         being_written: &being_written,
     };
     let mut writing = Writing { writer, peer, shared, bytes: Vec::new() };
-    // Both go on all the time: what waits for its turn among strangers must take it when it comes, or it keeps the others.
+    // Both directions always progress: input that waits for its turn among strangers must take the turn at once, or it blocks the others.
     let writing = async {
         loop {
             let event = link.recv().await;
@@ -123,13 +123,13 @@ where
     tokio::select! {
         biased;
         () = hung_up => Ok(()),
-        // Ahead of the reading, which looks whether something is being written when it is polled.
+        // Before the reading, which checks whether a write is in progress when it is polled.
         ended = writing => ended,
         ended = reading.run() => ended,
     }
 }
 
-/// The robot's words, on their way to a peer.
+/// The robot's messages on their way to a peer.
 struct Writing<W> {
     writer: W,
     peer: Peer,
@@ -138,7 +138,7 @@ struct Writing<W> {
 }
 
 impl<W: AsyncWrite + Unpin> Writing<W> {
-    /// Takes an event and what else the robot has said already; false once the robot has closed the link.
+    /// Takes an event and all further available messages of the robot; returns false once the robot has closed the link.
     async fn tell(
         &mut self,
         event: Option<LinkEvent>,
@@ -164,7 +164,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
         }
     }
 
-    /// The description is written once for all, and not copied.
+    /// The description is encoded once for all connections, and not copied.
     async fn describe(&mut self, block: InitializationBlock, encoding: Encoding) -> io::Result<()> {
         self.flush().await?;
         let described = Arc::clone(&self.shared.described);
@@ -173,7 +173,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
     }
 
     async fn flush(&mut self) -> io::Result<()> {
-        // What is written leaves no buffer behind: a robot has many connections, and a host many robots.
+        // Leaves no buffer behind: a robot has many connections, and a host many robots.
         let bytes = std::mem::take(&mut self.bytes);
         self.write(&bytes).await
     }
@@ -182,7 +182,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
         for batch in bytes.chunks(WRITE_BATCH) {
             let writing = async {
                 self.writer.write_all(batch).await?;
-                // What is sealed or encrypted may wait to be written.
+                // Sealed or encrypted data may be buffered.
                 self.writer.flush().await
             };
             let written = tokio::time::timeout(WRITE_WAIT_MAX, writing).await;
@@ -196,7 +196,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
     }
 }
 
-/// A peer's words, on their way to the robot.
+/// A peer's messages on their way to the robot.
 struct Reading<'a, R> {
     reader: R,
     decoder: Decoder,
@@ -208,15 +208,15 @@ struct Reading<'a, R> {
     budget: Budget,
     /// The session that it named last.
     speaks_for: Option<Claimant>,
-    /// A whole message came.
+    /// Whether a complete message has arrived.
     spoke: bool,
-    /// The first message, or the one that was begun, has to end by then.
+    /// Deadline of the first message, or of the incomplete one.
     until: Option<Instant>,
-    /// The message that is coming may be long.
+    /// Permission for the incomplete message to be long.
     long_line: Option<OwnedSemaphorePermit>,
-    /// The limit for a long line while the robot belongs to no session: no command for the robot is longer.
+    /// The limit of a long line while the robot belongs to no session: no command for the robot is longer.
     longest: usize,
-    /// What the robot has said is on its way to the peer.
+    /// Whether messages of the robot are being written to the peer.
     being_written: &'a AtomicBool,
 }
 
@@ -244,14 +244,14 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         }
     }
 
-    /// While the peer takes nothing, nothing more is taken from it. A message is not late for that.
+    /// Waits while the peer does not read its messages. A message's deadline is extended by this time.
     async fn until_written(&mut self) {
         let is_written = || !self.being_written.load(Ordering::Relaxed);
         if is_written() {
             return;
         }
         let begin = Instant::now();
-        // The task of this connection writes as well, and is woken when it can go on.
+        // The task of this connection writes as well, and is woken when it can continue.
         poll_fn(|_| if is_written() { Poll::Ready(()) } else { Poll::Pending }).await;
         self.until = self.until.map(|until| until + begin.elapsed());
     }
@@ -264,7 +264,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         self.shared.host.refusals().note(reason, &self.peer);
     }
 
-    /// What came; `None` once nothing more will, or a message has taken too long.
+    /// Reads input; `None` at the end of the input, or if a message has taken too long.
     async fn read(&mut self, bytes: &mut [u8]) -> io::Result<Option<usize>> {
         let reading = self.reader.read(bytes);
         let n = match self.until {
@@ -280,8 +280,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         Ok(Some(n).filter(|n| *n > 0))
     }
 
-    /// A peer that has the session of the robot may take its time: a script may be long and a link thin, and leases say
-    /// when it has been silent for too long.
+    /// Sets the deadline. A peer with the robot's session has none: a script may be long and a link slow, and leases detect silence.
     fn set_deadline(&mut self) {
         let owns = self.standing() == Standing::Owner;
         if owns {
@@ -297,7 +296,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         }
     }
 
-    /// Reads no more for as long as the peer is beyond its budget.
+    /// Pauses reading while the peer exceeds its budget.
     async fn pause(&mut self) {
         let (begin, mut noted) = (Instant::now(), false);
         loop {
@@ -312,11 +311,11 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             }
             tokio::time::sleep(pause.min(PAUSE_MAX)).await;
         }
-        // A message is not late because nobody reads it.
+        // A message is not late because of this pause.
         self.until = self.until.map(|until| until + begin.elapsed());
     }
 
-    /// Sets how long the message that is coming may be.
+    /// Sets the maximum length of the incomplete message.
     async fn bound_line(&mut self) {
         let Some(front) = self.decoder.front().filter(|front| front.bytes > STRANGERS_LINE_MAX) else {
             return;
@@ -327,7 +326,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             Standing::Stranger => STRANGERS_LINE_MAX,
         };
         if front.bytes > limit(self.standing()) {
-            // The session to which the robot belonged may be over, and a claim may still be on its way.
+            // The previous owner's session may be over, and a claim may still be pending.
             self.ticket.look().await;
             if let (true, Some(claimant)) = (front.bytes > limit(self.standing()), &self.speaks_for) {
                 self.ticket.await_claim(claimant, self.shared.patience.claim).await;
@@ -346,7 +345,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         self.decoder.set_limit(limit);
     }
 
-    /// The next message. Those without the session of the robot take turns, and long ones keep no other connection waiting.
+    /// Decodes the next message. Peers without the robot's session take turns, and long messages delay no other connection.
     async fn decode(&mut self) -> Option<Decoded> {
         let Some(front) = self.decoder.front().filter(|front| front.whole) else {
             return self.decoder.next_message();
@@ -378,12 +377,12 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             if let Some(Ok(Message::ControlRequest(request))) = &decoded
                 && request.content_hash.is_some()
             {
-                // The script keeps it.
+                // The script caches it.
                 let _computed = request.command.content_hash();
             }
             (decoder, decoded)
         });
-        // It fails where the runtime ends.
+        // It fails if the runtime ends.
         let (decoder, decoded) = reading.await.ok()?;
         self.decoder = decoder;
         decoded
@@ -421,7 +420,7 @@ fn session_of(message: &Message) -> Option<&SessionId> {
     }
 }
 
-/// Whether it asks for the robot itself.
+/// Whether the message claims the robot.
 fn claims(message: &Message) -> bool {
     !matches!(message, Message::Inquiry(_)) && session_of(message).is_some()
 }

@@ -1,5 +1,5 @@
-//! Which connections of a robot have a place, and which give way. The owner of the robot's session comes before
-//! strangers, and a stop needs no place.
+//! The connections of a robot: which have a place, and which give way. The owner of the robot's session takes precedence over strangers,
+//! and a stop needs no place.
 #![expect(clippy::disallowed_methods, reason = "connections are silent in real time")]
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,19 +13,20 @@ use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Reason;
 
-/// Connections without the robot's session that have a place at the same time: the robot accepts everything on them.
+/// Maximum number of connections without the robot's session that have a place at a time: the robot accepts all messages on them.
 pub(super) const PLACES: usize = 16;
-/// Further places for connections with its session.
+/// Additional places for connections with its session.
 pub(super) const OWNER_PLACES: usize = 4;
-/// All connections. On those without a place the robot accepts stops and questions; everything else waits for a place.
+/// Maximum number of all connections. On those without a place the robot accepts stops and questions; all other messages wait for a
+/// place.
 pub(super) const CONNECTIONS_MAX: usize = 64;
-/// Of one host, without the robot's session.
+/// Maximum per remote host, without the robot's session.
 const HOST_MAX: usize = 16;
-/// Before it gives way a connection has this long to say what it wants.
+/// A connection has this long to send a message before it may give way.
 const YOUNG: Duration = Duration::from_millis(50);
-/// How often a connection that waits looks for a place again.
+/// Interval at which a waiting connection tries to get a place.
 const ROOM_RETRY: Duration = Duration::from_millis(50);
-/// So often while it waits it is asked whether the session of the robot is over.
+/// Number of these attempts between two checks whether the robot's session is over.
 const LOOK_EVERY: u32 = 20;
 
 /// Whether a connection has a place.
@@ -41,11 +42,11 @@ struct Entry {
     peer: Peer,
     since: Instant,
     heard: Instant,
-    /// A whole message came.
+    /// Whether a complete message has arrived.
     spoke: bool,
     seat: Seat,
     speaks_for: Option<Claimant>,
-    /// It was told to end and does not count any more.
+    /// Whether it was asked to end; it is no longer counted.
     leaving: bool,
     hang_up: Arc<Notify>,
 }
@@ -55,7 +56,7 @@ impl Entry {
         owner.is_some() && self.speaks_for.as_ref() == owner
     }
 
-    /// The least gives way first.
+    /// The connection with the lowest rank gives way first.
     fn rank(&self) -> (Seat, bool, Instant) {
         (self.seat, self.spoke, self.heard)
     }
@@ -89,14 +90,14 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// `None` when there is no such robot.
+    /// `None` if the robot does not exist.
     pub(super) fn new(host: HostHandle, robot: usize, silence_max: Duration) -> Option<Arc<Self>> {
         let owner = host.owner(robot)?;
         let (entries, changed) = (Mutex::default(), Notify::new());
         Some(Arc::new(Self { entries, changed, owner, host, robot, silence_max }))
     }
 
-    /// Takes a new connection in. Another one gives way if it has to; `None` if none can yet.
+    /// Admits a new connection. If necessary, another one gives way; `None` if none can give way yet.
     pub(super) fn admit(self: &Arc<Self>, peer: &Peer) -> Option<Ticket> {
         let now = Instant::now();
         let owner = self.owner.borrow().clone();
@@ -117,7 +118,7 @@ impl Places {
             let weakest = weakest.map(|entry| entry.id)?;
             self.hang_up(&mut entries, weakest, Reason::MadeRoom);
         }
-        // Those that leave do so as soon as their tasks run.
+        // Leaving connections end as soon as their tasks run.
         if entries.all.len() >= 2 * CONNECTIONS_MAX {
             return None;
         }
@@ -149,8 +150,8 @@ impl Places {
         }
     }
 
-    /// Gives a connection a place, if there is one for it. `claims`: it asks for the robot itself, so that it comes before
-    /// those that do not where the robot belongs to no session.
+    /// Assigns a place to a connection, if one is available for it. `claims`: it claims the robot. If the robot belongs to no session,
+    /// such a connection takes precedence over those that do not claim it.
     fn try_take(&self, id: u64, claims: bool) -> bool {
         let now = Instant::now();
         let owner = self.owner.borrow().clone();
@@ -184,7 +185,7 @@ impl Places {
     }
 }
 
-/// One connection among the others, until it is dropped.
+/// One admitted connection, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Ticket {
     places: Arc<Places>,
@@ -199,7 +200,7 @@ impl Ticket {
         async move { hang_up.notified().await }
     }
 
-    /// How one that speaks for this session stands to the robot.
+    /// Returns the standing of a connection for this session.
     pub(super) fn standing(&self, speaks_for: Option<&Claimant>) -> Standing {
         match (&*self.places.owner.borrow(), speaks_for) {
             (None, _) => Standing::Free,
@@ -208,26 +209,26 @@ impl Ticket {
         }
     }
 
-    /// Waits until the robot belongs to this session, or the time is over.
+    /// Waits until the robot belongs to this session, at most for `patience`.
     pub(super) async fn await_claim(&self, claimant: &Claimant, patience: Duration) {
         let mut owner = self.places.owner.clone();
         let claimed = owner.wait_for(|owner| owner.as_ref() == Some(claimant));
         let _over = tokio::time::timeout(patience, claimed).await;
     }
 
-    /// Lets the robot look whether its session is over.
+    /// Makes the robot check whether its session is over.
     pub(super) async fn look(&self) {
         self.places.host.look(self.places.robot).await;
     }
 
-    /// Something came that shows that the peer is there.
+    /// Records that input has arrived, which shows that the peer is alive.
     pub(super) fn heard(&self) {
         if let Some(entry) = self.places.lock().get(self.id) {
             entry.heard = Instant::now();
         }
     }
 
-    /// A whole message came, and from now on it speaks for this session.
+    /// Records a complete message and the session that it names.
     pub(super) fn spoke(&self, speaks_for: Option<&Claimant>) {
         if let Some(entry) = self.places.lock().get(self.id) {
             entry.heard = Instant::now();

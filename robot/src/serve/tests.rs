@@ -18,23 +18,23 @@ use crate::peer::Peer as Remote;
 use crate::refusals::Reason;
 use crate::simulated::Settings;
 
-/// The longest wait for what must come, however busy the machine is.
+/// Maximum wait for an event that must occur, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A served robot and the address at which it listens.
+/// Starts a served robot and returns its address.
 async fn served(log: &LogFile) -> (Host, SocketAddr) {
     let options = HostOptions { log: Some(log.0.clone()), ..HostOptions::default() };
     served_as(Host::start(arms(1, &Settings::default()), options).unwrap(), PATIENT).await
 }
 
-/// The robot decides a claim within this time, however busy the machine is. A line behind a claim that was refused waits as long.
+/// The robot decides a claim within this time, however busy the machine is. A line after a refused claim waits as long.
 const CLAIM_WITHIN: Duration = Duration::from_secs(10);
 
-/// Of a robot whose patience is not what a test is about.
+/// For tests that do not depend on the robot's time limits.
 const PATIENT: Patience =
     Patience { silence: PATIENCE, first_message: PATIENCE, message: PATIENCE, claim: CLAIM_WITHIN };
 
-/// Waits until something is so.
+/// Waits until a condition is true.
 async fn until(is_so: impl Fn() -> bool) {
     let waiting = async {
         while !is_so() {
@@ -51,7 +51,7 @@ async fn served_as(host: Host, patience: Patience) -> (Host, SocketAddr) {
     (host, address)
 }
 
-/// A server's end of the connection, reading whole lines.
+/// A server's end of the connection, which reads whole lines.
 struct Peer(BufReader<TcpStream>);
 
 impl Peer {
@@ -59,7 +59,7 @@ impl Peer {
         Self(BufReader::new(TcpStream::connect(address).await.unwrap()))
     }
 
-    /// One that has claimed the robot.
+    /// Returns a peer that has claimed the robot.
     async fn owner(address: SocketAddr) -> Self {
         let mut owner = Self::connected(address).await;
         owner.write(CLAIM).await;
@@ -118,7 +118,7 @@ async fn garbage_is_answered_and_the_link_goes_on() {
     assert_eq!(response.status, Status::Ok);
 }
 
-/// A server's end of the connection that reads what comes in whichever encoding.
+/// A server's end of the connection, which reads messages in any encoding.
 struct Listener {
     stream: TcpStream,
     decoder: Decoder,
@@ -161,7 +161,7 @@ async fn a_robot_answers_in_the_encoding_of_what_it_heard_last() {
         let (answered, Message::ControlResponse(response)) = peer.read().await else { panic!() };
         assert_eq!((answered, response.status), (Encoding::MessagePack, expected));
     }
-    // A frame that is no message is answered by a frame, and what follows it is read.
+    // A frame that is no message is answered by a frame, and the following frame is read.
     peer.stream.write_all(b"\xC1\x00\x00\x00\x02\x91\x00").await.unwrap();
     let (answered, Message::AvailabilityResponse(response)) = peer.read().await else { panic!() };
     assert_eq!((answered, response.status), (Encoding::MessagePack, Status::Failed));
@@ -187,7 +187,7 @@ async fn a_peer_that_sends_without_reading_harms_only_itself() {
     flooding.abort();
 }
 
-/// So many peers have a place and have been answered.
+/// Returns [`PLACES`] peers that have a place and have been answered.
 async fn all_places_taken(address: SocketAddr) -> Vec<Peer> {
     let mut peers = Vec::new();
     for _ in 0..PLACES {
@@ -229,17 +229,17 @@ async fn who_claims_a_free_robot_comes_before_those_that_claim_nothing() {
 }
 
 const ASK: &[u8] = b"{\"availability_request\": {}}\n";
-/// A question that needs a place, as it is about commands.
+/// A question that needs a place, since it is about commands.
 const INQUIRE: &[u8] = b"{\"inquiry\": {}}\n";
 const CLAIM: &[u8] = b"{\"availability_request\": {\"session\": \"show\"}}\n";
 
 impl Peer {
-    /// What comes next, which is not to take long, however busy the machine is.
+    /// Reads the next message, with a generous time limit.
     async fn soon(&mut self) -> Message {
         tokio::time::timeout(PATIENCE, self.read()).await.unwrap()
     }
 
-    /// Whether the robot closes the connection before it says anything more.
+    /// Whether the robot closes the connection without a further message.
     async fn is_hung_up_on(&mut self) -> bool {
         let mut line = String::new();
         let ended = tokio::time::timeout(PATIENCE, self.0.read_line(&mut line)).await;
@@ -258,7 +258,7 @@ async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop(
     let log = LogFile::new("owner-first");
     let (host, address) = served(&log).await;
     let first = Peer::owner(address).await;
-    // Its connection breaks, and strangers take all that there is, and keep talking.
+    // Its connection breaks, and strangers take all places and connections, and keep sending.
     drop(first);
     let mut strangers = Vec::new();
     for _ in 0..CONNECTIONS_MAX + 8 {
@@ -290,7 +290,7 @@ async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop(
 #[tokio::test]
 async fn a_connection_that_brings_no_message_in_time_is_closed_whatever_it_drips() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
-    // Long enough for those that say something in time, however busy the machine is.
+    // Long enough for peers that send a message in time, however busy the machine is.
     let patience = Patience { first_message: Duration::from_secs(4), ..PATIENT };
     let (host, address) = served_as(host, patience).await;
     let mut silent = Peer::connected(address).await;
@@ -345,7 +345,7 @@ async fn one_host_has_a_share_of_the_connections_and_leaves_the_others_theirs() 
     assert_eq!(host.refusals().count(Reason::ManyFromOneHost), 100 - 16);
     let hung_up = tokio::time::timeout(Duration::ZERO, other.hung_up()).await;
     assert!(hung_up.is_err(), "another host's connection stands");
-    // The oldest of the host itself give way.
+    // The host's own oldest connections give way.
     for (i, ticket) in tickets.iter().enumerate() {
         let hung_up = tokio::time::timeout(Duration::ZERO, ticket.hung_up()).await;
         assert_eq!(hung_up.is_ok(), i < 100 - 16, "{i}");
@@ -364,7 +364,7 @@ async fn the_owners_own_dead_connections_give_their_places_up() {
     }
 }
 
-/// An availability request after blanks, of this length.
+/// Returns a line of this length, padded with leading blanks.
 fn padded(line: &[u8], bytes: usize) -> Vec<u8> {
     let mut padded = vec![b' '; bytes - line.len()];
     padded.extend_from_slice(line);
@@ -388,7 +388,7 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
         stranger.write(&padded(ASK, length)).await;
         assert_eq!(malformed(&stranger.soon().await), None);
     }
-    // The first owner sends its claim and what is long at once.
+    // The first owner sends its claim and a long line at once.
     let mut owner = Peer::connected(address).await;
     let mut bytes = CLAIM.to_vec();
     bytes.extend(padded(ASK, 3 * FREE_LINE_MAX));
@@ -400,12 +400,15 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
     assert_eq!(malformed(&stranger.soon().await), None);
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
     assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
-    // A claim that is refused opens nothing.
+    // A refused claim permits nothing.
     stranger.write(b"{\"availability_request\": {\"session\": \"other\"}}\n").await;
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
-    assert_eq!(malformed(&stranger.soon().await), Some("`r0` belongs to another session until that ends"));
+    assert_eq!(
+        malformed(&stranger.soon().await),
+        Some("`r0` belongs to another session until that session ends")
+    );
     assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
-    // Once the session is over the robot is free again, though nobody has claimed it since.
+    // Once the session is over the robot is free again, even if no other session has claimed it since.
     drop(owner);
     until(|| host.figures().robots()[0].connections() == 1).await;
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
@@ -483,7 +486,7 @@ async fn strangers_that_flood_a_robot_are_read_slowly_and_its_owner_is_not() {
             }));
         }
     }
-    // A stranger is paused after a hundred messages. How fast the owner is depends on the machine, and whether it is paused does not.
+    // A stranger is paused after a hundred messages. The owner's speed depends on the machine, but whether it is paused does not.
     let mut asked = 0;
     while asked < 500 || !addresses.is_subset(&host.refusals().peers(Reason::Paused)) {
         owner.write(CLAIM).await;
@@ -508,7 +511,7 @@ async fn a_stop_is_obeyed_however_many_are_connected() {
     let mut peers = all_places_taken(address).await;
     peers[0].send(&paper(60_000.0)).await;
     assert!(is_accepted(&peers[0].read().await));
-    // They also take all that is beyond the places, and say what waits.
+    // They also take all connections without a place, and send messages that wait.
     let mut beyond = Vec::new();
     for _ in 0..CONNECTIONS_MAX - PLACES {
         let mut peer = Peer::connected(address).await;
@@ -566,7 +569,7 @@ async fn a_connection_without_a_place_is_told_who_the_robot_is_and_may_stop_it_a
     beyond.send(&Message::ControlRequest(stop.clone())).await;
     let Message::ControlResponse(response) = beyond.soon().await else { panic!() };
     assert_eq!(response.status, Status::Ok);
-    // Nothing but a stop at once comes before those that have a place.
+    // Only an immediate stop takes precedence over connections that have a place.
     let later = urrcp::ControlRequest {
         timestamp: Some(urrcp::Timestamp::from_nanos(0)),
         time_offset_to_start: Some(urrcp::Millis::new(1.0).unwrap()),
@@ -654,7 +657,7 @@ async fn a_long_script_with_a_hash_is_compared_like_a_short_one() {
             urrcp::ControlRequest { content_hash: Some(content_hash), request_id, ..request.clone() };
         let mut line = Vec::new();
         encode(&Message::ControlRequest(request), &mut line);
-        // Longer than what is read on the connection's own task.
+        // Longer than the limit for reading on the connection's own task.
         owner.write(&padded(&line, 100 * 1024)).await;
         let Message::ControlResponse(response) = owner.soon().await else { panic!() };
         assert_eq!(response.status, status, "{response:?}");

@@ -1,5 +1,5 @@
-//! The body behind a device of a simulated robot: it follows what is set with a latency and a lag, and a sensor shows it with noise and
-//! a delay. Without one, a device is where it was told to be at once.
+//! The body behind a device of a simulated robot: it follows the set values with a latency and a lag, and a sensor shows it with noise
+//! and a delay. Without a body, a device is at once where it was commanded.
 
 use std::collections::VecDeque;
 
@@ -12,28 +12,28 @@ use crate::robot::SetValue;
 /// How a body follows its device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moves {
-    /// The device that is driven, by position.
+    /// The driving device, by position.
     pub device: DeviceId,
-    /// From the instant at which a value is set to the first motion.
+    /// Time from setting a value to the first motion.
     pub latency: Span,
     /// 95 % of all movements begin within `latency` ± this.
     pub spread: Span,
-    /// Of the first-order lag with which it follows from then on; zero is none.
+    /// Time constant of the subsequent first-order lag; zero for no lag.
     pub time_constant: Span,
-    /// The sensor that shows where the body is.
+    /// The sensor that shows the position of the body.
     pub sensor: DeviceId,
-    /// Standard deviation of what the sensor shows, in its unit.
+    /// Standard deviation of the sensor's noise, in its unit.
     pub noise: f64,
-    /// How long the sensor takes to answer. The value is taken when it is asked.
+    /// Time that the sensor takes to answer. The value is taken when the sensor is asked.
     pub delay: Span,
 }
 
-/// Movements that a body has not begun: more than a device with the shortest step has within the longest latency.
+/// Maximum number of pending movements of a body: more than a device with the shortest step has within the longest latency.
 const PIECES_MAX: usize = 16_384;
-/// Standard deviations of a normal distribution within which 95 % of it lie.
+/// Number of standard deviations within which 95 % of a normal distribution lie.
 const WITHIN_95: f64 = 1.96;
 
-/// What the body is told, from an instant on: a value, or a way to one.
+/// A target of the body from an instant on: a value, or a movement to one.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     begins: Timestamp<True>,
@@ -51,32 +51,32 @@ impl Piece {
         self.from + (self.to - self.from) * (since.as_millis_f64() / self.lasts.as_millis_f64()).max(0.0)
     }
 
-    /// Its change a millisecond, until it has arrived.
+    /// Returns its change per millisecond, until it has arrived.
     fn slope(self, now: Timestamp<True>) -> f64 {
         let moves = now - self.begins < self.lasts;
         if moves { (self.to - self.from) / self.lasts.as_millis_f64() } else { 0.0 }
     }
 
-    /// When its slope changes, or the next piece begins.
+    /// Returns when its slope changes, unless the next piece begins earlier.
     fn ends(self) -> Timestamp<True> {
         self.begins + self.lasts
     }
 }
 
-/// A body and where it is.
+/// A body and its position.
 #[derive(Clone, Debug)]
 pub(super) struct MovedBody {
     pub(super) moves: Moves,
-    /// What the sensor can show.
+    /// Range of the sensor.
     range: (f64, f64),
-    /// Where it is before anything is set.
+    /// Position before anything is set.
     at_first: f64,
     rng: fastrand::Rng,
     current: Option<Piece>,
     coming: VecDeque<Piece>,
-    /// Where it is, and when.
+    /// Last computed position, and its time.
     at: Option<(Timestamp<True>, f64)>,
-    /// The latency of the movement under way, and the request behind it.
+    /// The latency of the current movement, and the request behind it.
     movement: Option<(Option<RequestId>, Span)>,
 }
 
@@ -90,7 +90,7 @@ impl MovedBody {
         self.at_first = position;
     }
 
-    /// Its device was told something.
+    /// Adds a movement of its device.
     pub(super) fn told(&mut self, now: Timestamp<True>, set: &SetValue) {
         let (control_type, from, to, lasts) = match &set.motion {
             Motion::Set(setpoint) | Motion::Rest(setpoint) | Motion::Default(setpoint) => {
@@ -105,18 +105,18 @@ impl MovedBody {
             return;
         }
         let begins = now + self.latency_of(set);
-        // What is set later counts from when it is there, as in a queue of commands.
+        // A later value takes effect after the earlier ones, as in a queue of commands.
         let begins = self.coming.back().map_or(begins, |last| begins.max(last.begins));
         if self.coming.len() >= PIECES_MAX {
             self.coming.pop_front();
         }
-        // A body that has never been read begins where its first way does; a value that is set says nothing of what was before.
+        // A body that has never been read begins at the start of its first movement; a set value does not tell the position before it.
         let before = if lasts > Span::ZERO { from } else { self.at_first };
         self.at.get_or_insert((now, before));
         self.coming.push_back(Piece { begins, from, to, lasts });
     }
 
-    /// All steps of a movement have the same one.
+    /// Returns the latency, which is the same for all steps of a movement.
     fn latency_of(&mut self, set: &SetValue) -> Span {
         match &self.movement {
             Some((request, latency)) if request.is_some() && *request == set.request_id => *latency,
@@ -130,7 +130,7 @@ impl MovedBody {
         }
     }
 
-    /// Where it is; at `rest` before anything was ever set.
+    /// Returns the position; `rest` before anything was ever set.
     fn position(&mut self, now: Timestamp<True>, rest: f64) -> f64 {
         let (mut then, mut position) = self.at.unwrap_or((now, rest));
         loop {
@@ -154,7 +154,7 @@ impl MovedBody {
         position
     }
 
-    /// The answer of a first-order lag to a line: `u(t) - slope * T`, and what is left of the distance to that.
+    /// Response of a first-order lag to a line: `u(t) - slope * T`, plus the rest of the distance to it.
     fn followed(&self, piece: Piece, position: f64, from: Timestamp<True>, to: Timestamp<True>) -> f64 {
         let constant = self.moves.time_constant.as_millis_f64();
         if constant <= 0.0 {
@@ -166,7 +166,7 @@ impl MovedBody {
         begin - behind + left * (-(to - from).as_millis_f64() / constant).exp()
     }
 
-    /// What its sensor shows. Before anything was ever set, the body is at `rest`.
+    /// Returns the reading of its sensor. Before anything was ever set, the body is at `rest`.
     pub(super) fn shown(&mut self, now: Timestamp<True>, rest: f64) -> f64 {
         let position = self.position(now, rest);
         let noise = self.moves.noise * normal(&mut self.rng);
@@ -174,7 +174,8 @@ impl MovedBody {
     }
 }
 
-/// Of the standard normal distribution, by the method of Box and Muller (A note on the generation of random normal deviates, 1958).
+/// Draws from the standard normal distribution, by the method of Box and Muller (A note on the generation of random normal deviates,
+/// 1958).
 fn normal(rng: &mut fastrand::Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.f64()).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.f64()).cos()

@@ -1,4 +1,4 @@
-//! TLS as both sides configure it: version 1.3 alone, and no connection without a certificate of the authority.
+//! The TLS configuration of both sides: only version 1.3, and no connection without a certificate of the authority.
 
 use std::sync::Arc;
 
@@ -13,8 +13,8 @@ use rustls::{ClientConfig, RootCertStore, ServerConfig};
 use super::credentials::Credentials;
 use super::revoked::Revoked;
 
-/// The DNS name in the certificate of every robot, which a client asks for. It says that the certificate is a robot's; which
-/// robot it is, its URI says, since ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
+/// The DNS name in the certificate of every robot, which a client requests. It marks the certificate as a robot's; the URI identifies the
+/// robot, since ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
 pub const SERVER_NAME: &str = "robot.urrcp.invalid";
 
 pub(super) fn provider() -> Arc<CryptoProvider> {
@@ -27,7 +27,7 @@ fn roots(authority: &CertificateDer<'static>) -> Result<Arc<RootCertStore>, rust
     Ok(Arc::new(roots))
 }
 
-/// Knows operators of the authority that are not revoked.
+/// Returns a verifier that accepts operators of the authority that are not revoked.
 pub(super) fn client_verifier(
     own: &Credentials,
     revoked: Option<&Revoked>,
@@ -41,10 +41,10 @@ pub(super) fn client_verifier(
     verifier.build().map_err(|error| error.to_string())
 }
 
-/// What a robot needs to accept operators of its authority.
+/// Returns the configuration with which a robot accepts operators of its authority.
 ///
 /// # Errors
-/// The key does not belong to the certificate, or what is in the files cannot be used.
+/// The key does not belong to the certificate, or the content of the files cannot be used.
 pub fn server_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<ServerConfig, String> {
     let of_tls = |error: rustls::Error| error.to_string();
     let verifier = client_verifier(own, revoked)?;
@@ -54,12 +54,12 @@ pub fn server_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<Ser
         .with_client_cert_verifier(verifier)
         .with_single_cert(vec![own.certificate.clone()], own.key.clone_key())
         .map_err(of_tls)?;
-    // A session that is resumed would not look at the list of revoked certificates again.
+    // A resumed session would not check the list of revoked certificates again.
     config.send_tls13_tickets = 0;
     Ok(config)
 }
 
-/// What an operator needs to speak to robots of its authority.
+/// Returns the configuration with which an operator connects to robots of its authority.
 ///
 /// # Errors
 /// As [`server_config`].

@@ -1,4 +1,4 @@
-//! The file by which a robot or an operator proves who it is.
+//! The file with which a robot or an operator proves its identity.
 
 use std::path::{Path, PathBuf};
 
@@ -8,38 +8,38 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use super::identity::{Identity, IdentityError};
 use downbeat_key_file::{KeyFileError, read_private};
 
-/// An identity file cannot be used.
+/// An error of an identity file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CredentialsError {
-    /// It cannot be read, or others may read it too.
+    /// The file cannot be read, or other users can read it too.
     #[error(transparent)]
     File(#[from] KeyFileError),
-    /// A file that is to list revoked certificates does not.
-    #[error("{}: there is no list of revoked certificates in it; expected the file `revoked.pem` that `downbeat keys` wrote", path.display())]
+    /// A file that should contain a list of revoked certificates does not.
+    #[error("{}: missing list of revoked certificates; expected the file `revoked.pem` that `downbeat keys` wrote", path.display())]
     NoList {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// It does not hold what it has to.
+    /// A part of the identity is missing or damaged.
     #[error("{}: {what}; expected a file that `downbeat keys` wrote: a private key, its certificate, and the authority's", path.display())]
     Incomplete {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The missing or damaged part.
         what: String,
     },
-    /// Its certificate names nobody.
+    /// Its certificate names no robot and no operator.
     #[error("{}: {error}", path.display())]
     Nameless {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Why the name cannot be used.
         error: IdentityError,
     },
 }
 
-/// A key with its certificate, and the authority that is trusted.
+/// A key with its certificate, and the trusted authority.
 #[derive(Debug)]
 pub struct Credentials {
     pub(super) certificate: CertificateDer<'static>,
@@ -49,24 +49,25 @@ pub struct Credentials {
 }
 
 impl Credentials {
-    /// Reads an identity file: PEM with the private key, its certificate, and behind that the authority's.
+    /// Reads an identity file: PEM with the private key, its certificate, and after it the authority's.
     ///
     /// # Errors
-    /// [`CredentialsError`], also where others may read the file.
+    /// [`CredentialsError`], also if other users can read the file.
     pub fn read(path: &Path) -> Result<Self, CredentialsError> {
         let incomplete = |what: &str| CredentialsError::Incomplete { path: path.into(), what: what.into() };
         let text = read_private(path)?;
-        let key = PrivateKeyDer::from_pem_slice(&text).map_err(|_| incomplete("there is no private key"))?;
+        let key = PrivateKeyDer::from_pem_slice(&text).map_err(|_| incomplete("missing private key"))?;
         let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
-        let certificates = certificates.map_err(|_| incomplete("a certificate in it is damaged"))?;
-        let [certificate, authority] = <[_; 2]>::try_from(certificates)
-            .map_err(|found| incomplete(&format!("there are {} certificates in it", found.len())))?;
+        let certificates = certificates.map_err(|_| incomplete("it contains a damaged certificate"))?;
+        let [certificate, authority] = <[_; 2]>::try_from(certificates).map_err(|found| {
+            incomplete(&format!("it contains {} certificates, expected two", found.len()))
+        })?;
         let identity = Identity::of_certificate(&certificate)
             .map_err(|error| CredentialsError::Nameless { path: path.into(), error })?;
         Ok(Self { certificate, key, authority, identity })
     }
 
-    /// Whose it is.
+    /// Returns the identity in the certificate.
     #[must_use]
     pub const fn identity(&self) -> &Identity {
         &self.identity

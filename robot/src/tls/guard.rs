@@ -1,4 +1,4 @@
-//! The door of a robot: who comes in has to prove who it is.
+//! The door of a robot: peers must prove their identity.
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,54 +15,56 @@ use super::identity::Identity;
 use super::revoked::Revoked;
 use urrcp::Proof;
 
-/// What a robot proves itself with, and whom it lets in: operators with a certificate of its authority that is not revoked.
+/// A robot's own proof, and the check of its peers: it admits operators with a certificate of its authority that is not revoked.
 #[derive(Debug)]
 pub struct Guard {
     own: Credentials,
     revoked: Option<Revoked>,
-    /// Made from the list of revoked certificates that was written then.
+    /// The configuration, with the modification time of the list of revoked certificates from which it was made.
     config: Mutex<(Option<SystemTime>, Arc<ServerConfig>)>,
 }
 
 impl Guard {
-    /// A door for a robot with this identity.
+    /// Creates a door for a robot with this identity.
     ///
     /// # Errors
-    /// The identity or the list cannot be used, as a sentence.
+    /// A sentence why the identity or the list cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
         let written = revoked.as_ref().and_then(Revoked::written);
         let config = server_config(&own, revoked.as_ref())?;
         Ok(Self { own, revoked, config: Mutex::new((written, Arc::new(config))) })
     }
 
-    /// Whose door it is.
+    /// Returns the robot's identity.
     #[must_use]
     pub const fn identity(&self) -> &Identity {
         self.own.identity()
     }
 
-    /// With the list of revoked certificates as it is now. One that cannot be read does not open the door to those that were
-    /// revoked, nor shut it to those that would stop the robot: the last one counts.
+    /// Returns the configuration with the current list of revoked certificates. If the list cannot be read, the last one applies: it
+    /// neither admits revoked operators nor excludes those that would stop the robot.
     fn config(&self) -> Arc<ServerConfig> {
         let written = self.revoked.as_ref().and_then(Revoked::written);
         let mut config = self.config.lock().unwrap_or_else(PoisonError::into_inner);
         if config.0 != written {
             match server_config(&self.own, self.revoked.as_ref()) {
                 Ok(read) => *config = (written, Arc::new(read)),
-                Err(error) => tracing::warn!("the last list of revoked certificates counts: {error}"),
+                Err(error) => {
+                    tracing::warn!("the previous list of revoked certificates remains in use: {error}")
+                }
             }
         }
         Arc::clone(&config.1)
     }
 
-    /// Lets an operator in.
+    /// Admits an operator.
     ///
     /// # Errors
-    /// The peer does not prove who it is.
+    /// The peer does not prove its identity.
     pub(crate) async fn accept(&self, stream: TcpStream) -> io::Result<(TlsStream<TcpStream>, Proof)> {
         let stream = TlsAcceptor::from(self.config()).accept(stream).await?;
         let certificates = stream.get_ref().1.peer_certificates().unwrap_or_default();
-        let nameless = || io::Error::other("the certificate names nobody");
+        let nameless = || io::Error::other("the certificate contains no name");
         let certificate = certificates.first().ok_or_else(nameless)?;
         let identity = Identity::of_certificate(certificate).map_err(io::Error::other)?;
         let proof = identity.proof().ok_or_else(nameless)?;

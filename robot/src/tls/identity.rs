@@ -1,4 +1,4 @@
-//! Who a certificate stands for, and what it may do.
+//! The identity and the roles in a certificate.
 //!
 //! Both are URIs among the certificate's alternative names (RFC 5280, section 4.2.1.6): one `urrcp:robot:ID` or
 //! `urrcp:operator:NAME`, and for an operator one `urrcp:role:ROLE` for each role. Ids and names are percent-encoded
@@ -13,13 +13,13 @@ use x509_parser::prelude::{FromDer, X509Certificate};
 
 use urrcp::{Proof, Role, Roles};
 
-/// What stays as it is: the unreserved characters of RFC 3986.
+/// Unencoded characters: the unreserved characters of RFC 3986.
 const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
-/// Whom a certificate names.
+/// The name in a certificate.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Name {
-    /// A robot, by the id with which it introduces itself.
+    /// A robot, by its id.
     Robot(RobotId),
     /// A person, or a program that acts for one.
     Operator(String),
@@ -34,10 +34,10 @@ impl fmt::Display for Name {
     }
 }
 
-/// A certificate does not say whom it stands for.
+/// A certificate without a valid identity.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum IdentityError {
-    /// Its bytes are no certificate.
+    /// Its bytes are not a certificate.
     #[error("not an X.509 certificate")]
     NotACertificate,
     /// Not exactly one URI names a robot or an operator.
@@ -45,26 +45,26 @@ pub enum IdentityError {
         "the certificate has {0} names that begin with `urrcp:robot:` or `urrcp:operator:`, expected one"
     )]
     Names(usize),
-    /// A URI of ours that cannot be read.
-    #[error("the certificate has the name `{0}`, which says nothing")]
+    /// A URI of this protocol that cannot be read.
+    #[error("the certificate contains the invalid name `{0}`")]
     Unreadable(String),
 }
 
-/// What a certificate says of its owner.
+/// The identity in a certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// Whose certificate it is.
+    /// Name of the certificate's owner.
     pub name: Name,
-    /// What its owner may do; robots have none.
+    /// Roles of the owner; robots have none.
     pub roles: Roles,
-    /// The second after which it counts no more, since 1970 in UTC.
+    /// Time after which it is invalid, in seconds since 1970 in UTC.
     pub expires: i64,
-    /// Its number, in hexadecimal digits.
+    /// Serial number, in hexadecimal digits.
     pub serial: String,
 }
 
 impl Identity {
-    /// Reads it from a certificate. Whether that is genuine is for TLS to check.
+    /// Reads the identity from a certificate. TLS checks whether the certificate is genuine.
     ///
     /// # Errors
     /// [`IdentityError`].
@@ -102,14 +102,14 @@ impl Identity {
         }
     }
 
-    /// What it proves of a peer; `None` for a name that is too long for the protocol.
+    /// Returns the proof for a peer; `None` if the name is too long for the protocol.
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(self.name.to_string()).ok()?;
         Some(Proof { name, roles: self.roles.clone() })
     }
 
-    /// The URIs that say so in a certificate.
+    /// Returns the URIs of this identity in a certificate.
     #[must_use]
     pub fn uris(name: &Name, roles: &Roles) -> Vec<String> {
         let encoded = |text: &str| utf8_percent_encode(text, ENCODED).to_string();

@@ -1,5 +1,5 @@
-//! TLS 1.3 with certificates on both sides: a robot hears only operators of its authority, and an operator is sure which
-//! robot it speaks to. `docs/security.md` says what is in a certificate and who checks it.
+//! TLS 1.3 with certificates on both sides: a robot accepts only operators of its authority, and an operator can verify which robot it is
+//! connected to. `docs/security.md` describes the content of a certificate and who checks it.
 
 mod config;
 mod credentials;

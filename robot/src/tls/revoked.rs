@@ -1,4 +1,4 @@
-//! Certificates that count no more, though they have not expired: the authority's list, as a file that may be replaced.
+//! Certificates that are invalid although they have not expired: the authority's list, in a file that may be replaced.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -9,17 +9,18 @@ use rustls::pki_types::pem::PemObject;
 use super::credentials::CredentialsError;
 use downbeat_key_file::read_regular;
 
-/// Bytes of a list at most: an entry takes some 40.
+/// Maximum size of a list: an entry takes about 40 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
 
-/// A list of revoked certificates (RFC 5280, section 5) in a file. Replace the file, and the next connection obeys it.
+/// A list of revoked certificates (RFC 5280, section 5) in a file. After the file is replaced, the new list applies from the next
+/// connection.
 #[derive(Clone, Debug)]
 pub struct Revoked {
     path: PathBuf,
 }
 
 impl Revoked {
-    /// A list in this file.
+    /// Returns the list in this file.
     ///
     /// # Errors
     /// It cannot be read now.
@@ -29,14 +30,14 @@ impl Revoked {
         Ok(revoked)
     }
 
-    /// The list as it is now.
+    /// Reads the current list.
     pub(super) fn read(&self) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
         let text = read_regular(&self.path, BYTES_MAX)?;
         CertificateRevocationListDer::from_pem_slice(&text)
             .map_err(|_| CredentialsError::NoList { path: self.path.clone() })
     }
 
-    /// When the file was last written; `None` where that is not known.
+    /// Returns when the file was last written; `None` if that is unknown.
     #[must_use]
     pub fn written(&self) -> Option<SystemTime> {
         std::fs::metadata(&self.path).and_then(|data| data.modified()).ok()

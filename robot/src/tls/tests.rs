@@ -1,7 +1,7 @@
-//! Identities of a test's authority, which count until 2120: statements, doors and lists of revoked certificates.
+//! Identities of a test's authority, which are valid until 2120: statements, doors and lists of revoked certificates.
 //!
-//! `fixtures` holds identity files as `downbeat keys` writes them, with keys of no other use: `anna` and `nobody`, who has no name
-//! of the protocol, `robot`, and `stranger`, an operator of another authority; and lists of revoked certificates.
+//! `fixtures` contains identity files as `downbeat keys` writes them, with keys that are not used elsewhere: `anna`; `nobody`, who has no
+//! name of the protocol; `robot`; and `stranger`, an operator of another authority. It also contains lists of revoked certificates.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use tokio_rustls::TlsConnector;
 use super::*;
 use urrcp::Role;
 
-/// A folder of this test alone, gone in the end.
+/// A folder of this test alone, removed in the end.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -28,7 +28,7 @@ impl Folder {
         Self(path)
     }
 
-    /// A copy of a fixture that is its user's alone.
+    /// Copies a fixture so that only its owner can read it.
     fn copy(&self, fixture: &str, name: &str) -> PathBuf {
         let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tls/fixtures").join(fixture);
         let path = self.0.join(name);
@@ -41,7 +41,7 @@ impl Folder {
         Credentials::read(&self.copy(&format!("{name}.pem"), name)).unwrap()
     }
 
-    /// A list of revoked certificates, with nothing in it yet.
+    /// Creates an empty list of revoked certificates.
     fn list(&self) -> Revoked {
         Revoked::in_file(&self.copy("none-revoked.pem", "revoked.pem")).unwrap()
     }
@@ -90,9 +90,9 @@ fn a_file_that_is_no_identity_is_refused_with_what_it_lacks() {
     let whole = [key.as_str(), &certificate, &authority];
     assert_eq!(whole.concat(), anna);
     for (text, expected) in [
-        (whole[1..].concat(), "there is no private key"),
-        (whole[..2].concat(), "there are 1 certificates in it"),
-        ([anna.as_str(), &authority].concat(), "there are 3 certificates in it"),
+        (whole[1..].concat(), "missing private key"),
+        (whole[..2].concat(), "it contains 1 certificates, expected two"),
+        ([anna.as_str(), &authority].concat(), "it contains 3 certificates, expected two"),
     ] {
         let path = folder.copy("anna.pem", "part");
         std::fs::write(&path, text).unwrap();
@@ -102,7 +102,7 @@ fn a_file_that_is_no_identity_is_refused_with_what_it_lacks() {
     let nameless = Credentials::read(&folder.copy("nobody.pem", "nobody")).unwrap_err().to_string();
     assert!(nameless.contains("has 0 names"), "{nameless}");
     let list = Revoked::in_file(&folder.copy("anna.pem", "no-list")).unwrap_err().to_string();
-    assert!(list.contains("there is no list of revoked certificates in it"), "{list}");
+    assert!(list.contains("missing list of revoked certificates"), "{list}");
     assert!(matches!(Identity::of_certificate(b"no certificate"), Err(IdentityError::NotACertificate)));
 }
 
@@ -116,9 +116,9 @@ fn a_statement_is_of_the_operator_that_has_signed_it() {
     let anna = folder.credentials("anna");
     let signed = anna.sign(b"stop").unwrap();
     assert_eq!(who(b"stop", &signed), Ok("operator anna".to_owned()));
-    assert_eq!(who(b"start", &signed), Err("it has not signed what it says".to_owned()));
+    assert_eq!(who(b"start", &signed), Err("its signature does not match".to_owned()));
     let mixed = Signed { signature: folder.credentials("robot").sign(b"stop").unwrap().signature, ..signed };
-    assert_eq!(who(b"stop", &mixed), Err("it has not signed what it says".to_owned()));
+    assert_eq!(who(b"stop", &mixed), Err("its signature does not match".to_owned()));
 }
 
 #[test]
@@ -127,8 +127,8 @@ fn a_statement_of_a_robot_or_of_another_authority_does_not_count() {
     let witness = Witness::new(folder.credentials("robot"), None).unwrap();
     let signed = |name| folder.credentials(name).sign(b"stop").unwrap();
     let refused = |name| witness.who(b"stop", &signed(name)).unwrap_err();
-    assert_eq!(refused("robot"), "robot r0 is no operator");
-    assert!(refused("stranger").starts_with("its certificate does not count here"));
+    assert_eq!(refused("robot"), "robot r0 is not an operator");
+    assert!(refused("stranger").starts_with("its certificate is not valid here"));
     let damaged = Signed { certificate: b"no certificate".to_vec(), ..signed("anna") };
     assert!(witness.who(b"stop", &damaged).is_err());
 }
@@ -147,7 +147,7 @@ fn a_statement_of_one_that_was_revoked_counts_no_more_also_when_the_list_is_dama
     assert!(witness.who(b"stop", &signed).is_ok());
 }
 
-/// Whom a robot meets that this identity connects to, or why nobody.
+/// Returns the operator that a robot sees if this identity connects, or the error.
 async fn meets(guard: &Guard, client: &Credentials) -> Result<String, String> {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
@@ -182,7 +182,7 @@ async fn a_door_obeys_a_list_that_was_replaced_and_not_one_that_cannot_be_read()
     let lists = [("anna-revoked.pem", false), ("anna.pem", false), ("none-revoked.pem", true)];
     for (seconds, (list, is_let_in)) in (1..).zip(lists) {
         folder.revoke(list);
-        // Files that are written in one tick of the clock look alike.
+        // Files that are written in the same tick of the clock look the same.
         let written = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
         let file = std::fs::File::options().write(true).open(folder.0.join("revoked.pem")).unwrap();
         file.set_modified(written).unwrap();

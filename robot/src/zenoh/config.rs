@@ -1,4 +1,4 @@
-//! Configurations of Zenoh, as its own files write them.
+//! Zenoh configurations, in the format of Zenoh's own files.
 
 use std::fmt;
 use std::io;
@@ -8,29 +8,29 @@ use std::path::{Path, PathBuf};
 use ::zenoh::Config;
 use serde_json::Value;
 
-/// A network cannot be joined.
+/// Why a network cannot be joined.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NetworkError {
     /// The configuration cannot be read or used.
-    #[error("{}: {why}; expected a configuration of Zenoh, as docs/zenoh.md shows", file.display())]
+    #[error("{}: {why}; expected a Zenoh configuration, as in docs/zenoh.md", file.display())]
     File {
-        /// Which file.
+        /// Path of the file.
         file: PathBuf,
-        /// What is wrong.
+        /// Why it cannot be used.
         why: String,
     },
-    /// No session with it.
+    /// The session could not be opened.
     #[error(
-        "no Zenoh network by {named}: {why}; check its `connect/endpoints`, and that a router listens there"
+        "cannot join the Zenoh network of {named}: {why}; check its `connect/endpoints`, and that a router listens there"
     )]
     NotJoined {
-        /// Which configuration.
+        /// The configuration.
         named: String,
-        /// What Zenoh says.
+        /// Zenoh's error.
         why: String,
     },
-    /// The system gives no thread.
+    /// The system could not create a thread.
     #[error("cannot start a thread for Zenoh: {0}")]
     Thread(io::Error),
 }
@@ -41,7 +41,7 @@ impl NetworkError {
     }
 }
 
-/// An error of Zenoh without the lines of its source in which it arose.
+/// Removes the source locations from an error of Zenoh.
 fn without_places(error: &str) -> String {
     let place_of = |part: &str| part.rfind(" at ").filter(|at| part[*at..].contains(".rs:"));
     let causes = error.split(" - Caused by ");
@@ -51,7 +51,7 @@ fn without_places(error: &str) -> String {
 
 pub(super) fn read(file: &Path) -> Result<Config, NetworkError> {
     let bad = |why: String| NetworkError::File { file: file.to_owned(), why };
-    // Zenoh's own error does not say which file, or why.
+    // Zenoh's own error contains neither the file nor the cause.
     std::fs::File::open(file).map_err(|error| bad(error.to_string()))?;
     let config = Config::from_file(file).map_err(|error| bad(error.to_string()))?;
     quiet(config).map_err(bad)
@@ -63,7 +63,7 @@ pub(super) fn parse(json5: &str) -> Result<Config, NetworkError> {
     quiet(config).map_err(bad)
 }
 
-/// An endpoint of this configuration beyond which anyone may stand: neither on this machine, nor with TLS.
+/// Returns an endpoint of this configuration that anyone may reach: neither on this machine, nor with TLS.
 pub(super) fn open_endpoint(config: &Config) -> Option<String> {
     let said = |key: &str| -> Option<Value> { serde_json::from_str(&config.get_json(key).ok()?).ok() };
     let mode = said("mode").as_ref().and_then(Value::as_str).unwrap_or("peer").to_owned();
@@ -78,7 +78,7 @@ pub(super) fn open_endpoint(config: &Config) -> Option<String> {
     named.find(|endpoint| is_open(endpoint))
 }
 
-/// Whether a process may have several sessions by this configuration: it only connects, and no id is given.
+/// Whether a process may have several sessions with this configuration: it only connects, and no id is set.
 pub(super) fn may_be_joined_again(config: &Config) -> bool {
     let said = |key: &str| config.get_json(key).unwrap_or_default();
     said("mode") == "\"client\"" && matches!(said("id").as_str(), "" | "null")
@@ -94,7 +94,7 @@ fn is_open(endpoint: &str) -> bool {
     !is_here && !matches!(protocol, "tls" | "quic" | "unixsock-stream" | "unixpipe" | "serial" | "vsock")
 }
 
-/// Multicast is a choice: without it nothing is found that was not named, and nothing unknown is joined.
+/// Disables multicast by default: without it, only named members are found, and no unknown network is joined.
 fn quiet(mut config: Config) -> Result<Config, String> {
     const ENABLED: &str = "scouting/multicast/enabled";
     let said = config.get_json(ENABLED).map_err(|error| error.to_string())?;
@@ -120,7 +120,7 @@ mod tests {
     fn errors_of_zenoh_are_told_without_lines_of_its_source() {
         let said = "Unable to connect to any of [a]!  at /x/orchestrator.rs:447. - Caused by refused at /x/link.rs:9.";
         assert_eq!(without_places(said), "Unable to connect to any of [a]: refused");
-        assert_eq!(without_places("no router at hand"), "no router at hand");
+        assert_eq!(without_places("no router available"), "no router available");
     }
 
     #[test]
@@ -155,6 +155,6 @@ mod tests {
         let missing = read(Path::new("/nowhere/zenoh.json5")).unwrap_err().to_string();
         assert!(missing.contains("/nowhere/zenoh.json5: No such file"), "{missing}");
         let wrong = parse("{mode: 7}").unwrap_err().to_string();
-        assert!(wrong.contains("expected a configuration of Zenoh"), "{wrong}");
+        assert!(wrong.contains("expected a Zenoh configuration"), "{wrong}");
     }
 }

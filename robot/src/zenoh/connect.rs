@@ -15,19 +15,20 @@ use super::network::{Haste, Network};
 use super::offers::Offers;
 use super::stream::{Shared, Stream, Target, link_of};
 
-/// How long the answer of a robot may take.
+/// Time limit for the answer of a robot.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 
 /// Connects to the robot at a key.
 ///
 /// # Errors
-/// No robot is there, several are, or the network does not carry.
+/// No robot is at the key, several are, or the network does not carry messages.
 pub async fn connect(network: &Network, key: &Key, haste: Haste) -> io::Result<Stream> {
     open(network, key, (haste, &[])).await
 }
 
 /// The same for a connection that may name texts which are published once for all robots of an audience ([`Stream::offer`]), if the robot
-/// at the key hears them. It belongs to these audiences, of which each has a number in this session, and to [`AUDIENCES_MAX`](super::AUDIENCES_MAX) at most.
+/// at the key receives them. It belongs to these audiences, each identified by a number in this session, at most
+/// [`AUDIENCES_MAX`](super::AUDIENCES_MAX) of them.
 ///
 /// # Errors
 /// As [`connect`].
@@ -37,7 +38,7 @@ pub async fn connect_sharing(network: &Network, key: &Key, audiences: &[u32]) ->
 
 async fn open(network: &Network, key: &Key, (haste, audiences): (Haste, &[u32])) -> io::Result<Stream> {
     let nobody = || {
-        let why = "no robot answers there: it is not running, or a router on the way is not";
+        let why = "no robot answers at this key: the robot or a router on the way is not running";
         io::Error::new(io::ErrorKind::NotFound, why)
     };
     if network.tokens().have_left(key) {
@@ -69,7 +70,7 @@ async fn open(network: &Network, key: &Key, (haste, audiences): (Haste, &[u32]))
     let (robot, hears) = match robots.as_slice() {
         [(robot, hears)] => (robot, *hears),
         [] => return Err(nobody()),
-        _ => return Err(io::Error::other("several robots answer there: each needs a key of its own")),
+        _ => return Err(io::Error::other("several robots answer at this key; each robot needs its own key")),
     };
     let following = network.tokens().follow_seen(&key.robot(robot), &pipe).await?;
     let stream = stream.keeping(Box::new((kept, following)));
@@ -89,18 +90,18 @@ struct Opening {
     audiences: Vec<u32>,
 }
 
-/// What it takes.
+/// The resources of an opened connection.
 struct Opened {
-    /// To be kept for as long as the connection lives.
+    /// Kept for as long as the connection lives.
     kept: Box<dyn Any + Send>,
     offers: Option<Arc<Offers>>,
 }
 
-/// The id of a robot's session, and whether it hears what is published for several.
+/// The id of a robot's session, and whether it receives texts that are published for several robots.
 type Robot = (String, bool);
 
 impl Opening {
-    /// Declares all that a connection lives by, and then asks the robot for it.
+    /// Declares the resources of the connection, and then asks the robot for it.
     fn open(
         self,
         session: &Session,
@@ -112,12 +113,12 @@ impl Opening {
         let asks = asks_to_hear(&audiences);
         let offers = asks.as_ref().map(|_| network.offers(session, &key)).transpose()?;
         let offers = offers.filter(|offers| offers.reach(&key));
-        // Declared by itself, so that Zenoh hands frames to the connections of this robot, and compares them with no others.
+        // Declared separately, so that Zenoh hands frames to the connections of this robot without comparing them with other keys.
         let from = session.declare_keyexpr(key.from(network.id())).wait()?;
         let frames = session.declare_subscriber(from.clone());
         let own = move |sample: Sample| {
             if link_of(&sample) == Some(link) && pipe.receive(&sample).is_some() {
-                pipe.lock().break_off("the robot names a script, which only schedulers do");
+                pipe.lock().break_off("the robot refers to a published script, which only schedulers may do");
             }
         };
         let frames = frames.callback(own).wait()?;

@@ -1,49 +1,49 @@
-//! What one publication carries: a number, how much its sender has read, and bytes, some of which may have been published before.
+//! The content of one publication: a number, how much its sender has read, and bytes, some of which may have been published earlier.
 
 use urrcp::ContentHash;
 
-/// What stands behind a frame.
+/// What follows a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
-    /// Others may follow.
+    /// More frames may follow.
     More,
-    /// The sender says nothing more.
+    /// The sender sends nothing more.
     End,
-    /// The sender has lost something of the connection, and says and hears nothing more.
+    /// The sender has lost a part of the connection, and neither sends nor reads anything more.
     Broken,
-    /// The same, because the sender did not get a text of which a frame named a part.
+    /// The same, because the sender did not get a text that a frame named.
     Lacking,
 }
 
-/// Bytes ahead of the content: kind, number, bytes read.
+/// Bytes before the content: kind, number, bytes read.
 const HEADER: usize = 17;
-/// The kind of a frame with a part of a text; others may follow.
+/// Kind of a frame with a part of a text; more frames may follow.
 const WITH_PART: u8 = 3;
-/// Bytes of a part, which stands behind the header: hash, and three numbers.
+/// Size of a part, which follows the header: hash, and three numbers.
 const PART: usize = 44;
 
-/// Bytes of a text that was published by itself, in place of these bytes.
+/// A reference to bytes of a text that was published separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Part {
-    /// Of the whole text.
+    /// Hash of the whole text.
     pub(super) text: ContentHash,
-    /// Bytes of the text ahead of the part.
+    /// Number of bytes of the text before the part.
     pub(super) from: u32,
-    /// Bytes of the part; never 0.
+    /// Number of bytes of the part; never 0.
     pub(super) count: u32,
-    /// Bytes of the frame's content that go ahead of the part.
+    /// Number of bytes of the frame's content before the part.
     pub(super) at: u32,
 }
 
 /// One publication of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Frame<'a> {
-    /// Counted from 0 in each direction.
+    /// Sequence number from 0 in each direction.
     pub(super) number: u64,
-    /// Bytes of the stream that the sender has read on this connection in all.
+    /// Total number of bytes of the stream that the sender has read on this connection.
     pub(super) read: u64,
     pub(super) next: Next,
-    /// Only where more may follow.
+    /// Only if more frames may follow.
     pub(super) part: Option<Part>,
     /// The next bytes of the stream, without those of the part.
     pub(super) content: &'a [u8],
@@ -67,7 +67,7 @@ impl Part {
         fits.then_some((Self { text: (*text).into(), from, count, at }, content))
     }
 
-    /// The bytes that it names; `None` where the text has fewer.
+    /// Returns the referenced bytes; `None` if the text is shorter.
     pub(super) fn of<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         let from = usize::try_from(self.from).ok()?;
         text.get(from..from.checked_add(usize::try_from(self.count).ok()?)?)
@@ -93,7 +93,7 @@ impl<'a> Frame<'a> {
         bytes
     }
 
-    /// `None` for bytes that are no frame.
+    /// `None` for bytes that are not a frame.
     pub(super) fn decode(bytes: &'a [u8]) -> Option<Self> {
         let (kind, rest) = bytes.split_first()?;
         let (number, rest) = rest.split_first_chunk::<8>()?;

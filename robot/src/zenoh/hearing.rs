@@ -1,4 +1,5 @@
-//! The robot's side of texts that are published once for several robots: what this process hears of one scheduler, and asks it for.
+//! The robot's side of texts that are published once for several robots: the texts that this process receives from, or requests from, one
+//! scheduler.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -15,18 +16,18 @@ use super::network::{Call, Haste, Kept, Network};
 use super::stream::Shared;
 use super::texts::{Supply, TEXT_MAX, Texts};
 
-/// How long the answer of a scheduler may take that is asked for a text.
+/// Time limit for the answer of a scheduler to a request for a text.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 
-/// Audiences of one scheduler to which the robots of this process may belong.
+/// Maximum number of audiences of one scheduler to which the robots of this process may belong.
 const SUBSCRIBERS_MAX: usize = 4_096;
 
-/// What is heard of one scheduler's session, for as long as a connection needs it.
+/// The texts of one scheduler's session, for as long as a connection needs them.
 pub(super) struct Hearing {
-    /// Where it is asked.
+    /// Key for requests to the scheduler.
     key: String,
     texts: Mutex<Texts>,
-    /// One for each audience, undeclared with this.
+    /// One per audience, undeclared when this is dropped.
     subscribers: Mutex<HashMap<Audience, Kept>>,
     declaring: flume::Sender<Call>,
 }
@@ -40,7 +41,7 @@ impl Hearing {
         self.texts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Hears from now on what is published for these audiences.
+    /// Subscribes to the texts for these audiences.
     pub(super) fn begin(self: &Arc<Self>, session: &Session, audiences: &[Audience]) -> ::zenoh::Result<()> {
         let mut subscribers = self.subscribers.lock().unwrap_or_else(PoisonError::into_inner);
         for audience in audiences {
@@ -56,7 +57,7 @@ impl Hearing {
 
     fn subscriber(self: &Arc<Self>, session: &Session, audience: Audience) -> ::zenoh::Result<Kept> {
         let hearing = Arc::downgrade(self);
-        // Declared by itself, so that Zenoh compares what is published with no other keys.
+        // Declared separately, so that Zenoh compares publications with no other keys.
         let key = session.declare_keyexpr(format!("{}/{audience}", self.key)).wait()?;
         let declared = session.declare_subscriber(key.clone()).callback(move |sample: Sample| {
             hearing.upgrade().into_iter().for_each(|hearing| hearing.hear(&sample));
@@ -72,21 +73,21 @@ impl Hearing {
         }
     }
 
-    /// Fills in a text that a connection needs, now or once it has come; breaks the connection if it does not come.
+    /// Fills in a text that a connection needs, now or once it has arrived; breaks the connection if it does not arrive.
     pub(super) fn supply(self: &Arc<Self>, hash: ContentHash, pipe: &Shared, network: &Network) {
         if self.texts().supply(hash, pipe) != Supply::Ask {
             return;
         }
-        // It was published ahead of the frame that names it, on the same way: what has not come by now does not come any more.
+        // It was published before the frame that names it, on the same route: if it has not arrived already, it will not arrive.
         let asking = Asking { hearing: Arc::downgrade(self), hash };
         let key = self.key.clone();
         network.call(Haste::None, move |session| {
             let reply = move |reply: Reply| asking.answered(&reply);
             let asked = session.get(key).payload(hash.bytes()).target(QueryTarget::All);
-            // An answer that is not the text must not stand in for one that is.
+            // An answer with another content must not replace one with the text.
             let asked = asked.consolidation(ConsolidationMode::None).timeout(ANSWERS_WITHIN);
             if let Err(error) = asked.callback(reply).wait() {
-                tracing::debug!("a script is not asked for: {error}");
+                tracing::debug!("cannot request a script: {error}");
             }
         });
     }
@@ -94,7 +95,7 @@ impl Hearing {
 
 #[cfg(test)]
 impl Hearing {
-    /// Hears nothing that is published from now on.
+    /// Stops receiving published texts.
     pub(super) fn withhold(&self) {
         self.subscribers.lock().unwrap().values_mut().for_each(|subscriber| *subscriber = Box::new(()));
         *self.texts() = Texts::default();
@@ -105,12 +106,12 @@ impl Drop for Hearing {
     fn drop(&mut self) {
         let subscribers =
             std::mem::take(&mut *self.subscribers.lock().unwrap_or_else(PoisonError::into_inner));
-        // Zenoh may wait. Its thread ends with the network, which takes all that was declared with it.
+        // Zenoh may block. Its thread ends with the network, which then undeclares everything.
         let _ended = self.declaring.send(Box::new(move |_| drop(subscribers)));
     }
 }
 
-/// A text that was asked for. Zenoh drops this when all answers are in, or none has come in time.
+/// A requested text. Zenoh drops this when all answers have arrived, or at the time limit.
 struct Asking {
     hearing: Weak<Hearing>,
     hash: ContentHash,

@@ -5,11 +5,11 @@ use std::str::FromStr;
 
 use ::zenoh::bytes::ZBytes;
 
-/// Where a robot is in a Zenoh network, for example `hall-2/arm-1`.
+/// The key of a robot in a Zenoh network, for example `hall-2/arm-1`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Key(String);
 
-/// A text is no key of a robot.
+/// A text that is not the key of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected a Zenoh key without wildcards, such as hall-2/arm-1")]
 pub struct NoKey;
@@ -36,17 +36,17 @@ impl Key {
         format!("{}/open", self.0)
     }
 
-    /// The token of a robot's session, or with `*` those of all.
+    /// Returns the token of a robot's session, or with `*` those of all sessions.
     pub(super) fn robot(&self, session: &str) -> String {
         format!("{}/robot/{session}", self.0)
     }
 
-    /// The tokens of this robot and of all that stand next to it.
+    /// Returns the tokens of this robot and of all robots in the same place.
     pub(super) fn robots_beside(&self) -> String {
         self.beside("*/robot/*")
     }
 
-    /// The token of a scheduler's session for the robots that stand here, or with `*` those of all.
+    /// Returns the token of a scheduler's session for the robots in this place, or with `*` those of all sessions.
     pub(super) fn scheduler(&self, session: &str) -> String {
         self.beside(&format!("scheduler/{session}"))
     }
@@ -59,13 +59,14 @@ impl Key {
         format!("{}/from/{session}", self.0)
     }
 
-    /// Where robots stand next to each other: the key without its last word, empty where it has one only.
+    /// Returns the place that it shares with other robots: the key without its last chunk, or an empty string if it has only one.
     #[must_use]
     pub fn place(&self) -> &str {
         self.0.rsplit_once('/').map_or("", |(place, _)| place)
     }
 
-    /// Where a scheduler's session is asked for what it has published for several robots that stand here. It publishes below that.
+    /// Returns the key at which a scheduler's session answers requests for texts that it has published for several robots in this
+    /// place. It publishes below that key.
     pub(super) fn shared(&self, session: &str) -> String {
         self.beside(&format!("shared/{session}"))
     }
@@ -78,7 +79,7 @@ impl Key {
     }
 }
 
-/// Which connection: who has opened it, and its number there. It is attached to every frame.
+/// Identifies a connection: the session that has opened it, and its number there. It is attached to every frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct LinkId {
     session: u128,
@@ -86,7 +87,7 @@ pub(super) struct LinkId {
 }
 
 impl LinkId {
-    /// `None` if this is no id of a session.
+    /// `None` if this is not the id of a session.
     pub(super) fn new(session: &str, number: u64) -> Option<Self> {
         u128::from_str_radix(session, 16).ok().map(|session| Self { session, number })
     }
@@ -121,27 +122,27 @@ impl FromStr for LinkId {
     }
 }
 
-/// The key of the robot whose token this is.
+/// Returns the key of the robot to which this token belongs.
 pub(super) fn robot_of(token: &str) -> Option<&str> {
     token.rsplit_once('/')?.0.strip_suffix("/robot")
 }
 
-/// Attached to the answer of a robot that hears what is published for several.
+/// Attached to the answer of a robot that receives texts published for several robots.
 pub(super) const HEARS: &str = "shared-1";
 
-/// Several robots for which the same is published, by their number in the session of the scheduler that does.
+/// A group of robots that receive the same publications, by its number in the scheduler's session.
 pub(super) type Audience = u32;
 
-/// Audiences to which one robot may belong.
+/// Maximum number of audiences to which one robot may belong.
 pub const AUDIENCES_MAX: usize = 32;
 
-/// What is attached to the query that opens a connection to a robot of these audiences; nothing where it has none.
+/// Returns the attachment of the query that opens a connection to a robot of these audiences; `None` if it has none.
 pub(super) fn asks_to_hear(audiences: &[Audience]) -> Option<String> {
     let numbers = || audiences.iter().map(|audience| format!(" {audience}"));
     (!audiences.is_empty()).then(|| HEARS.to_owned() + &numbers().collect::<String>())
 }
 
-/// The audiences of which this is attached; none where it is something else.
+/// Returns the audiences in an attachment; none if the attachment is something else.
 pub(super) fn asked_to_hear(attachment: Option<&ZBytes>) -> Vec<Audience> {
     let text = attachment.map(|attached| String::from_utf8_lossy(&attached.to_bytes()).into_owned());
     let numbers = text.as_deref().and_then(|text| text.strip_prefix(HEARS)?.strip_prefix(' '));
@@ -150,12 +151,12 @@ pub(super) fn asked_to_hear(attachment: Option<&ZBytes>) -> Vec<Audience> {
     if audiences.len() <= AUDIENCES_MAX { audiences } else { Vec::new() }
 }
 
-/// Whether a robot says that it hears.
+/// Whether a robot's answer shows that it receives published texts.
 pub(super) fn hears(attachment: Option<&ZBytes>) -> bool {
     attachment.is_some_and(|attached| *attached.to_bytes() == *HEARS.as_bytes())
 }
 
-/// Stands behind the name of a connection, after a space, when one is opened for stops.
+/// Follows the name of a connection, after a space, if it is opened for stops.
 pub(super) const STOPS: &str = "stop";
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The side of the robot, which connections are opened to.
+//! The robot's side, which accepts connections.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -16,10 +16,10 @@ use super::network::{Haste, Kept, Network};
 use super::presence::Following;
 use super::stream::{Shared, Stream, Target, link_of};
 
-/// Connections that were opened and not yet accepted; others are not answered.
+/// Maximum number of opened connections that are not accepted yet; further ones are not answered.
 const WAITING_MAX: usize = 64;
 
-/// A robot's place in a Zenoh network. Dropping it makes the robot unreachable there; connections stay.
+/// The presence of a robot in a Zenoh network. Dropping it makes the robot unreachable there; connections stay.
 #[derive(Debug)]
 pub struct Listener {
     key: Key,
@@ -32,7 +32,7 @@ impl Listener {
     /// Makes a robot reachable at a key.
     ///
     /// # Errors
-    /// Another robot is there already, or the network does not carry.
+    /// Another robot is already at the key, or the network does not carry messages.
     pub async fn bind(network: &Network, key: Key) -> io::Result<Self> {
         let (told, declared) = oneshot::channel();
         let (accept, opened) = mpsc::channel(WAITING_MAX);
@@ -43,7 +43,7 @@ impl Listener {
             accept,
         }));
         if is_taken(network, &key).await? {
-            let why = "another robot is there: each needs a key of its own";
+            let why = "another robot already uses this key; each robot needs its own key";
             return Err(io::Error::new(io::ErrorKind::AddrInUse, why));
         }
         network.declare(Haste::None, move |session| {
@@ -53,13 +53,13 @@ impl Listener {
         Ok(Self { key, network: network.clone(), opened, kept: Some(kept) })
     }
 
-    /// Where the robot is reached.
+    /// Returns the key of the robot.
     #[must_use]
     pub const fn key(&self) -> &Key {
         &self.key
     }
 
-    /// The next connection.
+    /// Accepts the next connection.
     ///
     /// # Errors
     /// The Zenoh session has ended.
@@ -79,7 +79,7 @@ fn ended() -> io::Error {
     io::Error::other("the Zenoh session has ended")
 }
 
-/// Whether another session says that its robot is there.
+/// Whether another session's robot is at this key.
 async fn is_taken(network: &Network, key: &Key) -> io::Result<bool> {
     let (found, mut tokens) = mpsc::unbounded_channel();
     let (told, asked) = oneshot::channel();
@@ -95,7 +95,6 @@ async fn is_taken(network: &Network, key: &Key) -> io::Result<bool> {
     Ok(tokens.recv().await.is_some())
 }
 
-/// The connections of one robot.
 #[derive(Clone)]
 struct Links(Arc<Inner>);
 
@@ -106,11 +105,10 @@ struct Inner {
     accept: mpsc::Sender<Stream>,
 }
 
-/// One of its connections.
 #[derive(Clone)]
 struct Open {
     pipe: Shared,
-    /// What is published for several robots, where the scheduler does that.
+    /// The texts published for several robots, if the scheduler publishes any.
     hearing: Option<Arc<Hearing>>,
 }
 
@@ -120,7 +118,7 @@ impl Inner {
     }
 }
 
-/// Takes a connection that has ended out of the list.
+/// Removes an ended connection from the list.
 struct Listed {
     link: LinkId,
     links: Weak<Inner>,
@@ -134,12 +132,12 @@ impl Drop for Listed {
 }
 
 impl Links {
-    /// Declares all that a robot is reached by; its token last.
+    /// Declares everything by which a robot is reached; its token last.
     fn declare(self, session: &Session) -> ::zenoh::Result<Kept> {
         let Inner { key, network, .. } = &*self.0;
         network.watch(session, key.scheduler("*"))?;
         let links = self.clone();
-        // Declared by itself, so that Zenoh hands frames to this robot, and compares them with no others.
+        // Declared separately, so that Zenoh hands frames to this robot without comparing them with other keys.
         let to = session.declare_keyexpr(key.to()).wait()?;
         let frames = session.declare_subscriber(to.clone());
         let frames = frames.callback(move |sample: Sample| links.hear(&sample)).wait()?;
@@ -151,13 +149,13 @@ impl Links {
     }
 
     fn hear(&self, sample: &Sample) {
-        // Of a connection that has ended, something may still be on its way.
+        // Frames of an ended connection may still arrive.
         let open = link_of(sample).and_then(|link| self.0.lock().get(&link).cloned());
         let Some(Open { pipe, hearing }) = open else { return };
         let Some(text) = pipe.receive(sample) else { return };
         match hearing {
             Some(hearing) => hearing.supply(text, &pipe, &self.0.network),
-            None => pipe.lock().break_off("the other side names a script that is not published"),
+            None => pipe.lock().break_off("the peer refers to a script that is not published"),
         }
     }
 
@@ -187,12 +185,12 @@ impl Links {
         let answer = Answer { query, robot: network.id().to_owned() };
         match hearing {
             None => network.call(haste, move |_| answer.send(None)),
-            // Behind its declaration, so that it hears all that is published once the answer is there.
+            // After its declaration, so that it receives every text that is published after the answer.
             Some(hearing) => {
                 network.declare(haste, move |session| match hearing.begin(session, &audiences) {
                     Ok(()) => answer.send(Some(HEARS)),
                     Err(error) => {
-                        tracing::debug!("what is published for several robots is not heard: {error}");
+                        tracing::debug!("cannot receive what is published for several robots: {error}");
                         answer.send(None);
                     }
                 })
@@ -203,7 +201,7 @@ impl Links {
     }
 }
 
-/// The answer to who opens a connection.
+/// The answer to a peer that opens a connection.
 struct Answer {
     query: Query,
     robot: String,
@@ -214,7 +212,7 @@ impl Answer {
         let Self { query, robot } = self;
         let reply = query.reply(query.key_expr().clone().into_owned(), robot);
         if let Err(error) = reply.attachment(hears).wait() {
-            tracing::debug!("a connection by Zenoh was not answered: {error}");
+            tracing::debug!("cannot answer a connection by Zenoh: {error}");
         }
     }
 }

@@ -1,30 +1,30 @@
-//! Robots that are reached at a key of a Zenoh network: through its routers, over many networks and machines.
+//! Robots at a key of a Zenoh network, which are reached through its routers, across networks and machines.
 //!
-//! A connection is a stream of bytes like one of TCP: in order, each byte at most once, its end noticed, and bounded in what
-//! waits in it. Below the key `KEY` of a robot are
+//! A connection is a stream of bytes, like a TCP connection: in order, each byte at most once, with a detected end, and with bounded
+//! buffers. Below the key `KEY` of a robot are
 //!
 //! | key | what |
 //! |---|---|
-//! | `KEY/robot/ID` | liveliness token of the robot's Zenoh session: the robot's process is there and reached |
+//! | `KEY/robot/ID` | liveliness token of the robot's Zenoh session: the robot's process exists and is reachable |
 //! | `PLACE/scheduler/ID` | liveliness token of the scheduler's session; `PLACE` is `KEY` without its last chunk |
-//! | `KEY/open` | answers queries that open a connection: the query carries the name of the connection, and `stop` behind it for one that goes ahead of others; the answer the robot's `ID` |
-//! | `KEY/to`, `KEY/from/ID` | the frames to the robot, and from it to the scheduler's session; each has the name of its connection attached |
+//! | `KEY/open` | answers queries that open a connection; they carry its name, and `stop` if it takes precedence; the answer is `ID` |
+//! | `KEY/to`, `KEY/from/ID` | the frames to the robot, and from it to the scheduler's session; the name of the connection is attached |
 //!
-//! Keys of frames and queries are declared, and without wildcards: for any others, every session and every router compares each
+//! Keys of frames and queries are declared, and contain no wildcards: with any other keys, every session and every router compares each
 //! message with the keys of all robots.
 //!
-//! What goes to several robots may be published once, at a key of its own:
+//! Texts for several robots may be published once, at a separate key:
 //!
 //! | key | what |
 //! |---|---|
 //! | `PLACE/shared/ID/N` | texts that the scheduler's session publishes for some robots of a place, its audience `N` |
 //! | `PLACE/shared/ID` | answers queries for one of them by its SHA-256 |
 //!
-//! The query at `KEY/open` has the audiences of the robot attached, and the answer of a robot that hears them says so. A frame to it may then
-//! name a part of a text, and its side puts the bytes in. A text that has not come is asked for, and if it does not come then, the
-//! connection has ended.
+//! The query at `KEY/open` has the audiences of the robot attached, and the answer shows whether the robot receives their texts. A frame
+//! to it may then name a part of a text, and the robot's side inserts the bytes. A missing text is requested, and if it still does not
+//! arrive, the connection ends.
 //!
-//! A frame is numbered. One that is lost, repeated or overtaken on its way breaks the connection.
+//! Frames are numbered. One that is lost, repeated or overtaken on its way breaks the connection.
 
 mod config;
 mod connect;

@@ -1,6 +1,6 @@
-//! A Zenoh session of a process. Threads of its own speak on it, because Zenoh waits where its queues are full: one for what is
-//! in haste, which nothing else keeps waiting, one for other frames, and one on which connections begin and end: a declaration
-//! takes the longer the more robots there are, and frames do not wait behind it.
+//! A Zenoh session of a process. Because Zenoh blocks if its queues are full, separate threads send on it: one for urgent messages, which
+//! no other message delays, and one for other frames. A third thread begins and ends connections: a declaration takes longer the more
+//! robots there are, and frames do not wait for it.
 
 use std::any::Any;
 use std::collections::HashMap;
@@ -24,13 +24,13 @@ use super::offers::Offers;
 use super::presence::Tokens;
 use super::stream::{Shared, Target};
 
-/// Whether what is sent on a connection goes ahead of all others.
+/// Priority of the messages on a connection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Haste {
-    /// In its turn.
+    /// Normal order.
     #[default]
     None,
-    /// Ahead of everything else, at every router: for stops.
+    /// Before all other messages, at every router: for stops.
     Stop,
 }
 
@@ -45,15 +45,15 @@ impl Haste {
 
 pub(super) type Call = Box<dyn FnOnce(&Session) + Send>;
 
-/// What has to be undeclared by being dropped, behind a lock, because what Zenoh hands back may not be shared between threads.
+/// Zenoh objects that are undeclared when they are dropped, behind a lock, because they may not be shared between threads.
 pub(super) type Kept = Box<dyn Any + Send + Sync>;
 
-/// A way into a Zenoh network. Clones are the same session, which ends with the last of them.
+/// Access to a Zenoh network. Clones share the same session, which ends with the last of them.
 #[derive(Clone)]
 pub struct Network(Arc<Inner>);
 
-/// Connections that are being opened; others wait. If thousands were opened at once, each would take longer than the two seconds that it has,
-/// and what is said on those that are open already would wait behind them at the routers.
+/// Limits the connections that are opened at a time; others wait. If thousands were opened at once, each would exceed its limit of two
+/// seconds, and messages on open connections would wait behind them at the routers.
 #[derive(Debug)]
 pub(super) struct Opening {
     calm: Semaphore,
@@ -61,9 +61,9 @@ pub(super) struct Opening {
     hasty: Semaphore,
 }
 
-/// How many connections are opened at the same time.
+/// Maximum number of connections that are opened at a time.
 pub(super) const OPENING_MAX: usize = 64;
-/// The same for stops, which go ahead of all others: most are opened in advance.
+/// The same for stops, which take precedence over all others: most are opened in advance.
 const STOPS_OPENING_MAX: usize = 32;
 
 impl Default for Opening {
@@ -79,23 +79,24 @@ struct Inner {
     hasty: flume::Sender<Call>,
     declaring: flume::Sender<Call>,
     connections: AtomicU64,
-    /// What other sessions show this one.
+    /// The tokens of other sessions.
     tokens: Tokens,
-    /// What was declared for as long as the session lasts, by its keys.
+    /// Declarations that last as long as the session, by their keys.
     lasting: Mutex<HashMap<String, Kept>>,
-    /// What it publishes for several robots, by its keys.
+    /// Its publications for several robots, by their keys.
     offers: Mutex<HashMap<String, Arc<Offers>>>,
-    /// What it hears of schedulers that do so, by their keys.
+    /// Its subscriptions to such publications of schedulers, by their keys.
     hearings: Mutex<HashMap<String, Weak<Hearing>>>,
 }
 
-/// Sessions of schedulers of which a session hears what they publish for several robots of one place; others send everything whole.
+/// Maximum number of schedulers' sessions per place whose publications for several robots a session receives; other sessions send
+/// complete messages.
 pub(super) const HEARINGS_MAX: usize = 16;
 
 impl Drop for Inner {
     fn drop(&mut self) {
         let lasting = std::mem::take(&mut self.lasting);
-        // Zenoh may wait, and this may be a thread of an asynchronous runtime.
+        // Zenoh may block, and this may be a thread of an asynchronous runtime.
         let _ended = self.declaring.send(Box::new(move |_| drop(lasting)));
     }
 }
@@ -107,11 +108,11 @@ impl fmt::Debug for Network {
 }
 
 impl Network {
-    /// Joins the network that a configuration file of Zenoh describes. It looks for no other members by multicast, unless the
-    /// file says so.
+    /// Joins the network that a Zenoh configuration file describes. It does not search for other members by multicast, unless the file
+    /// enables that.
     ///
     /// # Errors
-    /// [`NetworkError`]: the file cannot be used, or no router of it answers.
+    /// [`NetworkError`] if the file cannot be used, or none of its routers answers.
     pub fn open(file: &Path) -> Result<Self, NetworkError> {
         Self::with(config::read(file)?, &file.display().to_string(), Arc::default())
     }
@@ -160,13 +161,13 @@ impl Network {
         })))
     }
 
-    /// The id of the session.
+    /// Returns the id of the session.
     #[must_use]
     pub fn id(&self) -> &str {
         &self.0.id
     }
 
-    /// Waits until a connection may be opened, which is being opened as long as what this returns is kept.
+    /// Waits for permission to open a connection. The returned permit must be kept while the connection is being opened.
     pub(super) async fn may_open(&self, haste: Haste) -> io::Result<SemaphorePermit<'_>> {
         let opening = match haste {
             Haste::None => &self.0.opening.calm,
@@ -175,18 +176,18 @@ impl Network {
         opening.acquire().await.map_err(io::Error::other)
     }
 
-    /// A name that no other connection has.
+    /// Returns a name that no other connection has.
     pub(super) fn connection(&self) -> io::Result<LinkId> {
         let number = self.0.connections.fetch_add(1, Ordering::Relaxed);
-        LinkId::new(self.id(), number).ok_or_else(|| io::Error::other("the Zenoh session has an unusual id"))
+        LinkId::new(self.id(), number).ok_or_else(|| io::Error::other("unexpected id of the Zenoh session"))
     }
 
-    /// What other sessions show this one.
+    /// Returns the tokens of other sessions.
     pub(super) fn tokens(&self) -> &Tokens {
         &self.0.tokens
     }
 
-    /// Hears of the tokens at these keys, for as long as the session lasts.
+    /// Watches the tokens at these keys, for as long as the session lasts.
     pub(super) fn watch(&self, session: &Session, keys: String) -> ::zenoh::Result<()> {
         self.once(keys, |keys| {
             let tokens = self.tokens().clone();
@@ -200,7 +201,7 @@ impl Network {
         self.once(token, |token| Ok(Box::new(Mutex::new(session.liveliness().declare_token(token).wait()?))))
     }
 
-    /// What this session publishes for several robots that stand where this one does; it answers who asks for it.
+    /// Returns this session's publications for several robots in the place of this robot; requests for them are answered.
     pub(super) fn offers(&self, session: &Session, key: &Key) -> ::zenoh::Result<Arc<Offers>> {
         let key = key.shared(self.id());
         let mut all = self.0.offers.lock().unwrap_or_else(PoisonError::into_inner);
@@ -218,7 +219,8 @@ impl Network {
         Ok(offers)
     }
 
-    /// What this session hears of what a scheduler publishes at a key for several robots; `None` where it hears too many there already.
+    /// Returns this session's subscription to a scheduler's publications for several robots; `None` if it already has too many in that
+    /// place.
     pub(super) fn hearing(&self, key: String) -> Option<Arc<Hearing>> {
         let mut all = self.0.hearings.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = all.get(&key).and_then(Weak::upgrade) {
@@ -247,7 +249,7 @@ impl Network {
         Ok(())
     }
 
-    /// Begins or ends something with the session, which may take its time.
+    /// Executes a slow declaration, or its end, on the session's thread for these.
     pub(super) fn declare(&self, haste: Haste, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
             Haste::None => &self.0.declaring,
@@ -257,7 +259,7 @@ impl Network {
         let _ended = calls.send(Box::new(call));
     }
 
-    /// Does this with the session, behind what it was asked for before.
+    /// Executes a call on the session, after earlier ones.
     pub(super) fn call(&self, haste: Haste, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
             Haste::None => &self.0.calm,
@@ -286,13 +288,13 @@ impl Network {
             let put = session.put(target.declared(session), frame).attachment(link.encode());
             let put = put.congestion_control(CongestionControl::Block).priority(haste.priority());
             if let Err(error) = put.wait() {
-                pipe.lock().break_off(&format!("Zenoh does not send: {error}"));
+                pipe.lock().break_off(&format!("Zenoh cannot send: {error}"));
             }
         });
     }
 }
 
-/// A thread that does what it is asked for with a session, until nobody can ask any more.
+/// Starts a thread that executes calls on a session, until all senders are dropped.
 fn speak(
     name: &str,
     session: impl FnOnce() -> Option<Session> + Send + 'static,

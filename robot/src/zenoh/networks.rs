@@ -8,12 +8,12 @@ use ::zenoh::Config;
 use super::config::{self, NetworkError};
 use super::network::{Network, Opening};
 
-/// Robots that one session reaches, or shows. Whenever a session declares something, Zenoh looks through all that it has declared
-/// before: with one session for all, 3,000 robots took a scheduler 17 s of processor time, and with this many 3.5 s.
+/// Maximum number of robots that one session reaches or shows. For each declaration, Zenoh searches all earlier declarations of the
+/// session: with one session, 3,000 robots took a scheduler 17 s of processor time; with this number, 3.5 s.
 const ROBOTS_A_SESSION: usize = 250;
 
-/// A way into a Zenoh network for any number of robots, which are shared out among sessions. Clones are the same way. A session ends with
-/// the last that was made of it.
+/// Access to a Zenoh network for any number of robots, which are distributed among sessions. Clones share the same sessions. A session
+/// ends with the last handle to it.
 #[derive(Clone, Debug)]
 pub struct Networks(Arc<Inner>);
 
@@ -30,16 +30,16 @@ struct Inner {
 struct Last {
     network: Network,
     robots: usize,
-    /// So many it may get.
+    /// Maximum number of its robots.
     robots_max: usize,
 }
 
 impl Networks {
-    /// Joins the network that a configuration file of Zenoh describes. It looks for no other members by multicast, unless the
-    /// file says so.
+    /// Joins the network that a Zenoh configuration file describes. It does not search for other members by multicast, unless the file
+    /// enables that.
     ///
     /// # Errors
-    /// [`NetworkError`]: the file cannot be used, or no router of it answers.
+    /// [`NetworkError`] if the file cannot be used, or none of its routers answers.
     pub fn open(file: &Path) -> Result<Self, NetworkError> {
         Self::with(config::read(file)?, file.display().to_string(), ROBOTS_A_SESSION)
     }
@@ -59,14 +59,14 @@ impl Networks {
     fn with(config: Config, named: String, robots_a_session: usize) -> Result<Self, NetworkError> {
         let opening = Arc::<Opening>::default();
         let network = Network::with(config.clone(), &named, Arc::clone(&opening))?;
-        // Members of one network have different ids, and a port is taken once.
+        // Members of one network have different ids, and a port can be used only once.
         let robots_max = if config::may_be_joined_again(&config) { robots_a_session } else { usize::MAX };
         let last = Mutex::new(Last { network, robots: 0, robots_max });
         Ok(Self(Arc::new(Inner { config, named, opening, last })))
     }
 
-    /// The session for one robot more. Where the configuration allows one session only, because it listens or has an id of its own, this is
-    /// always the same; and if no further one can be had, all that come share the last.
+    /// Returns the session for one more robot. It is always the same if the configuration permits only one session, because it listens or
+    /// sets an id. If no further session can be opened, all later robots share the last one.
     #[must_use]
     pub fn for_one_more(&self) -> Network {
         let Inner { config, named, opening, last } = &*self.0;
@@ -76,7 +76,7 @@ impl Networks {
                 Ok(network) => *last = Last { network, robots: 0, ..*last },
                 Err(error) => {
                     tracing::warn!("more than {} robots share a Zenoh session: {error}", last.robots_max);
-                    // To find out that a network does not answer takes ten seconds.
+                    // Detecting that a network does not answer takes ten seconds.
                     last.robots_max = usize::MAX;
                 }
             }
@@ -85,7 +85,7 @@ impl Networks {
         last.network.clone()
     }
 
-    /// An endpoint of its configuration that is neither on this machine nor protected by TLS.
+    /// Returns an endpoint of its configuration that is neither on this machine nor protected by TLS.
     #[must_use]
     pub fn open_endpoint(&self) -> Option<String> {
         config::open_endpoint(&self.0.config)

@@ -1,4 +1,4 @@
-//! The scheduler's side of texts that are published once for several robots: what was published in one place, and who asks for it.
+//! The scheduler's side of texts that are published once for several robots: the publications in one place, and the answers to requests.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -16,7 +16,7 @@ use super::network::{Call, Haste, Network};
 use super::stream::Target;
 use super::texts::{Kept, TEXT_MAX};
 
-/// A text that was published where a robot stands. A frame to the robot names it instead of carrying its bytes.
+/// A text that was published in the place of a robot. A frame to the robot names it instead of carrying its bytes.
 #[derive(Clone, Debug)]
 pub struct Text {
     pub(super) hash: ContentHash,
@@ -30,25 +30,25 @@ impl From<Vec<u8>> for Text {
 }
 
 impl Text {
-    /// Its length in bytes.
+    /// Returns its length in bytes.
     #[must_use]
     pub fn len(&self) -> usize {
         self.bytes.len()
     }
 
-    /// Whether it has no bytes.
+    /// Whether it is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }
 
-    /// Its bytes.
+    /// Returns its bytes.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// All of it from some byte on, behind so many bytes of a frame's content.
+    /// Returns the text from byte `from` to its end, as a part after `at` bytes of a frame's content.
     pub(super) fn part(&self, from: usize, at: usize) -> io::Result<Part> {
         let small = |size: usize| u32::try_from(size).map_err(io::Error::other);
         let count = small(self.len().saturating_sub(from))?;
@@ -56,10 +56,10 @@ impl Text {
     }
 }
 
-/// What one session publishes for the robots of one place.
+/// The publications of one session for the robots of one place.
 #[derive(Debug)]
 pub(super) struct Offers {
-    /// Where it is asked; it publishes below that.
+    /// Key for requests; it publishes below this key.
     key: String,
     offered: Mutex<Offered>,
 }
@@ -69,9 +69,9 @@ struct Offered {
     kept: Kept,
     /// By audience.
     targets: HashMap<Audience, Arc<Target>>,
-    /// What was found to be too long.
+    /// Texts that were found to be too long.
     too_long: HashSet<ContentHash>,
-    /// Robots that did not get what was published, also when they asked for it.
+    /// Robots that did not get the publications, even on request.
     without: HashSet<String>,
 }
 
@@ -95,8 +95,8 @@ impl Offers {
         self.offered.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The text of this hash, which is published for an audience first where it was not, or has been forgotten since. `None` where it is
-    /// too long.
+    /// Returns the text of this hash. It is first published for the audience, if it was not published yet or has been forgotten since.
+    /// `None` if it is too long.
     pub(super) fn offer(
         &self,
         network: &Network,
@@ -118,18 +118,18 @@ impl Offers {
         let target = offered.target(&self.key, audience)?;
         let bytes: Arc<[u8]> = text.as_slice().into();
         offered.kept.keep(hash, Arc::clone(&bytes));
-        // Asked for before anyone else can name it: frames that do are published behind it.
+        // Queued before any other caller can name it: frames that name it are published after it.
         network.call(Haste::None, move |session| {
             let put =
                 session.put(target.declared(session), text).congestion_control(CongestionControl::Block);
             if let Err(error) = put.wait() {
-                tracing::debug!("a script was not published, robots ask for it: {error}");
+                tracing::debug!("cannot publish a script, so robots will request it: {error}");
             }
         });
         Some(Text { hash, bytes })
     }
 
-    /// Answers a robot that asks for a text; what has been forgotten is not answered.
+    /// Answers a robot's request for a text; a request for a forgotten text is not answered.
     pub(super) fn answer(&self, query: Query, speaking: &flume::Sender<Call>) {
         let asked = query.payload().and_then(|asked| <[u8; 32]>::try_from(&*asked.to_bytes()).ok());
         let Some(text) = asked.and_then(|hash| self.lock().kept.get(hash.into()).cloned()) else { return };
@@ -137,14 +137,14 @@ impl Offers {
         // Its thread ends with the network.
         let _ended = speaking.send(Box::new(move |_| {
             if let Err(error) = query.reply(own, text.to_vec()).wait() {
-                tracing::debug!("a script that a robot asks for was not sent: {error}");
+                tracing::debug!("cannot send a script that a robot requested: {error}");
             }
         }));
     }
 
-    /// A robot did not get what was published: it is sent everything whole from now on.
+    /// Records that a robot did not get a publication: after that, it receives complete messages.
     pub(super) fn note_lack(&self, key: &Key) {
-        tracing::debug!("the robot at {key} does not get what is published for several robots");
+        tracing::debug!("the robot at {key} does not receive what is published for several robots");
         self.lock().without.insert(key.to_string());
     }
 

@@ -1,4 +1,4 @@
-//! Both directions of one connection, without a network: what may be written, what can be read, and how it ends.
+//! Both directions of one connection, without a network: its flow control, its input, and its end.
 
 use std::collections::VecDeque;
 use std::io;
@@ -8,29 +8,29 @@ use urrcp::ContentHash;
 
 use super::frame::{Frame, Next, Part};
 
-/// Bytes that one side may have written and the other not yet read.
+/// Maximum number of bytes that one side has written and the other has not read yet.
 pub(super) const WINDOW: usize = 1024 * 1024;
-/// Content of one frame at most.
+/// Maximum size of a frame's content.
 pub(super) const CONTENT_MAX: usize = 64 * 1024;
 
-/// How nothing more comes.
+/// How the input ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum End {
-    /// The other side says nothing more.
+    /// The other side ended it.
     Said,
-    /// It is not known what was lost.
+    /// It is unknown what was lost.
     Broken(String),
 }
 
-/// What has come and is not yet read.
+/// A received piece that is not read yet.
 #[derive(Debug)]
 enum Piece {
     Here(Vec<u8>),
-    /// Its text has not come yet, and nothing behind it is read.
+    /// Its text has not arrived yet, so later pieces are not read.
     Awaited(Part),
 }
 
-/// How much was written: of bytes, and of the text put in among them.
+/// Amounts written: of bytes, and of the text inserted among them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Written {
     pub(super) content: usize,
@@ -41,12 +41,12 @@ pub(super) struct Written {
 #[derive(Debug, Default)]
 pub(super) struct Pipe {
     waiting: VecDeque<Piece>,
-    /// How much of the first that waits is read.
+    /// How much of the first waiting piece is read.
     begun: usize,
     next: u64,
     came: u64,
     read: u64,
-    /// How much was read when the other side was told last.
+    /// How much was read at the last acknowledgement to the other side.
     told: u64,
     end: Option<End>,
     number: u64,
@@ -54,9 +54,9 @@ pub(super) struct Pipe {
     /// How much the other side has read.
     taken: u64,
     has_ended: bool,
-    /// A text that this side needs cannot be had.
+    /// Whether a text that this side needs is unavailable.
     lacks: bool,
-    /// The other side could not get a text that this one named.
+    /// Whether the other side could not get a text that this side named.
     is_lacked: bool,
     reader: Option<Waker>,
     writer: Option<Waker>,
@@ -67,7 +67,7 @@ fn count(bytes: usize) -> u64 {
 }
 
 impl Pipe {
-    /// A publication of the other side has come. Returns the text that has to be filled in before what stands behind it is read.
+    /// Handles a publication of the other side. Returns the text that must be filled in before later bytes are read.
     #[must_use]
     pub(super) fn receive(&mut self, bytes: &[u8]) -> Option<ContentHash> {
         if self.end.is_some() {
@@ -79,13 +79,13 @@ impl Pipe {
                 frame.part.filter(|_| is_taken).map(|part| part.text)
             }
             None => {
-                self.break_off("something came that is no frame");
+                self.break_off("received data that is not a frame");
                 None
             }
         }
     }
 
-    /// Whether it fits behind what came.
+    /// Takes the frame, and returns whether it fits the preceding ones.
     fn take(&mut self, frame: &Frame<'_>) -> bool {
         let refused = self.check(frame);
         if let Some(why) = refused {
@@ -107,26 +107,26 @@ impl Pipe {
         true
     }
 
-    /// Counts what came with a frame; returns why it breaks the connection, if it does.
+    /// Checks a frame and updates the counts; returns why it breaks the connection, if it does.
     fn check(&mut self, frame: &Frame<'_>) -> Option<String> {
         match frame.next {
-            Next::Broken => return Some("the other side has lost a message, or its way here".to_owned()),
+            Next::Broken => return Some("the peer has lost a message or its connection".to_owned()),
             Next::Lacking => {
-                return Some("the other side did not get a script that was published".to_owned());
+                return Some("the peer did not receive a script that was published".to_owned());
             }
             Next::More | Next::End => {}
         }
         if frame.number != self.next {
             let (came, expected) = (frame.number, self.next);
-            return Some(format!("a message was lost on the way: number {came} came, expected {expected}"));
+            return Some(format!("a message was lost: received number {came}, expected {expected}"));
         }
         let part = frame.part.map_or(0, |part| u64::from(part.count));
         self.came = self.came.saturating_add(count(frame.content.len())).saturating_add(part);
         let too_much = self.came.saturating_sub(self.read) > count(WINDOW) || frame.read > self.written;
-        too_much.then(|| "the other side does not keep to what it may send".to_owned())
+        too_much.then(|| "the peer exceeds its send limit".to_owned())
     }
 
-    /// Fills in a text that was waited for.
+    /// Fills in an awaited text.
     pub(super) fn fill(&mut self, text: ContentHash, bytes: &[u8]) {
         let mut fits = true;
         for piece in &mut self.waiting {
@@ -140,26 +140,26 @@ impl Pipe {
             }
         }
         if !fits {
-            self.fail("the other side names more of a script than there is");
+            self.fail("the peer refers to more of a script than exists");
         }
         self.wake();
     }
 
-    /// A text that was waited for does not come.
+    /// Records that an awaited text will not arrive.
     pub(super) fn lack(&mut self, text: ContentHash) {
         let awaits = |piece: &Piece| matches!(piece, Piece::Awaited(part) if part.text == text);
         if self.waiting.iter().any(awaits) {
             self.lacks = true;
-            self.fail("a script that was published for several robots did not come");
+            self.fail("a script that was published for several robots did not arrive");
         }
     }
 
-    /// Whether the other side could not get a text that this one named.
+    /// Whether the other side could not get a text that this side named.
     pub(super) const fn is_lacked(&self) -> bool {
         self.is_lacked
     }
 
-    /// Breaks off, even where all has come that the other side says.
+    /// Breaks the connection, even if the other side has sent everything.
     fn fail(&mut self, why: &str) {
         if self.end == Some(End::Said) {
             self.end = None;
@@ -167,7 +167,7 @@ impl Pipe {
         self.break_off(why);
     }
 
-    /// Nothing more comes, and nothing more arrives.
+    /// Breaks the connection: no further bytes arrive in either direction.
     pub(super) fn break_off(&mut self, why: &str) {
         if self.end.is_none() {
             self.end = Some(End::Broken(why.to_owned()));
@@ -196,7 +196,7 @@ impl Pipe {
         }
     }
 
-    /// Reads into a buffer; zero bytes at the end. What has come is read first, however the connection ended.
+    /// Reads into a buffer; zero bytes at the end. Received bytes are read first, however the connection ended.
     pub(super) fn poll_read(
         &mut self,
         context: &Context<'_>,
@@ -227,7 +227,7 @@ impl Pipe {
         Poll::Ready(Ok(()))
     }
 
-    /// The next frame with as much of these bytes as may be written, and of a part that goes in among them.
+    /// Returns the next frame, with as many of these bytes as may be written, and of a part that is inserted among them.
     pub(super) fn poll_write(
         &mut self,
         context: &Context<'_>,
@@ -250,13 +250,13 @@ impl Pipe {
         Poll::Ready(Ok((written, self.frame(&bytes[..written.content], part, Next::More))))
     }
 
-    /// A frame that says how much was read, once the other side may wait for that.
+    /// Returns a frame with the amount read, once the other side may be waiting for it.
     pub(super) fn acknowledgement(&mut self) -> Option<Vec<u8>> {
         let due = self.read.saturating_sub(self.told) >= count(WINDOW / 2);
         (due && self.end.is_none() && !self.has_ended).then(|| self.frame(&[], None, Next::More))
     }
 
-    /// The last frame, once: a side whose connection broke tells the other, which may have noticed nothing.
+    /// Returns the last frame, once: a side whose connection broke informs the other, which may not have noticed.
     pub(super) fn ending(&mut self) -> Option<Vec<u8>> {
         let next = match self.end {
             Some(End::Broken(_)) if self.lacks => Next::Lacking,
@@ -274,7 +274,7 @@ impl Pipe {
     }
 }
 
-/// What goes into one frame where there is room for so many bytes: content, the part, and what stands behind that.
+/// Returns the amount of content and the part that fit into one frame with room for `room` bytes.
 fn fitting(room: usize, bytes: &[u8], part: Option<Part>) -> (Written, Option<Part>) {
     let size = |number: u32| usize::try_from(number).unwrap_or(usize::MAX);
     let at = part.map_or(bytes.len(), |part| size(part.at).min(bytes.len()));
@@ -303,7 +303,7 @@ mod tests {
         written.map_ok(|(written, frame)| (written.content, frame))
     }
 
-    /// Writes with a text put in at one of the bytes, and returns all frames that this takes.
+    /// Writes with a text inserted at one of the bytes, and returns all required frames.
     fn written_around(pipe: &mut Pipe, bytes: &[u8], at: usize, text: &[u8]) -> Vec<Vec<u8>> {
         let (mut frames, mut done) = (Vec::new(), Written::default());
         while done != (Written { content: bytes.len(), text: text.len() }) {
@@ -334,7 +334,7 @@ mod tests {
         frame
     }
 
-    /// What can be read now: bytes, none at the end, or why the connection broke; `None` where nothing is there.
+    /// Returns the available bytes, none at the end, or why the connection broke; `None` if nothing is available.
     fn read(pipe: &mut Pipe, most: usize) -> Option<Result<Vec<u8>, String>> {
         let mut buffer = vec![0; most];
         let mut buffer = ReadBuf::new(&mut buffer);
@@ -372,12 +372,12 @@ mod tests {
                 assert_eq!(read(&mut far, 9), Some(Ok(b"a".to_vec())), "{order:?}");
             }
             let broken = read(&mut far, 9).unwrap().unwrap_err();
-            assert!(broken.contains("a message was lost on the way"), "{broken}");
+            assert!(broken.contains("a message was lost: received number"), "{broken}");
             assert!(matches!(write(&mut far, b"x"), Poll::Ready(Err(_))));
             receive(&mut near, &far.ending().unwrap());
             assert_eq!(far.ending(), None, "said once");
             let told = read(&mut near, 9).unwrap().unwrap_err();
-            assert!(told.contains("the other side has lost a message"), "{told}");
+            assert!(told.contains("the peer has lost a message"), "{told}");
         }
     }
 
@@ -410,10 +410,10 @@ mod tests {
         assert!(read(&mut far, 1).unwrap().is_err(), "nothing of it is kept");
         let mut far = Pipe::default();
         receive(&mut far, &Frame { number: 0, read: 1, next: Next::More, part: None, content: b"" }.encode());
-        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("does not keep"));
+        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("exceeds its send limit"));
         let mut far = Pipe::default();
         receive(&mut far, b"GET / HTTP/1.1");
-        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("no frame"));
+        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("not a frame"));
     }
 
     #[test]
@@ -458,7 +458,7 @@ mod tests {
 
     #[test]
     fn a_text_that_does_not_come_or_is_too_short_breaks_the_connection_and_the_other_side_is_told_which() {
-        for (fills, told) in [(false, "did not get a script"), (true, "has lost a message")] {
+        for (fills, told) in [(false, "did not receive a script"), (true, "has lost a message")] {
             let (mut near, mut far) = (Pipe::default(), Pipe::default());
             let part = Part { text: ContentHash::of(b"text"), from: 1, count: 4, at: 1 };
             let context = Context::from_waker(Waker::noop());
@@ -484,7 +484,7 @@ mod tests {
         let part = Part { text: ContentHash::of(b"x"), from: 0, count: u32::MAX, at: 0 };
         let frame = Frame { number: 0, read: 0, next: Next::More, part: Some(part), content: b"" };
         receive(&mut far, &frame.encode());
-        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("does not keep"));
+        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("exceeds its send limit"));
     }
 
     #[test]

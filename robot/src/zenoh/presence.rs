@@ -1,4 +1,4 @@
-//! Which liveliness tokens the network shows, and the connections that live by them.
+//! The liveliness tokens in the network, and the connections that depend on them.
 
 use std::collections::HashMap;
 use std::io;
@@ -11,10 +11,9 @@ use tokio::sync::watch;
 use super::keys::{Key, robot_of};
 use super::stream::{Shared, WeakShared};
 
-/// How long a token may take to be seen.
+/// Time limit for a token to appear.
 const SEEN_WITHIN: Duration = Duration::from_secs(2);
 
-/// One token.
 #[derive(Debug, Default)]
 struct Token {
     is_there: watch::Sender<bool>,
@@ -25,15 +24,15 @@ struct Token {
 struct Told {
     /// By their keys.
     tokens: HashMap<String, Token>,
-    /// How many tokens of robots are at a robot's key; 0 where all have disappeared.
+    /// Number of robot tokens at each robot's key; 0 if all have disappeared.
     robots: HashMap<String, usize>,
 }
 
-/// The tokens that a session is told of.
+/// The tokens that a session observes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tokens(Arc<Mutex<Told>>);
 
-/// A connection that lives by a token. Dropping it lets go of the token.
+/// A connection that depends on a token. Dropping it releases the token.
 pub(super) struct Following {
     tokens: Tokens,
     token: String,
@@ -44,7 +43,7 @@ impl Tokens {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A token has appeared or disappeared.
+    /// Handles the appearance or disappearance of a token.
     pub(super) fn hear(&self, sample: &Sample) {
         self.change(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
     }
@@ -65,16 +64,16 @@ impl Tokens {
         }
         drop(told);
         for pipe in pipes.iter().filter_map(WeakShared::upgrade) {
-            pipe.lock().break_off("the other side's process has ended, or the way to it has");
+            pipe.lock().break_off("the peer's process or the connection to it has ended");
         }
     }
 
-    /// Whether a robot was at this key and has disappeared. To look for it then takes the network's time from the others.
+    /// Whether a robot was at this key and has disappeared. Searching for it would cost network time that other robots need.
     pub(super) fn have_left(&self, key: &Key) -> bool {
         self.lock().robots.get(&key.to_string()) == Some(&0)
     }
 
-    /// From now on a connection ends when this token disappears, whether it has been seen yet or not.
+    /// Makes a connection end when this token disappears, whether it has been seen yet or not.
     pub(super) fn follow(&self, token: &str, pipe: &Shared) -> Following {
         let mut told = self.lock();
         let pipes = &mut told.tokens.entry(token.to_owned()).or_default().pipes;
@@ -83,16 +82,16 @@ impl Tokens {
         Following { tokens: self.clone(), token: token.to_owned() }
     }
 
-    /// The same once it has been seen.
+    /// The same, after waiting until the token has been seen.
     pub(super) async fn follow_seen(&self, token: &str, pipe: &Shared) -> io::Result<Following> {
         let following = self.follow(token, pipe);
         let told = self.lock().tokens.get(token).map(|token| token.is_there.subscribe());
         let seen = async move { told?.wait_for(|there| *there).await.ok().map(drop) };
         match tokio::time::timeout(SEEN_WITHIN, seen).await {
             Ok(Some(())) => Ok(following),
-            Ok(None) => Err(io::Error::new(io::ErrorKind::ConnectionReset, "it has just gone")),
+            Ok(None) => Err(io::Error::new(io::ErrorKind::ConnectionReset, "it has just disconnected")),
             Err(_) => {
-                let why = "its liveliness token is not seen: access control has to allow it";
+                let why = "its liveliness token is not visible: access control has to allow it";
                 Err(io::Error::other(why))
             }
         }
@@ -122,7 +121,7 @@ mod tests {
         assert!(!tokens.have_left(&key), "it was never seen");
         tokens.change("hall/arm/robot/1", true);
         tokens.change("hall/arm/robot/1", true);
-        // It has started again before the network noticed that it had ended.
+        // The robot has restarted before the network noticed its end.
         tokens.change("hall/arm/robot/2", true);
         tokens.change("hall/arm/robot/1", false);
         assert!(!tokens.have_left(&key));

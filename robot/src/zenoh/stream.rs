@@ -1,4 +1,4 @@
-//! One connection, as bytes that are read and written.
+//! One connection, as a readable and writable byte stream.
 
 use std::any::Any;
 use std::fmt;
@@ -28,7 +28,7 @@ impl Shared {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the text that has to be filled in.
+    /// Returns the text that must be filled in.
     #[must_use]
     pub(super) fn receive(&self, sample: &Sample) -> Option<ContentHash> {
         self.lock().receive(&sample.payload().to_bytes())
@@ -39,7 +39,7 @@ impl Shared {
     }
 }
 
-/// The same, which keeps nothing alive.
+/// The same, without keeping the pipe alive.
 #[derive(Debug)]
 pub(super) struct WeakShared(Weak<Mutex<Pipe>>);
 
@@ -53,13 +53,13 @@ impl WeakShared {
     }
 }
 
-/// The connection whose frame this is.
+/// Returns the connection to which this frame belongs.
 pub(super) fn link_of(sample: &Sample) -> Option<LinkId> {
     LinkId::decode(&sample.attachment()?.to_bytes())
 }
 
-/// Where one side of a connection publishes. The session declares the key with the first frame: Zenoh computes its route then, and
-/// compares the frames behind it with no other keys.
+/// The key at which one side of a connection publishes. The session declares the key with the first frame: Zenoh then computes its route,
+/// and compares later frames with no other keys.
 #[derive(Debug)]
 pub(super) struct Target {
     key: KeyExpr<'static>,
@@ -68,7 +68,7 @@ pub(super) struct Target {
 
 impl Target {
     /// # Errors
-    /// It is no key.
+    /// It is not a valid key.
     pub(super) fn new(key: String) -> io::Result<Arc<Self>> {
         let key = KeyExpr::try_from(key).map_err(io::Error::other)?;
         Ok(Arc::new(Self { key, declared: OnceLock::new() }))
@@ -82,8 +82,8 @@ impl Target {
     }
 }
 
-/// A connection between a scheduler and a robot. Dropping it, and what it was split into, ends it: the other side reads what was written,
-/// and then the end.
+/// A connection between a scheduler and a robot. It ends when it and its split halves are dropped: the other side then reads the written
+/// bytes, and then the end.
 pub struct Stream(Arc<Ends>);
 
 struct Ends {
@@ -92,9 +92,9 @@ struct Ends {
     link: LinkId,
     target: Arc<Target>,
     haste: Haste,
-    /// What the network has to be told when the connection ends, by being dropped.
+    /// Declarations that end with the connection, by being dropped.
     kept: Mutex<Option<Box<dyn Any + Send>>>,
-    /// What the robot is reached at, and hears of what is published for several robots there.
+    /// The key of the robot, and the publications for several robots that it receives there.
     hears: OnceLock<(Key, Arc<Offers>)>,
 }
 
@@ -130,20 +130,20 @@ impl Stream {
         self
     }
 
-    /// The name of the connection, which begins with the id of the session that has opened it.
+    /// Returns the name of the connection, which begins with the id of the session that has opened it.
     #[must_use]
     pub fn name(&self) -> String {
         self.0.link.to_string()
     }
 
-    /// The same connection twice: to read from the one and write to the other.
+    /// Returns the same connection twice: one to read from, the other to write to.
     #[must_use]
     pub fn split(self) -> (Self, Self) {
         (Self(Arc::clone(&self.0)), self)
     }
 
-    /// Publishes a text for all robots of an audience, unless that was done before. `None`: this robot does not hear what is published,
-    /// or the text is longer than 4 MiB, so it has to be written.
+    /// Publishes a text for all robots of an audience, unless that was done before. `None` if this robot does not receive publications,
+    /// or if the text is longer than 4 MiB. The text must then be written.
     #[must_use]
     pub fn offer(
         &self,
@@ -154,7 +154,7 @@ impl Stream {
         offers.offer(&self.0.network, (audience, hash), text)
     }
 
-    /// Writes all these bytes with texts that were offered put in, each ahead of the byte at its place. Places do not decrease.
+    /// Writes all these bytes with offered texts inserted, each before the byte at its position. Positions do not decrease.
     ///
     /// # Errors
     /// The connection has ended.
@@ -183,7 +183,7 @@ impl Stream {
 
 #[cfg(test)]
 impl Stream {
-    /// Nobody who asks for what was offered gets it.
+    /// Makes requests for offered texts fail.
     pub(super) fn forget_offers(&self) {
         self.0.hears.get().unwrap().1.forget();
     }
@@ -200,7 +200,7 @@ impl Ends {
         bytes: &[u8],
         part: Option<Part>,
     ) -> Poll<io::Result<Written>> {
-        // Handed on before another frame can have the next number.
+        // Published before another frame can get the next number.
         let mut pipe = self.pipe.lock();
         let (written, frame) = std::task::ready!(pipe.poll_write(context, bytes, part))?;
         self.publish(frame);

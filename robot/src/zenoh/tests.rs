@@ -24,7 +24,7 @@ fn connecting(port: u16) -> String {
     format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#)
 }
 
-/// A network of two: one listens, the other connects.
+/// Returns a network of two: one listens, the other connects.
 fn two() -> (Network, Network) {
     let port = free_port();
     (Network::open_with(&listening(port)).unwrap(), Network::open_with(&connecting(port)).unwrap())
@@ -60,7 +60,7 @@ async fn bytes_go_both_ways_and_the_end_is_read_behind_them() {
 async fn a_key_without_a_robot_and_a_key_with_another_are_told_apart() {
     let (robots, schedulers) = two();
     let _arm = Listener::bind(&robots, key("hall/arm")).await.unwrap();
-    // Asked first, as robots do: a session that has connected to robots follows their tokens, and Zenoh may answer it too early.
+    // Checked first, as robots do: a session that has connected to robots follows their tokens, and Zenoh may answer it too early.
     let taken = Listener::bind(&schedulers, key("hall/arm")).await.unwrap_err();
     assert_eq!(taken.kind(), std::io::ErrorKind::AddrInUse);
     Listener::bind(&schedulers, key("hall/other")).await.unwrap();
@@ -88,7 +88,7 @@ async fn many_robots_are_shared_out_among_sessions_that_all_reach_them() {
     }
 }
 
-/// A way to a port for one connection; it counts those that come later, and shuts them out.
+/// Returns a forwarding port for one connection; it counts and rejects later ones.
 fn way_for_one(port: u16) -> (u16, Arc<AtomicUsize>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let (way, turned_away) = (listener.local_addr().unwrap().port(), Arc::new(AtomicUsize::new(0)));
@@ -175,12 +175,12 @@ async fn connections_end_when_a_process_of_either_side_does() {
         let mut far = soon(listener.accept()).await.unwrap();
         near.write_all(b"x").await.unwrap();
         soon(far.read_u8()).await.unwrap();
-        // As the system does it: nothing is said any more.
+        // As the system does it: no further message is sent.
         let (gone, left) = if robot_goes { (robots, &mut near) } else { (schedulers, &mut far) };
         gone.cut();
         let ended = soon(left.read_u8()).await.unwrap_err();
         assert_eq!(ended.kind(), std::io::ErrorKind::ConnectionReset, "{ended}");
-        assert!(ended.to_string().contains("process has ended"), "{ended}");
+        assert!(ended.to_string().contains("process or the connection to it has ended"), "{ended}");
     }
 }
 
@@ -218,7 +218,7 @@ async fn connections_to_one_robot_hear_their_own_frames_and_no_others() {
         assert_eq!(soon(far.read_u8()).await.unwrap(), number);
         assert_eq!(soon(near.read_u8()).await.unwrap(), 10 + number);
     }
-    // One of them ends, the others do not.
+    // One connection ends, the others do not.
     drop(pairs.remove(0));
     let (near, far) = &mut pairs[0];
     near.write_u8(7).await.unwrap();
@@ -247,7 +247,7 @@ async fn a_robot_that_has_left_and_come_back_is_reached_again() {
     soon(reached).await;
 }
 
-/// A text that is longer than one frame.
+/// Returns a text that is longer than one frame.
 fn long_text() -> Vec<u8> {
     (0..200_000_u32).map(|i| u8::try_from(i % 251).unwrap()).collect()
 }
@@ -256,7 +256,7 @@ fn offer(stream: &Stream, text: &[u8]) -> Option<Text> {
     stream.offer((7, ContentHash::of(text)), || text.to_vec())
 }
 
-/// Writes `<`, a text that was offered, and `>`, and then the end.
+/// Writes `<`, an offered text, and `>`, and then the mission ends.
 async fn write_around(mut stream: Stream, text: Text) -> Stream {
     stream.write_with(b"<>", &[(1, text)]).await.unwrap();
     stream.shutdown().await.unwrap();
@@ -272,7 +272,7 @@ fn around(text: &[u8]) -> Vec<u8> {
     [b"<", text, b">"].concat()
 }
 
-/// Lengths of what one session hears at these keys.
+/// Returns the lengths of the messages that a session receives at these keys.
 fn heard(network: &Network, keys: &'static str) -> Arc<Mutex<Vec<usize>>> {
     let heard = Arc::new(Mutex::new(Vec::new()));
     let (hears, (declared, begun)) = (Arc::clone(&heard), std::sync::mpsc::channel());
@@ -287,11 +287,11 @@ fn heard(network: &Network, keys: &'static str) -> Arc<Mutex<Vec<usize>>> {
     heard
 }
 
-/// A connection to a robot that may name texts, from both sides.
+/// Opens a connection that may name texts, and returns both of its sides.
 async fn sharing(schedulers: &Network, listener: &mut Listener) -> (Stream, Stream) {
     let connected = async {
         loop {
-            // A router may not know yet that it is there.
+            // A router may not know the robot yet.
             match connect_sharing(schedulers, listener.key(), &[3, 7]).await {
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => tokio::task::yield_now().await,
                 connected => return connected.unwrap(),
@@ -359,7 +359,7 @@ async fn where_a_text_cannot_be_had_the_connection_ends_and_the_next_one_carries
     let (near, far) = sharing(&schedulers, &mut listener).await;
     let shared = format!("hall/shared/{}", schedulers.id());
     robots.hearing(shared.clone()).unwrap().withhold();
-    // Another one answers in place of the scheduler, but not with the text.
+    // Another session answers in place of the scheduler, but not with the text.
     let (declared, begun) = std::sync::mpsc::channel();
     robots.declare(Haste::None, move |session| {
         let liar = session.declare_queryable(shared.clone()).complete(true);
@@ -372,9 +372,9 @@ async fn where_a_text_cannot_be_had_the_connection_ends_and_the_next_one_carries
     near.forget_offers();
     let mut near = write_around(near, offered).await;
     let broken = read_all(far).await.unwrap_err();
-    assert!(broken.to_string().contains("did not come"), "{broken}");
+    assert!(broken.to_string().contains("did not arrive"), "{broken}");
     let told = soon(near.read_u8()).await.unwrap_err();
-    assert!(told.to_string().contains("did not get a script"), "{told}");
+    assert!(told.to_string().contains("did not receive a script"), "{told}");
     drop(near);
     let (mut near, far) = sharing(&schedulers, &mut listener).await;
     assert!(offer(&near, &long_text()).is_none());
@@ -407,7 +407,7 @@ async fn a_text_goes_to_its_audience_alone() {
     let (near, far) = sharing(&schedulers, &mut listener).await;
     let hash = ContentHash::of(b"other");
     let other = near.offer((8, hash), || b"other".to_vec()).unwrap();
-    // The robot does not hear that one, and asks for it.
+    // The robot does not receive this one, and requests it.
     let _near = write_around(near, other).await;
     assert_eq!(read_all(far).await.unwrap(), b"<other>");
     assert_eq!(*published.lock().unwrap(), [0_usize; 0]);

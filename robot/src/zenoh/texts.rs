@@ -1,5 +1,5 @@
-//! The texts that a robot's process has heard from one scheduler, and the connections that wait for some: which is kept, which is
-//! asked for, and who gets it. No I/O.
+//! The texts that a robot's process has received from one scheduler, and the connections that wait for texts: decides which texts are
+//! kept and requested, and which connection gets them. No I/O.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -8,16 +8,16 @@ use urrcp::ContentHash;
 
 use super::stream::{Shared, WeakShared};
 
-/// A longer text is not published, and one that is published all the same is not heard.
+/// Maximum length of a text: a longer one is not published, and is ignored if it is published nevertheless.
 pub(super) const TEXT_MAX: usize = 4 * 1024 * 1024;
-/// Bytes of texts that are kept; the oldest go first.
+/// Maximum number of bytes of kept texts; the oldest are dropped first.
 pub(super) const KEPT_BYTES_MAX: usize = 16 * 1024 * 1024;
-/// Texts that are kept.
+/// Maximum number of kept texts.
 const KEPT_MAX: usize = 256;
-/// Texts that are waited for.
+/// Maximum number of awaited texts.
 const AWAITED_MAX: usize = 64;
 
-/// Texts by their hashes, the oldest first.
+/// Texts by their hashes, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
     texts: VecDeque<(ContentHash, Arc<[u8]>)>,
@@ -29,7 +29,7 @@ impl Kept {
         self.texts.iter().rev().find(|(kept, _)| *kept == hash).map(|(_, text)| text)
     }
 
-    /// Keeps one that is not kept yet, and lets go of the oldest where there is no room.
+    /// Keeps a text that is not kept yet, and drops the oldest if there is no room.
     pub(super) fn keep(&mut self, hash: ContentHash, text: Arc<[u8]>) {
         self.bytes += text.len();
         self.texts.push_back((hash, text));
@@ -40,20 +40,20 @@ impl Kept {
     }
 }
 
-/// What becomes of a connection that needs a text.
+/// The outcome for a connection that needs a text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Supply {
-    /// It has it.
+    /// It has the text.
     Filled,
-    /// It waits, and nobody has asked for the text yet.
+    /// It waits, and the text has not been requested yet.
     Ask,
-    /// It waits with others.
+    /// It waits, and the text has already been requested.
     Waits,
-    /// Too many texts are waited for: it is broken.
+    /// Too many texts are awaited: the connection is broken.
     Refused,
 }
 
-/// What was heard, and who waits for what was not.
+/// The received texts, and the connections that wait for missing ones.
 #[derive(Debug, Default)]
 pub(super) struct Texts {
     kept: Kept,
@@ -61,7 +61,7 @@ pub(super) struct Texts {
 }
 
 impl Texts {
-    /// Fills a text in where it is kept; otherwise the connection waits for it.
+    /// Fills in a text that is kept; otherwise the connection waits for it.
     pub(super) fn supply(&mut self, hash: ContentHash, pipe: &Shared) -> Supply {
         if let Some(text) = self.kept.get(hash) {
             pipe.lock().fill(hash, text);
@@ -78,7 +78,7 @@ impl Texts {
         supply
     }
 
-    /// A text has come. It is what its bytes hash to, whatever it was asked for or published as.
+    /// Handles a received text. Its bytes determine its hash, whatever was requested or published.
     pub(super) fn hear(&mut self, hash: ContentHash, text: &[u8]) {
         for pipe in self.awaited.remove(&hash).iter().flatten().filter_map(WeakShared::upgrade) {
             pipe.lock().fill(hash, text);
@@ -88,7 +88,7 @@ impl Texts {
         }
     }
 
-    /// A text that was asked for does not come any more.
+    /// Gives up a requested text, which will not arrive.
     pub(super) fn give_up(&mut self, hash: ContentHash) {
         for pipe in self.awaited.remove(&hash).iter().flatten().filter_map(WeakShared::upgrade) {
             pipe.lock().lack(hash);
@@ -101,7 +101,7 @@ mod tests {
     use super::super::frame::{Frame, Next, Part};
     use super::*;
 
-    /// A connection that waits for a text.
+    /// Returns a connection that waits for a text.
     fn waiting_for(text: &[u8]) -> (Shared, ContentHash) {
         let (pipe, hash) = (Shared::default(), ContentHash::of(text));
         let part = Part { text: hash, from: 0, count: 1, at: 0 };

@@ -13,7 +13,7 @@ static bool utf8(const char *text, size_t length)
                  : lead >= 0xf0 && lead < 0xf5 ? 3 : -1;
         if (more < 0 || end - at < more)
             return false;
-        if (more > 1) {         /* overlong forms, surrogates, beyond U+10FFFF */
+        if (more > 1) {         /* overlong forms, surrogates, above U+10FFFF */
             unsigned char second = *at;
             if ((lead == 0xe0 && second < 0xa0) || (lead == 0xed && second > 0x9f)
                 || (lead == 0xf0 && second < 0x90) || (lead == 0xf4 && second > 0x8f))
@@ -59,15 +59,15 @@ static char *put_utf8(char *to, long c)
     return to;
 }
 
-/* From behind the opening quote to behind the closing one; NULL if there is none. What is decoded is never longer than
-   what it is decoded from. */
+/* Decodes a string in place. Starts after the opening quote and returns the position after the closing quote; NULL if it is
+   missing. A decoded string is never longer than its source. */
 static char *read_string(struct json_node *node, char *at)
 {
     char *to = at;
     node->text = to;
     while (*at != '"') {
         unsigned char c = (unsigned char)*at++;
-        if (c < 0x20)           /* the end of the text as well */
+        if (c < 0x20)           /* including the end of the text */
             return NULL;
         if (c != '\\') {
             *to++ = (char)c;
@@ -134,7 +134,7 @@ static char *read_number(struct json *json, struct json_node *node, char *at)
         while (digit(*at))
             at++;
     }
-    node->number = strtod(start, NULL) + 0.0; /* 0 for -0 */
+    node->number = strtod(start, NULL) + 0.0; /* 0 instead of -0 */
     if (!isfinite(node->number))
         json->fault = "a number is out of range";
     node->text = start;
@@ -165,7 +165,7 @@ bool json_read(struct json *json, char *text, size_t length)
     if (!utf8(text, length))
         return fail(json, "the text is not UTF-8");
     for (;;) {
-        /* a key or a value is to come, or the end of an empty list or object */
+        /* Expects a key, a value, or the end of an empty list or object. */
         struct json_node *node, *parent = depth ? &json->nodes[stack[depth - 1]] : NULL;
         int index = json->count, key = JSON_NONE;
         at = blank(at);
@@ -189,7 +189,7 @@ bool json_read(struct json *json, char *text, size_t length)
             for (other = parent->size ? parent->first : JSON_NONE; other != JSON_NONE; other = json->nodes[other].next)
                 if (json->nodes[other].length == node->length && !memcmp(json->nodes[other].text, node->text, node->length)) {
                     json->nodes[other].twice = node->twice = true;
-                    json->fault = "a key stands twice in one object";
+                    json->fault = "duplicate key in an object";
                 }
             at = blank(at);
             if (*at++ != ':')

@@ -4,7 +4,7 @@
    ./robot --listen 127.0.0.1:7000
    ./robot --listen 0.0.0.0:7000 --secret arm-1.secret --revoked revoked.serials
 
-   Nothing is allocated: everything has its place in the pools below, whose sizes are the limits. */
+   Nothing is allocated: all data is in the pools below, whose sizes are the limits. */
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -35,14 +35,14 @@
 #define MAX_LINKS 8
 #define STRANGERS 6       /* of them, those whose session does not own the robot */
 #define MAX_LINE (96 * 1024)
-#define MAX_OUT (160 * 1024) /* bytes left unread at which a peer is cut off; from MAX_UNREAD on it is not listened to */
+#define MAX_OUT (160 * 1024) /* unread bytes at which a peer is disconnected; from MAX_UNREAD on, its input is not read */
 #define MAX_UNREAD (48 * 1024)
-#define KEPT 300          /* last answers of requests that have ended; the protocol asks for 256 */
+#define KEPT 300          /* last answers of requests that have ended; the protocol requires 256 */
 #define AUTHORS 16        /* reasons with the name of an operator */
 #define MAX_ID 256        /* characters of a string */
-#define MAX_NAMES 128     /* requests, and devices, of an inquiry; its answer must fit into MAX_OUT */
+#define MAX_NAMES 128     /* requests, and devices, in an inquiry; its answer must fit into MAX_OUT */
 
-/* Your robot. The macro makes a string of it. */
+/* Your robot. The macro turns it into a string. */
 
 #define JSON(...) #__VA_ARGS__
 
@@ -63,13 +63,12 @@ static const char BLOCK[] = JSON(
      "available_control_types": {"sensor": {"min_value": -40, "max_value": 125, "max_delay": 20}}}]}
 );
 
-/* Control types that set something. This robot knows no custom_N: each of them is unsupported. */
+/* Control types that set a value. This robot does not support any custom_N. */
 enum kind { POSITION, SPEED, ACCELERATION, KINDS, OTHER = KINDS };
 
 static const char *const KIND_NAMES[] = {"position", "speed", "acceleration"};
 
-/* Your hardware: `device` counts from 0 in the order of BLOCK. Both must return at once; false is answered or reported
-   as `internal`. */
+/* Your hardware: `device` counts from 0 in the order of BLOCK. Both must return at once; false is answered or reported as `internal`. */
 static bool arm_set(int device, enum kind kind, double value)
 {
     (void)device, (void)kind, (void)value;
@@ -83,21 +82,21 @@ static bool arm_read(int device, double *value)
     return true;
 }
 
-/* Times are nanoseconds: by the clock that NTP disciplines, or of silence by one that nobody sets. Timestamps beyond the
+/* Times are nanoseconds, by the clock that NTP disciplines; silence is measured by a clock that is never set. Timestamps outside the
    years 1685 to 2255 are malformed, so that nothing overflows. */
 
 #define MS INT64_C(1000000)
 #define SECOND INT64_C(1000000000)
 #define FAR INT64_C(9000000000000000000)
 #define NEVER INT64_MAX
-#define SAMPLE (20 * MS)      /* how often a linear device is told where it should be */
+#define SAMPLE (20 * MS)      /* period at which a linear device is set between two steps */
 #define LATE_STEP MS
 #define LATE_START (50 * MS)
 #define SILENCE (5 * SECOND)  /* after which a session without commands ends */
-#define FUTURE (5 * SECOND)   /* how far ahead of the clock a stop takes back */
-#define FIRST (5 * SECOND)    /* for a peer to prove who it is, if it has to, and to send its first message */
-#define BEGUN (10 * SECOND)   /* for a stranger to end a message that it has begun */
-#define SPIN MS               /* so long before it is due, a step is waited for without sleeping */
+#define FUTURE (5 * SECOND)   /* a stop cancels requests sent until at most this far in the future */
+#define FIRST (5 * SECOND)    /* for a peer to prove its identity, if required, and to send its first message */
+#define BEGUN (10 * SECOND)   /* for a stranger to complete a message that it has begun */
+#define SPIN MS               /* busy-waits for this long before a step is due */
 
 struct text {
     size_t length;
@@ -126,7 +125,7 @@ enum status { ACCEPTED, STARTED, OK, FAILED, PROVIDE };
 
 static const char *const STATUS_NAMES[] = {"Accepted", "Started", "OK", "Failed", "Provide"};
 
-/* The last answer to a request, for when it is repeated. */
+/* The last answer to a request, repeated if the request is repeated. */
 struct answer {
     bool used, ended, named, has_value, is_report;
     uint64_t number;
@@ -135,17 +134,17 @@ struct answer {
     double value;
     int64_t event;
     int steps_done, late_steps;
-    int64_t latest; /* how late its latest step was, in ns */
+    int64_t latest; /* largest lateness of a step, in ns */
     const char *code, *message;
-    const struct command *command; /* that is accepted and has not ended */
-    char content_hash[65];         /* of what was accepted */
+    const struct command *command; /* the command, from its acceptance to its end */
+    char content_hash[65];         /* of the accepted request */
     bool began;
     int64_t began_at;
 };
 
 struct command {
     bool held, script, begun, started;
-    bool of_owner;                 /* of the session, else of the connection `link` */
+    bool of_owner;                 /* belongs to the session, else to the connection `link` */
     uint64_t link, number;
     struct answer *answer;
     char content_hash[65];
@@ -156,7 +155,7 @@ struct command {
     double from_value;
     enum kind from_kind;
     int done, late, size;
-    int64_t latest;                /* how late its latest step was, in ns */
+    int64_t latest;                /* largest lateness of a step, in ns */
     struct step steps[MAX_STEPS];
 };
 
@@ -166,12 +165,12 @@ struct device {
     bool sensor, linear, has_default;
     bool usable[KINDS];            /* in its scripts */
     double default_value, where[KINDS];
-    bool placed;                   /* whether the hardware has taken a position, the one in `where` */
-    enum kind primary;             /* what default_value is of */
+    bool placed;                   /* whether the hardware has accepted a position, which is in `where` */
+    enum kind primary;             /* the control type of default_value */
     int queue, max_steps;
     int64_t taken_back;
     struct command commands[MAX_QUEUE];
-    struct tail {                  /* the lease of a speed that goes on after its command */
+    struct tail {                  /* the lease of a speed that continues after its command */
         bool there, of_owner, named;
         uint64_t link, command;
         int64_t limit, heard;
@@ -185,7 +184,7 @@ struct link {
     uint64_t number;
     bool of_owner, skipping, dead, more, spoken;
     int64_t heard;                 /* the last message; before the first, when the peer connected */
-    int64_t begun;                 /* when the line began that has not ended; 0: none has */
+    int64_t begun;                 /* when the incomplete line began; 0 without one */
     size_t in_length, out_length, ready; /* ready: bytes of `out` that are records already */
     struct sealed sealed;
     char in[MAX_LINE + 2 + SEALED_RECORD], out[MAX_OUT];
@@ -197,9 +196,9 @@ static struct answer answers[KEPT + MAX_DEVICES * MAX_QUEUE];
 static struct link links[MAX_LINKS];
 static struct json json;
 static struct text robot_id, owner;
-static char owner_name[SEALED_NAME]; /* who proved to be it */
+static char owner_name[SEALED_NAME]; /* the operator that proved to own the robot */
 static size_t owner_name_length;
-static bool owned, reports, secured; /* secured: only those are heard who prove a pass */
+static bool owned, reports, secured; /* secured: a peer has to prove a pass */
 static struct sealed_key key;
 static int64_t owner_heard;
 static uint64_t numbers;
@@ -231,9 +230,9 @@ static bool same(const struct text *a, const struct text *b)
     return a->length == b->length && !memcmp(a->bytes, b->bytes, a->length);
 }
 
-/* Writing. A link that is NULL or dead takes everything and sends nothing. */
+/* Writing. A link that is NULL or dead accepts everything and sends nothing. */
 
-/* Makes records of what was said. */
+/* Turns the pending output into records. */
 static void link_seal(struct link *link)
 {
     while (link->ready < link->out_length && !link->dead) {
@@ -308,7 +307,7 @@ static void put_text(struct link *link, const char *bytes, size_t length)
     put_bytes(link, "\"", 1);
 }
 
-/* With the fewest digits that read back as the same double. */
+/* Writes the fewest digits that read back as the same double. */
 static void put_number(struct link *link, double value)
 {
     char digits[40];
@@ -421,9 +420,9 @@ static void send_answer(struct link *link, const struct answer *a)
     send_end(link);
 }
 
-/* Doing. */
+/* Commands. */
 
-/* A report goes where the session was heard last, or to the connection of a command that belongs to none. */
+/* A report goes to the connection on which the session sent its last message, or to the connection of a command without a session. */
 static struct link *link_of(bool of_owner, uint64_t number)
 {
     struct link *to = NULL, *link;
@@ -468,7 +467,7 @@ static struct answer *find_answer(const struct text *request_id)
     return NULL;
 }
 
-/* The lease of what a command left on has run out. */
+/* Reports that the lease of a speed, which continued after its command, has ended. */
 static void report_tail(const struct device *device, const struct tail *tail, const char *code, const char *message, int64_t now)
 {
     struct answer *kept = tail->named ? find_answer(&tail->request_id) : NULL, a;
@@ -543,8 +542,8 @@ static bool sample(struct device *device, struct command *c, int64_t now)
     return true;
 }
 
-/* Ends all commands: speeds go to zero, and a position stays where it is. With `home` the device goes to its default state.
-   A device with an `acceleration` should slow down by it. */
+/* Ends all commands: speeds go to zero, and a position is kept. With `home` the device goes to its default state. A device with an
+   `acceleration` should slow down with it. */
 static void rest(struct device *device, bool home, const char *code, const char *message, int64_t now)
 {
     int i;
@@ -566,7 +565,7 @@ static void rest(struct device *device, bool home, const char *code, const char 
 
 static const char RUNNING_ENDED[] = "the running lease ended", PENDING_ENDED[] = "the pending lease ended", BROKEN[] = "the hardware failed";
 
-/* The lease of what runs, or of a speed that goes on, has ended: everything ends. */
+/* The lease of a running command, or of a speed that continues, has ended: everything ends. */
 static void run_out(struct device *device, int64_t now)
 {
     int i, j;
@@ -607,7 +606,7 @@ static int64_t ends(const struct command *c, int64_t shift, int done, bool begun
     return after(c->heard + shift, lease_limit(begun ? lease->running : lease->pending));
 }
 
-/* Where the lease that follows the next step would be over by then, that step is not done. */
+/* If the lease that follows the next step would already have ended at that step, the step is not done. */
 static int64_t lease_ends(const struct command *c, int64_t shift)
 {
     int64_t at = c->start + (c->begun ? c->steps[c->done].offset : 0), now = ends(c, shift, c->done, c->begun);
@@ -640,7 +639,7 @@ static void go_on(struct device *device, struct command *c, int64_t now)
 {
     const struct step *step = &c->steps[c->done];
     if (!c->begun && now > c->start + LATE_START) {
-        report(c, FAILED, NULL, "late", "the robot was held up over the start", now);
+        report(c, FAILED, NULL, "late", "the robot was delayed at the start", now);
     } else if (!c->begun) {
         c->begun = true;
         c->sampled = now;
@@ -667,12 +666,12 @@ static void go_on(struct device *device, struct command *c, int64_t now)
     }
 }
 
-/* Does what is due in the order of time, at one instant leases before steps; returns when the next thing is due. The lease of
-   what runs comes first once it has ended: a program that was held up would do now what was due before. */
+/* Runs the due actions in order of time; at the same instant, leases before steps. Returns when the next action is due. An ended lease
+   of a running command comes first: a delayed program would otherwise do steps that were due before. */
 static int64_t run(void)
 {
     for (;;) {
-        enum { LEASE, PENDING, STEP, MOVE } what = LEASE; /* at one instant in this order */
+        enum { LEASE, PENDING, STEP, MOVE } what = LEASE; /* in this order at the same instant */
         int64_t now = now_ns(), shift = now - silence_ns(), due = NEVER, at;
         struct device *device, *of = NULL;
         struct command *c, *with = NULL;
@@ -704,7 +703,7 @@ static int64_t run(void)
             return due;
         if (what == LEASE)
             run_out(of, now);
-        else if (what == PENDING) /* what starts then or later has not moved anything */
+        else if (what == PENDING) /* commands that start then or later have not moved anything */
             drop(of, with->start, true, "link_lost", PENDING_ENDED, now);
         else if (what == STEP)
             go_on(of, with, now);
@@ -713,7 +712,7 @@ static int64_t run(void)
     }
 }
 
-/* Reading messages. What is wrong with one is told in `fault`. */
+/* Reading messages. `fault` is the error of a message. */
 
 static const char *fault;
 
@@ -769,7 +768,7 @@ static bool boolean_at(int object, const char *key)
     return node != JSON_NONE && json.nodes[node].type == JSON_TRUE;
 }
 
-/* As many digits as the pattern has 0, and its other characters; returns what follows. */
+/* Reads as many digits as the pattern has 0, and its other characters. Returns the position after them. */
 static const char *digits(const char *at, const char *end, const char *pattern, int *values)
 {
     for (*values = 0; *pattern; pattern++, at++) {
@@ -848,7 +847,7 @@ static void lease_at(int object, struct lease *to)
     }
 }
 
-/* How many of control_value, control_value_2 ... there are, and the first of them. */
+/* Counts control_value, control_value_2 ... and returns the first of them. */
 static int values_at(int object, double *first)
 {
     int at, most = number_at(object, "control_value", first), count = most;
@@ -877,7 +876,7 @@ static bool is(const struct text *text, const char *word)
     return text->length == strlen(word) && !memcmp(text->bytes, word, text->length);
 }
 
-/* OTHER for custom_N, and for what the protocol does not name: no device here has it. */
+/* OTHER for custom_N, and for names that the protocol does not define: no device here supports them. */
 static enum kind kind_of(const struct text *name)
 {
     int i;
@@ -887,16 +886,16 @@ static enum kind kind_of(const struct text *name)
     return OTHER;
 }
 
-/* A control request that is a message. */
+/* A well-formed control request. */
 struct request {
     struct text device_id, request_id, session, timestamp, control_type;
-    bool named, has_session, has_sent, has_start, home, script, sensor, unknown; /* unknown: no control type of the protocol */
-    enum kind kind;            /* of neither */
+    bool named, has_session, has_sent, has_start, home, script, sensor, unknown; /* unknown: not a control type of the protocol */
+    enum kind kind;            /* unless it is a script or a sensor */
     int64_t sent, start, until;
     char content_hash[65];
     struct lease lease;
-    int size;                  /* of a script, also beyond MAX_STEPS */
-    int values;                /* of the step with the most, up to MAX_STEPS */
+    int size;                  /* of a script; may exceed MAX_STEPS */
+    int values;                /* largest number of values in one of the first MAX_STEPS steps */
     struct step steps[MAX_STEPS];
     int step_values[MAX_STEPS];
 };
@@ -946,7 +945,7 @@ static void read_request(int body)
         r->steps[0].kind = r->kind = kind_of(&r->control_type);
         r->steps[0].lease.form = NO_LEASE;
         r->unknown = r->kind == OTHER && (r->control_type.length < 8 || memcmp(r->control_type.bytes, "custom_", 7) != 0);
-        r->step_values[0] = r->unknown ? 0 : values_at(body, &r->steps[0].value); /* whatever the value of that is */
+        r->step_values[0] = r->unknown ? 0 : values_at(body, &r->steps[0].value); /* any value is accepted for an unknown type */
     }
     if (!r->script || fault)
         return;
@@ -978,7 +977,7 @@ static void read_request(int body)
     }
 }
 
-/* Over the bytes as they came: a server that sends content_hash writes them in the canonical form. */
+/* Hashes the bytes as received: a server that sends content_hash writes them in the canonical form. */
 static void hash_request(int body, char *hex)
 {
     struct sha256 sha;
@@ -1004,7 +1003,7 @@ static void hash_request(int body, char *hex)
     hex_of(digest, sizeof digest, hex);
 }
 
-/* Checking. */
+/* Checks. */
 
 static bool within(const struct limits *limits, double value)
 {
@@ -1024,7 +1023,7 @@ static bool refuse(struct answer *a, const char *code, const char *message)
     return true;
 }
 
-/* The first check that fails from the fourth on, in the order of the protocol. */
+/* The first check that fails, from the fourth check of the protocol on, in its order. */
 static bool refused(const struct request *r, struct device *device, int body, int64_t now, struct answer *a)
 {
     char hex[65];
@@ -1063,7 +1062,7 @@ static bool refused(const struct request *r, struct device *device, int body, in
     if (r->until <= now)
         return refuse(a, "late", "pending_until has passed");
     if (r->has_sent && r->sent <= device->taken_back)
-        return refuse(a, "cancelled", "it was taken back by an empty script");
+        return refuse(a, "cancelled", "it was cancelled by a stop that arrived before it");
     end = start + r->steps[r->size - 1].offset;
     for (i = 0; i < MAX_QUEUE; i++) {
         const struct command *other = &device->commands[i];
@@ -1076,16 +1075,16 @@ static bool refused(const struct request *r, struct device *device, int body, in
     return false;
 }
 
-/* Whose the robot is. */
+/* Ownership of the robot. */
 
-/* A session belongs to the name that claimed it. */
+/* A session belongs to the operator name that claimed it. */
 static bool owns(const struct link *link, const struct text *session)
 {
     return same(session, &owner) && link->sealed.name_length == owner_name_length
         && !memcmp(link->sealed.name, owner_name, owner_name_length);
 }
 
-/* Whether the robot does or holds anything. A session that is over by then owns it no more. */
+/* Whether the robot runs or holds a command. A session that is over at this time loses the robot. */
 static bool is_busy(void)
 {
     bool busy = false, open = false;
@@ -1107,7 +1106,7 @@ static bool is_busy(void)
     return busy;
 }
 
-/* Renews leases and settles whose the robot is; false if it is another session's. */
+/* Renews leases and determines the owner; false if another session owns the robot. */
 static bool hear(struct link *link, const struct text *session, bool claims)
 {
     int64_t now = silence_ns(), received = now_ns();
@@ -1120,10 +1119,10 @@ static bool hear(struct link *link, const struct text *session, bool claims)
         owner = *session;
         owner_name_length = link->sealed.name_length;
         memcpy(owner_name, link->sealed.name, owner_name_length);
-        for (device = devices; device < devices + device_count; device++) /* by stops of strangers that name the future */
+        for (device = devices; device < devices + device_count; device++) /* stops by strangers may have named a future time */
             device->taken_back = device->taken_back < received ? device->taken_back : received;
     }
-    if (session) /* a message without one counts for the session that its connection named last */
+    if (session) /* a message without a session belongs to the session that its connection named last */
         link->of_owner = owned && owns(link, session);
     link->heard = now;
     link->spoken = true;
@@ -1144,11 +1143,11 @@ static bool hear(struct link *link, const struct text *session, bool claims)
 static const char *busy_message(void)
 {
     static char message[sizeof robot_id.bytes + 64]; /* without the session's name, which is a secret */
-    snprintf(message, sizeof message, "`%.*s` belongs to another session until that ends", (int)robot_id.length, robot_id.bytes);
+    snprintf(message, sizeof message, "`%.*s` belongs to another session until that session ends", (int)robot_id.length, robot_id.bytes);
     return message;
 }
 
-/* Why something ended. Answers keep it, so each operator has reasons of its own, up to the last AUTHORS of them. */
+/* Why something ended. Answers keep the text, so there is one per operator, for the last AUTHORS of them. */
 static const char *done_by(const char *what, const struct link *link)
 {
     static char authors[AUTHORS][SEALED_NAME + 32];
@@ -1163,7 +1162,7 @@ static const char *done_by(const char *what, const struct link *link)
     return strcpy(authors[i], text);
 }
 
-/* An operator with the role seize takes the robot from others: what they hold ends and comes to rest. */
+/* An operator with the role seize takes the robot from others: their commands end, and it comes to rest. */
 static void take_from_others(struct link *link, const struct text *session)
 {
     bool busy = is_busy();
@@ -1190,10 +1189,10 @@ static struct answer *new_answer(void)
         if (a->ended && (!oldest || a->number < oldest->number))
             oldest = a;
     }
-    return oldest; /* never NULL: there are KEPT more places than commands */
+    return oldest; /* never NULL: there are KEPT more entries than commands */
 }
 
-/* Whether the request that was read ends at once what its device does. */
+/* Whether the request just read stops its device at once. */
 static bool stops(void)
 {
     return request.script && !request.size && !request.has_start && !request.home;
@@ -1242,7 +1241,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         if (r->has_start && r->start > now) {
             drop(device, r->start, true, "cancelled", why, now);
         } else {
-            if (r->has_sent) { /* no further ahead than FUTURE: no wrong clock blocks a device for good */
+            if (r->has_sent) { /* limited to FUTURE, so that a wrong clock does not block a device for good */
                 int64_t until = r->sent < now + FUTURE ? r->sent : now + FUTURE;
                 device->taken_back = until > device->taken_back ? until : device->taken_back;
             }
@@ -1283,7 +1282,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
     send_answer(link, &passing);
 }
 
-/* The clock and the status that an availability response and the answer to an inquiry begin with. */
+/* Begins an availability response or an inquiry response with its clock and status. */
 static void begin_clock(struct link *link, const char *name, int64_t received, const struct text *sent, const char *code,
     const char *message)
 {
@@ -1309,7 +1308,7 @@ static void availability(struct link *link, int64_t received, const struct text 
     send_end(link);
 }
 
-/* What is told of one request. Held or running, it is a command; else only its last answer is left. */
+/* The state of one request. A held or running request is a command; an ended one is only its last answer. */
 static void put_request(struct link *link, const struct text *request_id)
 {
     const struct answer *a = find_answer(request_id);
@@ -1351,7 +1350,7 @@ static void put_room(struct link *link, const struct device *device)
     put(link, "}");
 }
 
-/* Whether one of the lists of an inquiry is a list of names, or left out. */
+/* Whether a list of an inquiry is missing or contains only names. */
 static bool names_at(int body, const char *key, size_t least)
 {
     int list = json_get(&json, body, key), item;
@@ -1367,8 +1366,8 @@ static bool names_at(int body, const char *key, size_t least)
     return !fault;
 }
 
-/* A command of this connection's session, or without one of this connection, may wait for its start no longer than `limit`,
-   which may be NaN, while the server is silent, and until `until` at the latest, unless that is NEVER. */
+/* A command of this connection's session, or one without a session from this connection, may wait for its start for at most `limit`
+   while the server is silent, and at most until `until`. `limit` may be NaN and `until` NEVER, for no limit. */
 static void shorten(struct link *link, const struct text *request_id, bool has_session, double limit, int64_t until)
 {
     struct device *device;
@@ -1386,7 +1385,7 @@ static void shorten(struct link *link, const struct text *request_id, bool has_s
         }
 }
 
-/* A question: nothing but leases changes. */
+/* An inquiry changes only leases. */
 static void inquire(struct link *link, int body, int64_t received, bool mine, const struct text *sent, bool has_session)
 {
     int item, requests = json_get(&json, body, "requests"), asked = json_get(&json, body, "devices"), i, count = 0;
@@ -1439,7 +1438,7 @@ static void malformed(struct link *link, int64_t received, int body, const char 
     }
 }
 
-/* Whether the peer has one of these roles; else `message` says what it lacks. It renews and claims nothing before that. */
+/* Whether the peer has one of these roles; else `message` names the missing role. Called before the message renews or claims anything. */
 static bool permits(struct link *link, unsigned needed, char *message, size_t room)
 {
     char may[64], takes[64], *comma;
@@ -1451,7 +1450,7 @@ static bool permits(struct link *link, unsigned needed, char *message, size_t ro
         memmove(comma + 4, comma + 2, strlen(comma + 2) + 1);
         memcpy(comma, " or ", 4);
     }
-    snprintf(message, room, "operator %.*s may %s, and this takes %s", (int)link->sealed.name_length, link->sealed.name, may, takes);
+    snprintf(message, room, "operator %.*s may %s, but this requires the role %s", (int)link->sealed.name_length, link->sealed.name, may, takes);
     fprintf(stderr, "refused: %s\n", message);
     return false;
 }
@@ -1516,7 +1515,7 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
             forbid_control(link, message);
             return;
         }
-        at = silence_ns(); /* ahead of the other clock, so that a lease of 0 ends before what begins at once */
+        at = silence_ns(); /* before the other clock is read, so that a lease of 0 ends before commands that begin at once */
         control(link, body, at, now_ns());
         return;
     }
@@ -1531,11 +1530,11 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
         return;
     }
     if (seize && !has_session) {
-        malformed(link, received, JSON_NONE, "`seize` takes the robot for a session, and there is no `session`");
+        malformed(link, received, JSON_NONE, "`seize` requires a `session`");
         return;
     }
-    if (seize && !secured) { /* it would take a robot from another session: nobody proves here who that is */
-        availability(link, received, has_sent ? &sent : NULL, "forbidden", "seizing takes the role seize, and on this connection nothing is proven");
+    if (seize && !secured) { /* it would take a robot from another session without proof of identity */
+        availability(link, received, has_sent ? &sent : NULL, "forbidden", "the robot can be seized only by an operator with the role seize; this connection proves no role");
         return;
     }
     if (!permits(link, has_session ? ROLE_DRIVE : inquiry ? ROLE_OBSERVE | ROLE_DRIVE : ROLE_OBSERVE | ROLE_DRIVE | ROLE_STOP,
@@ -1585,7 +1584,7 @@ static void link_lines(struct link *link)
         from += length + 1;
         while (length && strchr(" \t\r", line[length - 1]) && line[length - 1])
             length--;
-        run(); /* what was due before the message comes first */
+        run(); /* handles actions that were due before the message */
         if (link->skipping)
             link->skipping = false;
         else if (length > MAX_LINE)
@@ -1608,7 +1607,7 @@ static void link_lines(struct link *link)
         link->begun = silence_ns();
 }
 
-/* Whether a peer has taken longer than it may to say its first message, or to end one if it is no owner's. */
+/* Whether a peer takes too long for its first message, or, if it does not own the robot, to complete a message. */
 static bool is_slow(const struct link *link)
 {
     int64_t now = silence_ns();
@@ -1617,7 +1616,7 @@ static bool is_slow(const struct link *link)
     return link->begun && !link->of_owner && now - link->begun > BEGUN;
 }
 
-/* Hands on what records carry, once the peer has proven who it is. */
+/* Handles the content of records after the peer has proven its identity. */
 static void link_open(struct link *link)
 {
     static char answer[SEALED_LINE + 1];
@@ -1632,7 +1631,7 @@ static void link_open(struct link *link)
         link->ready = link->out_length;
         link_flush(link);
         if (!good) {
-            fprintf(stderr, "a peer that does not prove who it is is hung up on\n");
+            fprintf(stderr, "a peer that does not prove its identity is disconnected\n");
             link->dead = true;
         }
         if (s->raw_length == before)
@@ -1641,7 +1640,7 @@ static void link_open(struct link *link)
     while (!link->dead && (got = sealed_open(s, link->in + link->in_length, sizeof link->in - 1 - link->in_length)) > 0)
         link->in_length += (size_t)got;
     if (got < 0) {
-        fprintf(stderr, "a connection with something altered, repeated or put in another order is closed\n");
+        fprintf(stderr, "a connection with altered, repeated or reordered data is closed\n");
         link->dead = true;
     }
 }
@@ -1667,7 +1666,7 @@ static void link_close(struct link *link)
     link->of_owner = false;
 }
 
-/* Of the strangers the one that has said nothing, or that has been silent for longest, gives way to a new one. */
+/* Disconnects a stranger for a new one: one that has sent no message, or else the one that has been silent for longest. */
 static void make_room(void)
 {
     struct link *link, *least = NULL;
@@ -1739,7 +1738,7 @@ static int listen_at(const char *address)
     return listener;
 }
 
-/* Starting: the devices are read from BLOCK, so that what is told and what is done are one. */
+/* Starting: the devices are read from BLOCK, so that the robot does what it describes. */
 
 static struct limits limits_at(int types, const char *name)
 {

@@ -67,7 +67,7 @@ bool sealed_read_secret(struct sealed_key *key, const char *path)
     }
     fclose(file);
     if (stat.st_mode & 077)
-        fprintf(stderr, "%s: others may read this secret; make it yours alone: chmod 600 %s\n", path, path);
+        fprintf(stderr, "%s: other users can read this secret; restrict the access with `chmod 600 %s`\n", path, path);
     else if (!found || !good)
         fprintf(stderr, "%s: expected a file that `downbeat keys secret` wrote\n", path);
     return found && good && !(stat.st_mode & 077);
@@ -88,7 +88,7 @@ static bool is_revoked(const char *path, const char *serial, size_t length)
     bool found = false;
     FILE *file = path ? fopen(path, "r") : NULL;
     if (!file)
-        return path != NULL; /* a list that cannot be read opens no door */
+        return path != NULL; /* an unreadable list rejects everyone */
     while (fgets(line, sizeof line, file))
         found = found || (strcspn(line, "\r\n") == length && !memcmp(line, serial, length));
     found = found || ferror(file);
@@ -96,7 +96,7 @@ static bool is_revoked(const char *path, const char *serial, size_t length)
     return found;
 }
 
-/* Percent-encoded, but for the unreserved characters of RFC 3986; 0 if there is no room. */
+/* Percent-encodes all but the unreserved characters of RFC 3986. Returns 0 if there is no room. */
 static size_t encode(const char *text, size_t length, char *to, size_t room)
 {
     size_t used = 0;
@@ -110,7 +110,7 @@ static size_t encode(const char *text, size_t length, char *to, size_t room)
     return used;
 }
 
-/* An operator's name as it was; false for one that is damaged or too long. */
+/* Decodes an operator's name. Returns false if it is damaged or too long. */
 static bool decode(struct sealed *s, const char *text, size_t length)
 {
     s->name_length = 0;
@@ -173,7 +173,7 @@ static bool hello(const struct sealed_key *key, struct sealed *s, size_t length,
     unsigned char number[SEALED_NONCE], tag[SHA256_BYTES];
     long long expires;
     if (length < at || memcmp(line, VERSION, at) != 0)
-        return false; /* something else is spoken */
+        return false; /* another protocol */
     while (words < 7) { /* nonce, robot, "operator", name, roles, end, number */
         word[words++] = line + at;
         end = memchr(line + at, ' ', length - at);
@@ -198,7 +198,7 @@ static bool hello(const struct sealed_key *key, struct sealed *s, size_t length,
         return refuse(answer, "revoked", "");
     s->roles = roles_of(word[4], (size_t)(word[5] - word[4]) - 1);
     code(key->secret, "urrcp pass 1\n", word[2], (size_t)(line + length - word[2]), s->pass);
-    /* The answer is proven together with the line before it. */
+    /* The proof covers the answer and the line before it. */
     line[length++] = '\n';
     at = length + (size_t)sprintf(line + length, "%s", VERSION);
     hex_of(nonce, SEALED_NONCE, line + at);

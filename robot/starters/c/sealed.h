@@ -1,5 +1,5 @@
-/* hmac:// (docs/protocol.md, "A shared secret"): a peer proves a pass that follows from the robot's secret, and then each record
-   of bytes has its code. No sockets in here: bytes as they came go in, what is to be sent comes out. */
+/* hmac:// (docs/protocol.md, "A shared secret"): a peer proves a pass that is derived from the robot's secret; after that, each record
+   of bytes has an authentication code. Without sockets: received bytes go in, bytes to send come out. */
 #ifndef SEALED_H
 #define SEALED_H
 
@@ -9,20 +9,20 @@
 
 #include "sha256.h"
 
-#define SEALED_RECORD 16384 /* bytes that a record carries at most */
-#define SEALED_HEAD 20      /* its length, and its code */
+#define SEALED_RECORD 16384 /* most bytes in a record */
+#define SEALED_HEAD 20      /* a record's length and code */
 #define SEALED_LINE 8192    /* of the handshake */
 #define SEALED_NONCE 16
-#define SEALED_NAME 256     /* of an operator, in bytes; a longer one is not let in */
+#define SEALED_NAME 256     /* longest name of an operator, in bytes; a longer one is rejected */
 
 enum { ROLE_OBSERVE = 1, ROLE_DRIVE = 2, ROLE_STOP = 4, ROLE_SEIZE = 8 };
 
-/* What the robot knows. */
+/* The robot's secret and its settings. */
 struct sealed_key {
     unsigned char secret[SHA256_BYTES];
     const char *robot;   /* its id */
     size_t robot_length;
-    const char *revoked; /* a file with the numbers of revoked passes; NULL: none */
+    const char *revoked; /* a file with the serials of revoked passes, or NULL */
 };
 
 enum sealed_stage { SEALED_HELLO, SEALED_PROOF, SEALED_OPEN };
@@ -34,30 +34,30 @@ struct sealed {
     char name[SEALED_NAME];
     size_t name_length;
     unsigned char pass[SHA256_BYTES], to_robot[SHA256_BYTES], to_operator[SHA256_BYTES];
-    uint64_t came, went; /* records each way */
+    uint64_t came, went; /* records in each direction */
     size_t said_length, raw_length;
     char said[SEALED_LINE + 256];                      /* the first two lines */
-    unsigned char raw[SEALED_RECORD + SEALED_HEAD];   /* what came and is not a whole record, or line */
+    unsigned char raw[SEALED_RECORD + SEALED_HEAD];   /* received bytes of an incomplete record or line */
 };
 
-/* Reads a file that `downbeat keys secret` wrote; false with a reason on stderr. */
+/* Reads a file written by `downbeat keys secret`. On failure, returns false and prints the reason to stderr. */
 bool sealed_read_secret(struct sealed_key *key, const char *path);
 
-/* Random bytes; false if there are none. */
+/* Fills `bytes` with random bytes; false if that is impossible. */
 bool sealed_random(unsigned char *bytes, size_t length);
 
-/* Takes a line of the handshake if a whole one has come. `now` is the calendar's time in seconds since 1970, `nonce` the robot's
-   number for this connection. What is to be answered is put into `answer`, which has room for SEALED_LINE characters and an end.
-   False: to be hung up on, behind the answer. */
+/* Handles a line of the handshake if it is complete. `now` is the calendar time in seconds since 1970, `nonce` the robot's number for
+   this connection. Puts the answer into `answer`, which has room for SEALED_LINE characters and a terminator. If it returns false,
+   close the connection after the answer. */
 bool sealed_greet(const struct sealed_key *key, struct sealed *s, int64_t now, const unsigned char *nonce, char *answer);
 
-/* Appends what the next whole record carries, if it fits; how many bytes that were. -1: to be hung up on. */
+/* Appends the content of the next complete record, if it fits. Returns its number of bytes, or -1 if the connection must be closed. */
 int sealed_open(struct sealed *s, char *bytes, size_t room);
 
 /* Writes the head of a record with these bytes. */
 void sealed_seal(struct sealed *s, const void *bytes, size_t length, unsigned char *head);
 
-/* The roles as a message to people has them; `what` has room for 64 characters. */
+/* The roles as text for users; `what` has room for 64 characters. */
 const char *sealed_roles(unsigned roles, char *what);
 
 #endif

@@ -21,12 +21,12 @@ struct hmac {
     struct sha256 inner, outer;
 };
 
-/* Keys are as long as digests. */
+/* Keys have the length of digests. */
 void hmac_start(struct hmac *hmac, const unsigned char *key);
 void hmac_add(struct hmac *hmac, const void *bytes, size_t length);
 void hmac_end(struct hmac *hmac, unsigned char *code);
 
-/* Two characters a byte, and an end. */
+/* Two characters per byte, and a terminator. */
 void hex_of(const unsigned char *bytes, size_t length, char *hex);
 
 #endif

@@ -1,4 +1,4 @@
-/* Tests sha256.c and sealed.c with what others have published, and with tests/vectors/hmac.json of Downbeat:
+/* Tests sha256.c and sealed.c with published vectors, and with Downbeat's tests/vectors/hmac.json:
 
    cc -std=c99 -D_POSIX_C_SOURCE=200809L -O2 -o test test.c json.c sealed.c sha256.c -lm && ./test hmac.json */
 #include <stdio.h>
@@ -30,7 +30,7 @@ static void sha(const char *part, int times, const char *expected, const char *w
     check(!strcmp(hex, expected), what);
 }
 
-/* Keys that are shorter than 32 bytes are filled with zeros, as HMAC itself does. */
+/* Keys shorter than 32 bytes are padded with zeros, as HMAC itself does. */
 static void mac(const char *key, size_t size, const char *data, size_t length, const char *expected, const char *what)
 {
     struct hmac hmac;

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A URRCP robot to copy: describe your own in BLOCK and put its hardware into Arm; the rest is the protocol.
+"""A URRCP robot to copy: describe your robot in BLOCK and put its hardware into Arm; the rest is the protocol.
 
 Needs Python 3.9 and its standard library: python3 robot.py --listen 127.0.0.1:7000 [--identity arm-1.pem [--revoked revoked.pem]]
 Each device is a sensor, or is driven by one control type and scripts of it, and holds a value until the next is set.
@@ -18,26 +18,26 @@ BLOCK = {"id": "arm-1", "name": "left arm", "type": "Industrial", "api_version":
      "available_control_types": {"sensor": {"min_value": -40, "max_value": 125, "max_delay": 20}}}]}
 
 class Arm:
-    """Your hardware. All of these must return at once; an exception is told to the server as `internal`."""
+    """Your hardware. All methods must return at once; an exception is reported to the server as `internal`."""
     def set(self, device, value): pass
-    def rest(self, device, value): pass         # a stop or the default state: go to the value; None: stay where you are
+    def rest(self, device, value): pass         # a stop or the default state: go to the value; None: keep the position
     def read(self, device): return 42.5
 
-MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer beyond either is hung up on
-MAX_NAMES, KEPT = 1000, 512                     # names in an inquiry; last answers, the protocol asks for 256
+MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer that exceeds either is disconnected
+MAX_NAMES, KEPT = 1000, 512                     # names in an inquiry; last answers, the protocol requires 256
 MAX_LINKS, STRANGERS = 32, 16                   # connections, and those of them whose session does not own the robot
 MS, NEVER = 1_000_000, 1 << 100                 # all times are nanoseconds
 LATE_STEP, LATE_START, SILENCE, FUTURE = 1 * MS, 50 * MS, 5000 * MS, 5000 * MS
-FIRST, BEGUN = 5000 * MS, 10000 * MS            # for the first message, and for a stranger to end what it has begun
-SPIN = 1.5 * MS                                 # so long before it is due, a step is waited for without sleeping
+FIRST, BEGUN = 5000 * MS, 10000 * MS            # for the first message, and for a stranger to complete a message
+SPIN = 1.5 * MS                                 # busy-waits for this long before a step is due
 
 class Refused(ValueError):
-    """Its arguments are the message and the code of the answer."""
+    """The arguments are the message and the code of the answer."""
 def need(condition, message, code="malformed"):
     if not condition:
         raise Refused(message, code)
 
-# What the keys of messages may hold. Keys that stand in no table are ignored.
+# Checks of the values in messages. Keys that are not in these tables are ignored.
 def string(value): return isinstance(value, str) and len(value) <= 256 and not re.search("[\ud800-\udfff]", value)
 def ident(value): return string(value) and value != ""
 def digest(value): return string(value) and re.fullmatch("[0-9a-fA-F]{64}", value)
@@ -58,7 +58,7 @@ REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident, "
             "initialization_request": {"timestamp": timestamp},
             "inquiry": {"timestamp": timestamp, "session": ident, "pending_lease": period,
                         "pending_until": timestamp, "requests": names(string), "devices": names(ident)}}
-OF_ROBOTS = ["availability_response", "initialization_block", "control_response", "inquiry_response"]    # not for us
+OF_ROBOTS = ["availability_response", "initialization_block", "control_response", "inquiry_response"]    # sent by robots
 
 def instant(value):
     match = re.fullmatch(r"([0-9-]{10}T[0-9:]{8})(?:\.([0-9]{1,9}))?(Z|[+-][0-9]{2}:[0-9]{2})", value.upper())
@@ -72,12 +72,12 @@ def finite(digits):
     need(math.isfinite(value), "a number is not finite")
     return int(value) if value.is_integer() and abs(value) < 1e16 else value
 def unique(pairs):
-    need(len(dict(pairs)) == len(pairs), "a key stands twice in one object")
+    need(len(dict(pairs)) == len(pairs), "duplicate key in an object")
     return dict(pairs)
 JSON = json.JSONDecoder(parse_int=finite, parse_float=finite, parse_constant=finite, object_pairs_hook=unique)
 
 class Fields:
-    """The known keys of an object as attributes, None for those left out."""
+    """The known keys of an object as attributes; None if they are missing."""
     def __init__(self, body, checks, *required):
         need(isinstance(body, dict), "not an object")
         for key, check in checks.items():
@@ -86,7 +86,7 @@ class Fields:
         self.further = any(key.startswith("control_value_") and body[key] is not None for key in body)
 
 class Command(Fields):
-    """A control request; once accepted, a command that is held until it ends."""
+    """A control request; after its acceptance, a command that is held until it ends."""
     def __init__(self, body, line, link):
         super().__init__(body, CONTROL, "device_id", "control_type")
         self.link, self.sensor, self.script = link, self.control_type == "sensor", self.control_type == "script"
@@ -100,14 +100,14 @@ class Command(Fields):
         self.offsets = [ns(step.time_offset_to_start) for step in self.steps]
         need(self.offsets == sorted(self.offsets), "a step lies before the one ahead of it")
         leases = [self.stop_condition if step.stop_condition is None else step.stop_condition for step in self.steps]
-        self.leases = phases(self.stop_condition) + [phases(each)[1] for each in leases]    # ahead, begun, by steps
+        self.leases = phases(self.stop_condition) + [phases(each)[1] for each in leases]    # pending, running, then after each step
         self.hash = self.content_hash.lower() if self.content_hash and (valued or self.script) else None
-        if self.hash:                           # over control_value as it came, which then is in the canonical form
+        if self.hash:                           # over the received control_value, which then has the canonical form
             key = re.search(r'"control_value"\s*:\s*', line)
             found, end = JSON.raw_decode(line, key.end()) if key else (None, 0)
             self.right = found == self.value and self.hash == hashlib.sha256(line[key.end():end].encode()).hexdigest()
     def lease_ends(self, heard):
-        """Also where the lease that follows the next step would be over by then: that is not done."""
+        """Also ends where the lease after the next step would already be over: that step is not done."""
         if self.passed == len(self.times):
             return heard + ns(self.leases[-1])
         following = 2 if self.passed == 0 == self.offsets[0] else self.passed + 1
@@ -119,12 +119,12 @@ class Device:
         self.id, self.types, self.default = spec["id"], spec["available_control_types"], spec.get("default_value")
         self.drive = next((kind for kind in self.types if kind not in ("script", "sensor")), None)
         self.still = None if self.drive in (None, "position") else 0
-        self.position = {}                      # the last one, once the hardware has taken it
+        self.position = {}                      # the last one that the hardware has accepted
         self.queue, self.held, self.taken_back = spec.get("script_queue", 1), [], -NEVER
         self.left_on = []                       # the ended command whose lease covers a speed that continues
 
 def check(c, device, now):
-    """All that a request may be refused for, in the order of the protocol."""
+    """All reasons to refuse a request, in the order of the protocol."""
     need(device, "the robot has no such device", "unknown_device")
     need(not c.hash or c.right, "content_hash is not that of control_value")
     need(c.control_type in device.types or c.script and not c.steps, "not one of its types", "unsupported_control_type")
@@ -141,7 +141,7 @@ def check(c, device, now):
             need(abs(n - round(n)) < 1e-6, "no multiple of its granularity", "off_granularity")
     need(c.times[0] >= now, "the start has passed", "late")
     need(c.until > now, "pending_until has passed", "late")
-    need(c.timestamp is None or c.sent > device.taken_back, "taken back by an empty script", "cancelled")
+    need(c.timestamp is None or c.sent > device.taken_back, "cancelled by a stop that arrived before it", "cancelled")
     for other in device.held:
         need(c.times[0] >= other.times[-1] or other.times[0] >= c.times[-1], "it is not free all that time", "overlap")
     need(len(device.held) < device.queue, "the device holds as many commands as it can", "busy")
@@ -150,16 +150,16 @@ class Robot:
     def __init__(self, arm):
         self.arm, self.links, self.owner, self.owner_heard = arm, [], None, 0
         self.seized = None, None                # from which session, and by whom
-        self.answers, self.facts = {}, {}       # by request_id: the last answer, and what else inquiries tell
+        self.answers, self.facts = {}, {}       # by request_id: the last answer, and further data for inquiries
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
         self.timer = asyncio.get_running_loop().call_soon(self.run)
         self.watching = asyncio.get_running_loop().create_task(self.watch())
     def run(self):
-        """Does what is due, by time, at one instant leases before steps; comes back when the next thing is due. Once the
-        lease of what runs has ended it comes first: a robot that was held up would do now what was due before."""
+        """Runs the due actions in order of time; at the same instant, leases before steps. Then waits for the next action. An ended lease
+        of a running command comes first: a delayed robot would otherwise do steps that were due before."""
         while True:
             now, due = time.time_ns(), [(NEVER, 0, [], None)]
-            shift = now - time.monotonic_ns()   # leases count silence, whatever the clock is set to
+            shift = now - time.monotonic_ns()   # leases measure silence, independent of clock changes
             for device in self.devices.values():
                 for c in device.held + device.left_on:
                     ends = c.lease_ends(shift + (self.owner_heard if c.session else c.link.heard))
@@ -176,7 +176,7 @@ class Robot:
         """Starts a command, or does its next step."""
         late, c.passed = now - c.times[c.passed], c.passed + 1
         if c.passed == 1 and late > LATE_START:
-            return self.drop(device, [c], "late", "the robot was held up over the start", now)
+            return self.drop(device, [c], "late", "the robot was delayed at the start", now)
         if c.passed == 1:
             return None                         # it starts with its first value, which may come later
         value = c.steps[c.done].control_value
@@ -196,7 +196,7 @@ class Robot:
             latest = {"late_ms_max": c.latest / MS} if c.late else {}
             self.respond(c, "OK", value, now, steps_done=c.done, late_steps=c.late, **latest)
     def lose(self, device, c, now):
-        """A lease has ended: with one of what runs all ends, with one ahead of a start what starts then or later."""
+        """A lease has ended. If it was of a running command, all end; if it was pending, those that start then or later."""
         why = "link_lost", f"the {'running' if c.passed else 'pending'} lease ended", now
         if c.passed:
             return self.rest(device, *why)
@@ -215,7 +215,7 @@ class Robot:
         for c in sorted(commands, key=lambda c: c.times):
             self.respond(c, "Failed", None, now, steps_done=c.done, error={"code": code, "message": message})
     def respond(self, c, status, value=None, event=None, **more):
-        """Sends a report of an event, or returns an answer; both are kept for a request that is repeated."""
+        """Sends a report of an event, or returns an answer; both are kept for repeated requests."""
         body = {"timestamp": stamp(time.time_ns()), "device_id": c.device_id, "status": status, "status_value": value,
                 **more, **({"event_timestamp": stamp(event)} if event else {})}
         if c.request_id is not None:
@@ -232,24 +232,24 @@ class Robot:
             send(max(links, key=lambda link: link.heard), {"control_response": body})
         return {"control_response": body}
     def hear(self, link, session, claims=True):
-        """Renews leases and settles whose the robot is; returns why it is not this session's."""
+        """Renews leases and determines the owner. Returns why the robot does not belong to this session, or None."""
         now, devices = time.monotonic_ns(), self.devices.values()
         gone = now - self.owner_heard >= SILENCE or all(other.session != self.owner for other in self.links)
         if gone and not any(device.held or device.left_on for device in devices):
             self.owner = None
         if self.owner is None and session and claims:
             self.owner = session
-            for device in devices:      # strangers may have stopped a free robot by a timestamp of the future
+            for device in devices:      # strangers may have stopped a free robot with a future timestamp
                 device.taken_back = min(device.taken_back, time.time_ns())
         link.heard, link.spoken, link.session = now, True, session or link.session
         if link.session == self.owner:
             self.owner_heard = now
         if self.owner not in (None, session) and session and self.seized[0] == session:
-            return f"`{BLOCK['id']}` was taken by {self.seized[1]}"
+            return f"`{BLOCK['id']}` was taken over by {self.seized[1]}"
         if self.owner not in (None, session):
-            return f"`{BLOCK['id']}` belongs to another session until that ends"    # whose name is a secret
+            return f"`{BLOCK['id']}` belongs to another session until that session ends"    # whose name is a secret
     def seize(self, link, session):
-        """Takes the robot from another session: all that others hold ends and comes to rest, then it is this session's."""
+        """Takes the robot from another session: all commands of others end and come to rest, then this session owns it."""
         devices = self.devices.values()
         others = any(c.session != session for device in devices for c in device.held + device.left_on)
         if self.hear(link, session) or others:
@@ -259,9 +259,9 @@ class Robot:
             self.owner = None
     def take(self, link, line, received):
         """The answer to a line."""
-        def permit(*roles):                     # of someone who has proven who it is; before anything is renewed or claimed
+        def permit(*roles):                     # for a peer with a proven identity; before anything is renewed or claimed
             told = ", ".join(sorted(link.roles or [])) or "do nothing"
-            need(link.roles is None or link.roles & set(roles), f"{link.who} may {told}, and this takes {' or '.join(roles)}", "forbidden")
+            need(link.roles is None or link.roles & set(roles), f"{link.who} may {told}, but this requires the role {' or '.join(roles)}", "forbidden")
         name, body, result, kind = None, None, {"status": "OK"}, "availability_response"
         try:
             message = JSON.decode(line := line.decode())
@@ -279,8 +279,8 @@ class Robot:
             asks = name == "initialization_request" or request.session is None
             permit(*["drive"] if not asks else ["observe", "drive"] if name == "inquiry" else ["observe", "drive", "stop"])
             if name == "availability_request" and request.seize:
-                need(request.session, "`seize` takes the robot for a session, and there is no `session`")
-                need(link.roles is not None, "seizing takes the role seize, and on this connection nothing is proven", "forbidden")
+                need(request.session, "`seize` requires a `session`")
+                need(link.roles is not None, "the robot can be seized only by an operator with the role seize; this connection proves no role", "forbidden")
                 permit("seize")
             if name != "initialization_request":
                 request.session = own(link, request.session)
@@ -303,7 +303,7 @@ class Robot:
         times = {"receive_timestamp": stamp(received), "timestamp": stamp(max(received, time.time_ns()))}
         return {kind: {**times, **result}}
     def inquire(self, link, asked):
-        """What became of requests, and how many commands devices would still hold. Nothing but leases changes."""
+        """The state of requests, and how many more commands devices can hold. Changes only leases."""
         held = {c.request_id: c for device in self.devices.values() for c in device.held}
         found = [self.devices[key] for key in asked.devices or [] if key in self.devices]
         told = {"requests": [self.tell(key, held.get(key)) for key in asked.requests or []],
@@ -336,7 +336,7 @@ class Robot:
             check(c, device, now)
             if c.sensor:
                 return self.respond(c, "Provide", finite(self.arm.read(device.id)))
-        except Exception as fault:              # what is no refusal is the hardware's
+        except Exception as fault:              # anything but a refusal comes from the hardware
             message, code = fault.args if isinstance(fault, Refused) else (str(fault), "internal")
             if code == "unsupported_control_type":
                 self.rest(device, "cancelled", "default state after an unsupported control type", now, home=True)
@@ -354,7 +354,7 @@ class Robot:
         return self.respond(c, "OK")
     def owns(self, link): return self.owner is not None and link.session == self.owner
     def let_in(self, link):
-        """Of the strangers the one that has said nothing, or that has been silent for longest, gives way to a new one."""
+        """Disconnects a stranger for a new one: one that has sent no message, or else the one that has been silent for longest."""
         strangers = [other for other in self.links if not self.owns(other)]
         if len(strangers) >= STRANGERS:
             self.let_go(min(strangers, key=lambda other: (other.spoken, other.heard)))
@@ -364,7 +364,7 @@ class Robot:
         self.links = [other for other in self.links if other is not link]
         link.writer.transport.abort()
     async def watch(self):
-        """Lets go of peers that take too long for their first message or, as strangers, to end one."""
+        """Disconnects peers that take too long for their first message or, as strangers, to complete one."""
         while True:
             now = time.monotonic_ns()
             for link in list(self.links):
@@ -382,19 +382,19 @@ class Robot:
                 line = await reader.readexactly(1)
                 link.begun = time.monotonic_ns()
                 line += await reader.readuntil(b"\n") if line != b"\n" else b""
-                self.run()                      # what was due before the message comes first
+                self.run()                      # handles actions that were due before the message
                 if line.strip():
                     send(link, self.take(link, line, time.time_ns()))
-                self.run()                      # and what it brings
-                await asyncio.sleep(0)          # the turn of the others
+                self.run()                      # then actions that the message made due
+                await asyncio.sleep(0)          # lets other tasks run
         self.links = [other for other in self.links if other is not link]
 
 def own(link, session):
-    """A session belongs to who has proven a name with it; to others the same name of a session is another session."""
+    """A session belongs to the peer that used its name with a proven identity; other peers' sessions of this name are different."""
     return session and (link.who, session)
 
 def proven(certificate):
-    """Who the peer is and what it may do, by the URIs of its certificate; nothing of both without TLS."""
+    """The peer's identity and roles, from the URIs of its certificate; (None, None) without TLS."""
     if certificate is None:
         return None, None
     uris = [uri.split(":", 2)[1:] for kind, uri in certificate.get("subjectAltName", ()) if kind == "URI" and uri.count(":") > 1]

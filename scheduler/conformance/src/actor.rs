@@ -1,4 +1,4 @@
-//! Which device is moved, and to which values: within everything it declares, and no further than needed.
+//! Selects the device to move and its values: within all declared limits, and no further than needed.
 
 use urrcp::{ControlType, Device, InitializationBlock, Limits, Setpoint};
 
@@ -9,19 +9,19 @@ pub(super) struct Actor {
     /// position, speed or acceleration.
     pub(super) control_type: ControlType,
     pub(super) limits: Limits,
-    /// Where it goes when nothing else is asked: its default value, or zero, or the middle.
+    /// Its resting value: the default value, zero, or the middle of the range.
     pub(super) rest: f64,
-    /// A five-hundredth of its range away from there, or a multiple of its granularity where that is more.
+    /// A value one five-hundredth of the range away from `rest`, or a multiple of the granularity if that is more.
     pub(super) near: f64,
     /// Whether its scripts may use the control type.
     pub(super) in_script: bool,
 }
 
-/// Part of the range that a movement takes.
+/// Share of the range that a movement covers.
 const SMALL: f64 = 0.002;
 
 impl Actor {
-    /// The first device that can be moved by scripts, or else the first that can be moved.
+    /// Selects the first device that scripts can move, or otherwise the first that can be moved at all.
     pub(super) fn choose(block: &InitializationBlock, wanted: Option<&str>) -> Option<Self> {
         let devices = || block.devices.iter().filter(|d| wanted.is_none_or(|id| d.id.as_str() == id));
         let mut actors: Vec<Self> = devices().filter_map(Self::of).collect();
@@ -56,7 +56,7 @@ impl Actor {
         Some(Self { device: device.clone(), control_type, limits, rest, near, in_script })
     }
 
-    /// The smallest and the largest value that the device must take.
+    /// The smallest and the largest valid value of the device.
     pub(super) fn edges(&self) -> (f64, f64) {
         let limits = &self.limits;
         (limits.nearest_settable(limits.min_value), limits.nearest_settable(limits.max_value))

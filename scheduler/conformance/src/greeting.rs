@@ -1,4 +1,4 @@
-//! The first four steps of the protocol: is it there, what is it, and what does its clock show?
+//! The first four steps of the protocol: availability, description, and clock of the robot.
 
 use urrcp::{ControlType, Span};
 
@@ -15,7 +15,7 @@ pub(super) const ALL: [Requirement; 4] = [
     },
     Requirement {
         name: "initialization",
-        demands: "An initialization request is answered with a block within all limits, the same one whenever it is asked for.",
+        demands: "An initialization request is answered with a block within all limits, always the same one.",
         section: "Initialization",
         check: initialization,
     },
@@ -27,15 +27,15 @@ pub(super) const ALL: [Requirement; 4] = [
     },
     Requirement {
         name: "clock",
-        demands: "The robot's clock agrees with this machine's to 50 ms and what the exchange leaves uncertain.",
+        demands: "The robot's clock agrees with this machine's to 50 ms, plus the uncertainty of the exchange.",
         section: "Availability",
         check: clock,
     },
 ];
 
-/// Exchanges that a reading of the clock is made of.
+/// Number of exchanges per reading of the clock.
 const SAMPLES: u32 = 8;
-/// Clocks that agree to this are good enough to judge starts by.
+/// Maximum offset of a clock that is accurate enough to judge starts.
 const CLOCK_OFFSET_MAX: Span = Span::from_millis(50);
 
 fn availability(trial: &Trial) -> Checked {
@@ -94,7 +94,7 @@ fn initialization(trial: &Trial) -> Checked {
     if second.message == first.message {
         Ok(format!("{} with {}", block.id, downbeat_yaml::render::counted(block.devices.len(), "device")))
     } else {
-        Err(differs(&sent, &second.text, "the same block as a moment before"))
+        Err(differs(&sent, &second.text, "the same block as before"))
     }
 }
 
@@ -119,10 +119,10 @@ pub(super) fn compare_clocks(trial: &Trial) -> Result<ClockReading, Unmet> {
             heard.at,
         ));
     }
-    estimate.reading().ok_or_else(|| not_applicable("no exchange gave a reading"))
+    estimate.reading().ok_or_else(|| not_applicable("no exchange produced a clock reading"))
 }
 
-/// Whether starts can be judged by the robot's clock as it is.
+/// Whether the robot's clock is accurate enough to judge starts without correction.
 pub(super) fn agrees(reading: &ClockReading) -> bool {
     reading.offset.abs() <= reading.uncertainty + CLOCK_OFFSET_MAX
 }
@@ -135,7 +135,7 @@ fn clock(trial: &Trial) -> Checked {
     } else {
         Err(Unmet::Failed(format!(
             "{SAMPLES} exchanges show the robot's clock {measured}; expected at most {CLOCK_OFFSET_MAX} beyond that: \
-         discipline it by NTP, or check with `--clock measured`; all other requirements were judged by its own clock"
+         discipline it by NTP, or check with `--clock measured`; all other requirements were checked by its own clock"
         )))
     }
 }

@@ -1,23 +1,23 @@
-//! What came back, and which request it belongs to.
+//! The received messages and the requests that they belong to.
 
 use urrcp::{ControlResponse, Message, Server, Status, Timestamp};
 
-/// A message of the robot, as it came.
+/// A message of the robot, as received.
 #[derive(Clone, Debug)]
 pub(super) struct Heard<T> {
-    /// By the server's clock.
+    /// Arrival by the server's clock.
     pub(super) at: Timestamp<Server>,
-    /// The line itself.
+    /// The line as text.
     pub(super) text: String,
-    /// The same as a message.
+    /// The parsed line.
     pub(super) message: T,
 }
 
-/// A request on a line; names it for questions about its answers.
+/// Identifies a request on a line, to query its responses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ticket(usize);
 
-/// A request with everything that was said to it.
+/// A request with all its responses.
 #[derive(Clone, Debug)]
 pub(super) struct Asked {
     pub(super) id: Option<String>,
@@ -25,7 +25,7 @@ pub(super) struct Asked {
     pub(super) text: String,
     /// When it was last sent: before the first byte was written.
     pub(super) sent: Timestamp<Server>,
-    /// How often it was sent and not answered.
+    /// Number of times that it was sent and has not been answered.
     unanswered: u32,
     pub(super) heard: Vec<Heard<ControlResponse>>,
 }
@@ -35,7 +35,7 @@ impl Asked {
         self.heard.iter().any(|heard| heard.message.status == *status)
     }
 
-    /// Accepted, and nothing says that it has ended.
+    /// Whether the request was accepted and has not been reported as ended.
     pub(super) fn is_held(&self) -> bool {
         self.has(&Status::Accepted) && !self.has(&Status::Ok) && !self.has(&Status::Failed)
     }
@@ -57,7 +57,7 @@ impl Exchanges {
         Ticket(self.0.len() - 1)
     }
 
-    /// Takes over a request of another line, with what was said to it there.
+    /// Adopts a request from another line, with its previous responses.
     pub(super) fn adopt(&mut self, asked: Asked) -> Ticket {
         self.0.push(Asked { unanswered: 0, ..asked });
         Ticket(self.0.len() - 1)
@@ -77,8 +77,8 @@ impl Exchanges {
         self.0.iter().any(Asked::is_held)
     }
 
-    /// Notes a response with its request. Without a `request_id` an answer belongs to the oldest request that awaits one,
-    /// a report to the oldest that is held. Gives it back where no request fits.
+    /// Assigns a response to its request. Without a `request_id`, an answer belongs to the oldest request that awaits one, a report to
+    /// the oldest request that is held. Returns the response if no request matches.
     pub(super) fn note(&mut self, heard: Heard<ControlResponse>) -> Option<Heard<ControlResponse>> {
         let Some(index) = self.find(&heard.message) else { return Some(heard) };
         let asked = &mut self.0[index];
@@ -105,7 +105,7 @@ impl Exchanges {
     }
 }
 
-/// Whether a response reports on what was accepted before, rather than answering.
+/// Whether a response reports on an accepted command, instead of answering a request.
 fn is_report(response: &ControlResponse, held: bool) -> bool {
     match response.status {
         Status::Started => true,
@@ -118,7 +118,7 @@ fn is_report(response: &ControlResponse, held: bool) -> bool {
     }
 }
 
-/// Whether the robot says of a line that it cannot be understood.
+/// Whether the robot reports that it cannot parse a line.
 pub(super) fn says_malformed(message: &Message) -> bool {
     let (status, error) = match message {
         Message::AvailabilityResponse(response) => (&response.status, &response.error),
@@ -132,7 +132,7 @@ pub(super) fn says_malformed(message: &Message) -> bool {
 mod tests {
     use super::*;
 
-    /// Says these one after the other, without request ids, and tells how many each request was given.
+    /// Feeds these responses without request ids, and checks how many each request received.
     #[track_caller]
     fn check(asked: &[&str], said: &[&str], expected: &[usize]) {
         let mut exchanges = Exchanges::default();

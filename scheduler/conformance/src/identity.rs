@@ -1,4 +1,4 @@
-//! Who asked what: request ids, hashes, sessions.
+//! Identity of requests and servers: request ids, hashes, sessions.
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, Command, ContentHash, ControlRequest, ErrorCode, Message,
@@ -13,7 +13,7 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 8] = [
     Requirement {
         name: "request-id",
-        demands: "Every response carries the request_id of its request: acceptances, reports, refusals.",
+        demands: "Every response (acceptance, report or refusal) carries the request_id of its request.",
         section: "Control response",
         check: request_id,
     },
@@ -25,13 +25,13 @@ pub(super) const ALL: [Requirement; 8] = [
     },
     Requirement {
         name: "repeated-refusal",
-        demands: "A refused request that is repeated is refused again with the same code, whatever else the second one says.",
+        demands: "A refused request that is repeated is refused again with the same code, even if its content differs.",
         section: "Asked twice (D)",
         check: repeated_refusal,
     },
     Requirement {
         name: "kept-answers",
-        demands: "The last answer to a request is kept until 256 others have ended: repeated before that, it is answered as it ended and not executed again.",
+        demands: "The last answer to a request is kept until 256 others have ended: if the request is repeated before that, the robot repeats the answer and does not execute the request again.",
         section: "Asked twice (D)",
         check: kept_answers,
     },
@@ -49,13 +49,13 @@ pub(super) const ALL: [Requirement; 8] = [
     },
     Requirement {
         name: "session",
-        demands: "A robot that belongs to a session refuses others with `busy` and does not name its session; once that has gone, the next one gets it.",
+        demands: "A robot that belongs to a session refuses others with `busy` and does not name its session; once that session has ended, the next one gets the robot.",
         section: "Sessions and connections (D)",
         check: session,
     },
     Requirement {
         name: "session-reading",
-        demands: "A session to which the robot does not belong, and which asks a device that is no sensor for a reading, is refused with `busy` and ends nothing.",
+        demands: "If a session to which the robot does not belong requests a reading from a device that is not a sensor, the request is refused with `busy` and ends nothing.",
         section: "Sensors",
         check: session_reading,
     },
@@ -64,7 +64,7 @@ pub(super) const ALL: [Requirement; 8] = [
 fn request_id(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    // As long as a string may be, and not of ASCII alone.
+    // The longest permitted string, not only of ASCII characters.
     let mut set = trial.set(actor, actor.rest).leased(LEASE_MS);
     let id = format!("{}/", trial.fresh_id());
     let long = format!("{id}{}", "\u{44f}".repeat(urrcp::STRING_CHARS_MAX - id.chars().count()));
@@ -110,7 +110,7 @@ fn repeated_request(trial: &Trial) -> Checked {
     let cancel = line.ask(&trial.cancel(actor))?;
     line.answer(cancel)?;
     if !trial.reports() {
-        return Ok("answered twice; without `reports` nothing tells how often it was executed".to_owned());
+        return Ok("answered twice; without `reports`, it is unknown how often it was executed".to_owned());
     }
     let ticket = line.held(&trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS))?;
     line.ask_again(ticket)?;
@@ -123,7 +123,7 @@ fn repeated_request(trial: &Trial) -> Checked {
         n => Err(differs(
             &format!("twice: {}", asked.text),
             &format!("{n} reports `Started`"),
-            "one: it is executed once",
+            "one: it is executed only once",
         )),
     }
 }
@@ -140,7 +140,7 @@ fn repeated_refusal(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Ended requests whose answers a robot keeps.
+/// Number of ended requests whose answers a robot keeps.
 const KEPT: usize = 256;
 
 fn kept_answers(trial: &Trial) -> Checked {
@@ -154,7 +154,7 @@ fn kept_answers(trial: &Trial) -> Checked {
             trial.pause(urrcp::Span::from_millis(500))
         }
     };
-    // A robot that has forgotten it would refuse it as late.
+    // If the robot has forgotten the request, it refuses the repetition as late.
     let first = line.held(&trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS))?;
     ends(&mut line, first)?;
     let mut others = 1;
@@ -175,7 +175,7 @@ fn kept_answers(trial: &Trial) -> Checked {
     let heard = line.asked(first).heard.clone();
     line.ask_again(first)?;
     let again = line.nth_answer(first, heard.len())?;
-    // Without `reports` nobody has told how it ended.
+    // Without `reports` the end of the request is unknown.
     let same = match heard.last() {
         Some(last) if trial.reports() => {
             (&last.message.status, last.message.event_timestamp)
@@ -184,12 +184,12 @@ fn kept_answers(trial: &Trial) -> Checked {
         _ => again.message.status != Status::Failed,
     };
     if same {
-        Ok(format!("known after {} others", KEPT - 1))
+        Ok(format!("remembered after {} others", KEPT - 1))
     } else {
         Err(differs(
             &format!("again, after {} others: {}", KEPT - 1, line.asked(first).text),
             &again.text,
-            &format!("what it was told at its end: {}", heard.last().map_or("", |last| &last.text)),
+            &format!("its final response: {}", heard.last().map_or("", |last| &last.text)),
         ))
     }
 }
@@ -225,7 +225,7 @@ fn content_hash(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Asks for availability in the name of a session.
+/// Sends an availability request on behalf of a session.
 pub(super) fn claim(
     trial: &Trial,
     line: &mut Line,
@@ -262,10 +262,10 @@ fn session_reading(trial: &Trial) -> Checked {
         differs(
             &line.asked(ticket).text,
             &more.text,
-            "nothing: what others ask for ends nothing of its owner's",
+            "nothing: requests of others end nothing of the owner's",
         )
     });
-    // What is held belongs to the session: only that can take it back.
+    // The session owns the held command, so only that session can withdraw it.
     let stop = line.ask(&ControlRequest { session: Some(owner), ..trial.cancel(actor) })?;
     line.answer(stop)?;
     refused?;

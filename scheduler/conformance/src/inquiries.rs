@@ -1,4 +1,4 @@
-//! The inquiry: a question that tells the truth and cannot act.
+//! The inquiry: a question that is answered truthfully and has no effect.
 
 use urrcp::{
     Command, ControlRequest, ControlType, DeviceId, ErrorCode, Inquiry, Millis, RequestId, RequestReport,
@@ -20,7 +20,7 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "inquiry-held",
-        demands: "What is accepted and has not begun is told as `held`, with the instant at which it will start.",
+        demands: "A request that was accepted and has not begun is reported as `held`, with the instant at which it will start.",
         section: "Inquiry (D)",
         check: held,
     },
@@ -32,7 +32,7 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "inquiry-ended",
-        demands: "What has ended is told as `ended`: when it really started and with how many steps, or why it was refused or ended early.",
+        demands: "A request that has ended is reported as `ended`: with its actual start and its number of steps, or with the reason why it was refused or ended early.",
         section: "Inquiry (D)",
         check: ended,
     },
@@ -44,7 +44,7 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "inquiry-room",
-        demands: "The room of a device is script_queue less the commands that have not ended, and a device that the robot lacks is left out.",
+        demands: "The room of a device is script_queue less the commands that have not ended, and a device that the robot does not have is omitted.",
         section: "Inquiry (D)",
         check: room,
     },
@@ -56,13 +56,13 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "inquiry-no-effect",
-        demands: "An inquiry about what is held and what was never sent starts, cancels and ends nothing.",
+        demands: "An inquiry about held requests and about requests that were never sent starts, cancels and ends nothing.",
         section: "Inquiry (D)",
         check: no_effect,
     },
     Requirement {
         name: "inquiry-session",
-        demands: "An inquiry claims nothing, and where the robot belongs to another session the answer is `busy` and tells nothing.",
+        demands: "An inquiry claims nothing, and if the robot belongs to another session, the answer is `busy` and contains nothing else.",
         section: "Inquiry (D)",
         check: session,
     },
@@ -74,30 +74,30 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "lease-inquiry-pending",
-        demands: "pending_lease shortens the lease of what is named and has not begun, lengthens none, and leaves alone what is not named.",
+        demands: "pending_lease shortens the lease of named requests that have not begun, lengthens none, and does not affect other requests.",
         section: "Inquiry (D)",
         check: pending_lease,
     },
     Requirement {
         name: "lease-inquiry-until",
-        demands: "pending_until ends the lease of each named request that has not begun, at that instant of the robot's clock, whatever the robot hears until then; an inquiry with another instant moves it, and an inquiry without one leaves it unchanged.",
+        demands: "pending_until ends the lease of each named request that has not begun, at that instant of the robot's clock, whatever the robot receives until then; an inquiry with another instant moves it, and an inquiry without one leaves it unchanged.",
         section: "Inquiry (D)",
         check: pending_until,
     },
     Requirement {
         name: "lease-until",
-        demands: "A control request that has not begun by its pending_until ends at that instant, whatever the robot hears until then, and one that arrives after its pending_until is refused with `late`.",
+        demands: "A control request that has not begun by its pending_until ends at that instant, whatever the robot receives until then; a request that arrives after its pending_until is refused with `late`.",
         section: "Inquiry (D)",
         check: own_pending_until,
     },
 ];
 
-/// The lease that is waited for, and the one that an inquiry sets.
+/// The lease of the tests that wait for its end, and the period that an inquiry sets.
 const PERIOD: Span = Span::from_millis(300);
 
 /// Whether the robot answers inquiries.
 pub(super) fn answering(trial: &Trial) -> Result<(), Unmet> {
-    if trial.block()?.inquiry { Ok(()) } else { Err(not_applicable("the robot declares no `inquiry`")) }
+    if trial.block()?.inquiry { Ok(()) } else { Err(not_applicable("the robot does not declare `inquiry`")) }
 }
 
 fn about(requests: &[&ControlRequest]) -> Inquiry {
@@ -105,16 +105,16 @@ fn about(requests: &[&ControlRequest]) -> Inquiry {
     Inquiry { requests, ..Inquiry::default() }
 }
 
-/// What the robot says of one request.
+/// Asks for the robot's report on one request.
 fn told(line: &mut Line, request: &ControlRequest) -> Result<(Inquired, RequestReport), Unmet> {
     let inquired = line.inquire(&about(&[request]))?;
     match inquired.response.requests.as_slice() {
         [report] => Ok((inquired.clone(), report.clone())),
-        _ => Err(inquired.differs("one entry, about the request that was asked about")),
+        _ => Err(inquired.differs("one entry, about the requested one")),
     }
 }
 
-/// What the robot says of one request, which must be in this state.
+/// Asks for the robot's report on one request, which must be in this state.
 fn in_state(
     line: &mut Line,
     request: &ControlRequest,
@@ -158,7 +158,7 @@ fn inquiry(trial: &Trial) -> Checked {
     }
 }
 
-/// How far an instant that is told may lie from the one that was asked for: doubles of milliseconds round.
+/// Maximum difference between a reported instant and the requested one: milliseconds are rounded to doubles.
 const ROUNDING: Span = Span::from_micros(1);
 
 fn is_at(told: Option<Timestamp<urrcp::Robot>>, request: &ControlRequest) -> bool {
@@ -182,7 +182,7 @@ fn held(trial: &Trial) -> Checked {
     }
 }
 
-/// Asks again and again until the request is in this state.
+/// Repeats the inquiry until the request is in this state.
 pub(super) fn reaches(
     trial: &Trial,
     line: &mut Line,
@@ -215,7 +215,7 @@ fn running(trial: &Trial) -> Checked {
             trial.options().tolerance
         )));
     }
-    // The first step is set at the start, the second 400 ms later, the third ends it.
+    // The robot sets the first step at the start and the second 400 ms later; the third one ends the script.
     if !matches!(report.steps_done, Some(1 | 2)) || report.error.is_some() {
         return Err(inquired.differs("steps_done 1, or 2 after 400 ms, and no error"));
     }
@@ -256,7 +256,7 @@ fn ended(trial: &Trial) -> Checked {
     }
     let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
     let ticket = line.ask(&refused)?;
-    // Whether it is refused as it must be is the concern of `range`.
+    // The requirement `range` checks the refusal itself.
     if line.answer(ticket)?.message.status == Status::Failed {
         ended_early(&mut line, &refused, None)?;
     }
@@ -268,7 +268,7 @@ fn ended(trial: &Trial) -> Checked {
     pass()
 }
 
-/// It never started, and why is told.
+/// Checks that the request never started, and that the robot reports why.
 fn ended_early(line: &mut Line, request: &ControlRequest, code: Option<&ErrorCode>) -> Result<(), Unmet> {
     let (inquired, report) = in_state(line, request, RequestState::Ended)?;
     let error = report.error.as_ref();
@@ -333,7 +333,7 @@ fn position(trial: &Trial) -> Checked {
             line.inquire(&Inquiry { devices: vec![actor.device.id.clone()], ..Inquiry::default() })?;
         let stated = inquired.response.devices.first().and_then(|device| device.position);
         match stated {
-            None => return Err(not_applicable("the robot does not state the position of the device")),
+            None => return Err(not_applicable("the robot does not report the position of the device")),
             Some(stated) if (stated - value).abs() < actor.limits.granularity / 2.0 => {}
             Some(_) => return Err(inquired.differs(&format!("position {value}, which was commanded last"))),
         }
@@ -341,7 +341,7 @@ fn position(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Nothing more was said of a request than that it is held.
+/// Checks that no further response to a held request arrives.
 fn stays_held(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
     line.listen(trial.soon(150), |line| line.asked(ticket).heard.len() > 1)?;
     match line.asked(ticket).heard.get(1) {
@@ -383,13 +383,13 @@ fn session(trial: &Trial) -> Checked {
     let mut stranger = trial.connect()?;
     let mut line = trial.connect_beside()?;
     stranger.inquire(&Inquiry { session: Some(theirs.clone()), ..Inquiry::default() })?;
-    // It has asked and claimed nothing, so another may claim the robot.
+    // The stranger has only inquired and claimed nothing, so another session may claim the robot.
     let request = ControlRequest { session: Some(ours.clone()), ..trial.pending(actor) };
     line.held(&request).map_err(|unmet| {
         unmet.within(|why| format!("`{theirs}` has sent an inquiry, which claims nothing: {why}"))
     })?;
     let judged = told_nothing(&mut stranger, &request, theirs);
-    // What is held belongs to the session: only that can take it back.
+    // The session owns the held command, so only that session can withdraw it.
     let empty = Command::Script(Script::cancel());
     let stop = ControlRequest { session: Some(ours), command: empty, ..trial.cancel(actor) };
     let stop = line.ask(&stop)?;
@@ -462,7 +462,7 @@ fn limiting(trial: &Trial) -> Result<(), Unmet> {
     if trial.block()?.pending_until {
         trial.reporting()
     } else {
-        Err(not_applicable("the robot declares no `pending_until`"))
+        Err(not_applicable("the robot does not declare `pending_until`"))
     }
 }
 
@@ -480,7 +480,7 @@ fn pending_until(trial: &Trial) -> Checked {
         let sent = format!("{}, after one with an earlier pending_until", moving.sent.trim_end());
         return Err(differs(&sent, &more.text, "nothing: an inquiry with a later pending_until moves it"));
     }
-    // Taken first: a pause between the two must not make the robot look early.
+    // Taken first: a pause between these two lines must not make the robot appear early.
     let until = trial.now() + PERIOD;
     let inquired = line.inquire(&until_after(trial, PERIOD, &moved))?;
     ends_at(trial, &mut line, (ticket, &moved), (until, &inquired.sent))
@@ -503,7 +503,7 @@ fn own_pending_until(trial: &Trial) -> Checked {
     ends_at(trial, &mut line, (ticket, &request), (until, &sent))
 }
 
-/// Checks that a request ends at its `pending_until`, regardless of the inquiries before.
+/// Checks that a request ends at its `pending_until`, regardless of previous inquiries.
 fn ends_at(
     trial: &Trial,
     line: &mut Line,

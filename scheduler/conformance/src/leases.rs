@@ -1,4 +1,4 @@
-//! The lease: what a device does when the server falls silent.
+//! The lease: the behaviour of a device when the server falls silent.
 
 use urrcp::{
     AvailabilityRequest, Command, ControlRequest, ControlType, ErrorCode, Inquiry, Message, Millis, Script,
@@ -14,25 +14,25 @@ use super::trial::{LATER_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 13] = [
     Requirement {
         name: "lease-pending",
-        demands: "What is pending ends `Failed`, `link_lost` once the server has been silent for stop_condition, not before and not much later.",
+        demands: "A pending command ends `Failed`, `link_lost` once the server has been silent for stop_condition, not before and not much later.",
         section: "The lease",
         check: lease_pending,
     },
     Requirement {
         name: "lease-running",
-        demands: "What runs ends `Failed`, `link_lost` once the server has been silent for stop_condition.",
+        demands: "A running command ends `Failed`, `link_lost` once the server has been silent for stop_condition.",
         section: "The lease",
         check: lease_running,
     },
     Requirement {
         name: "lease-silence",
-        demands: "Silence before a start or a step counts after it: where the lease that follows would be over by then, nothing starts, and the step is not done.",
+        demands: "Silence before a start or a step counts after it: if the lease that follows would have expired by then, the script does not start, or the step is not done.",
         section: "The lease",
         check: lease_silence,
     },
     Requirement {
         name: "lease-queued",
-        demands: "What waits behind a script that runs ends with its own lease, and the one that runs goes on under its own.",
+        demands: "A command that waits behind a running script ends with its own lease, and the running one continues under its own.",
         section: "The lease",
         check: lease_queued,
     },
@@ -50,13 +50,13 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "lease-left-on",
-        demands: "A speed that goes on after its command has ended stays under the lease.",
+        demands: "A speed that continues after its command has ended stays under the lease.",
         section: "The lease",
         check: lease_left_on,
     },
     Requirement {
         name: "lease-left-on-kept",
-        demands: "Commands that do not drive what goes on after its command leave it under its lease.",
+        demands: "Commands that do not drive a continuing speed leave it under its lease.",
         section: "The lease",
         check: lease_left_on_kept,
     },
@@ -68,50 +68,50 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "lease-noise",
-        demands: "A line that is no message renews nothing.",
+        demands: "A line that is not a message renews nothing.",
         section: "The lease",
         check: lease_noise,
     },
     Requirement {
         name: "lease-link-down",
-        demands: "A broken connection is silent: the lease runs out, and a server that comes back and repeats its request_id is told `Failed`, `link_lost`.",
+        demands: "A broken connection counts as silence: the lease expires, and a server that reconnects and repeats its request_id receives `Failed`, `link_lost`.",
         section: "The lease",
         check: lease_link_down,
     },
     Requirement {
         name: "lease-two-links",
-        demands: "What another party says on its own connection does not renew the lease.",
+        demands: "Messages of another party on its own connection do not renew the lease.",
         section: "Sessions and connections (D)",
         check: lease_two_links,
     },
     Requirement {
         name: "lease-stranger",
-        demands: "What a session to which the robot does not belong asks in vain renews no lease of the owner.",
+        demands: "Refused requests of a session to which the robot does not belong renew no lease of the owner.",
         section: "Sessions and connections (D)",
         check: lease_stranger,
     },
 ];
 
-/// The lease that is waited for.
+/// The lease of the tests that wait for its end.
 pub(super) const PERIOD: Span = Span::from_millis(300);
-/// Clocks of two machines run this much apart over the period, at most.
+/// Maximum drift between the clocks of two machines over the period.
 const EARLY_MAX: Span = Span::from_millis(3);
 
 fn short(request: ControlRequest) -> ControlRequest {
     request.leased(PERIOD.as_millis_f64())
 }
 
-/// A script that starts soon and runs for so long that only a lease ends it.
+/// A script that starts soon and runs so long that only a lease can end it.
 fn long(trial: &Trial) -> Result<ControlRequest, Unmet> {
     Ok(trial.there_and_back(trial.scripted()?, 4_000.0).starting_in(100.0))
 }
 
-/// Waits in silence for the report that the lease ran out, and judges when it came.
+/// Waits in silence for the report that the lease has expired, and judges its time.
 fn runs_out(trial: &Trial, line: &mut Line, ticket: Ticket) -> Checked {
     runs_out_after(trial, line, ticket, ticket)
 }
 
-/// The same where another request was the last that was sent.
+/// Like [`runs_out`], but another request was the last one that was sent.
 fn runs_out_after(trial: &Trial, line: &mut Line, ticket: Ticket, last: Ticket) -> Checked {
     let answered = line.answer(last)?;
     let sent = line.asked(last).sent;
@@ -126,7 +126,7 @@ fn runs_out_after(trial: &Trial, line: &mut Line, ticket: Ticket, last: Ticket) 
     } else {
         let came = format!("{} after {silent} of silence", lost.text);
         let expected = format!(
-            "it after {PERIOD}, at most {latest}: stop_condition, the way both ways as it was seen, and the tolerance"
+            "it after {PERIOD}, at most {latest}: stop_condition, the measured round trip, and the tolerance"
         );
         Err(differs(&asked.text, &came, &expected))
     }
@@ -167,10 +167,11 @@ fn lease_silence(trial: &Trial) -> Checked {
     pass()
 }
 
-/// How long the server says nothing until a start or a step, of which less than half would be too much.
+/// Silence of the server until a start or a step, in milliseconds; even half of it would exceed the lease.
 const SILENT_MS: f64 = 700.0;
 
-/// Sends a request whose lease is over by `at_ms` after its timestamp: what is due then is not done.
+/// Sends a request whose lease expires before `at_ms` after its timestamp. The device must not perform the start or step that is due
+/// then.
 fn not_done(trial: &Trial, request: &ControlRequest, at_ms: f64, steps_done: u32) -> Result<(), Unmet> {
     let mut line = trial.connect()?;
     let ticket = line.held(request)?;
@@ -180,13 +181,13 @@ fn not_done(trial: &Trial, request: &ControlRequest, at_ms: f64, steps_done: u32
     let silent = lost.at - asked.sent;
     let started = asked.heard.iter().any(|heard| heard.message.status == Status::Started);
     let right = started == (steps_done > 0) && lost.message.steps_done == Some(steps_done);
-    // Until then another lease applies, which is long.
+    // Before that, another, longer lease applies.
     if right && silent > PERIOD + PERIOD / 2 {
         return Ok(());
     }
     let came = format!("{} after {silent} of silence", lost.text);
     let expected = format!(
-        "it after {at_ms} ms with steps_done {steps_done}: the lease of {PERIOD} that applies from then on counts the silence before it"
+        "it after {at_ms} ms with steps_done {steps_done}: the lease of {PERIOD} that applies afterwards includes the silence before it"
     );
     Err(differs(&asked.text, &came, &expected))
 }
@@ -239,7 +240,7 @@ fn lease_step(trial: &Trial) -> Checked {
     runs_out(trial, &mut line, ticket)
 }
 
-/// A speed or an acceleration that goes on, with the command that has set it and ended.
+/// A speed or an acceleration that continues, with the ended command that set it.
 fn left_on(trial: &Trial) -> Result<(Line<'_>, Ticket), Unmet> {
     trial.reporting()?;
     let actor = trial.actor()?;
@@ -279,14 +280,14 @@ fn lease_left_on_kept(trial: &Trial) -> Checked {
     }
     let later = line.held(&trial.pending(actor).leased(20_000.0))?;
     let note = runs_out_after(trial, &mut line, ticket, later).map_err(|unmet| {
-        unmet.within(|why| format!("it went on when commands came that did not drive it: {why}"))
+        unmet.within(|why| format!("the speed continued when commands arrived that did not drive it: {why}"))
     })?;
-    // With what goes on all ends that is held.
+    // When the movement ends, all held commands end too.
     line.failure(later, ErrorCode::LinkLost, trial.patience())?;
     Ok(note)
 }
 
-/// Sends this again and again for this long.
+/// Sends these bytes repeatedly for `span`.
 fn chatter(trial: &Trial, line: &mut Line, bytes: &dyn Fn() -> Vec<u8>, span: Span) -> Result<(), Unmet> {
     let until = trial.now() + span;
     while trial.now() < until && !line.has_ended() {
@@ -326,13 +327,11 @@ fn lease_noise(trial: &Trial) -> Checked {
     chatter(trial, &mut line, &|| b"noise on the line\n".to_vec(), Span::from_millis(900))?;
     if line.has_ended() {
         return Err(not_applicable(
-            "the robot hung up over a line that is no message (see `malformed-line`)",
+            "the robot closed the connection after a line that is not a message (see `malformed-line`)",
         ));
     }
     line.failure(ticket, ErrorCode::LinkLost, trial.now()).map_err(|unmet| {
-        unmet.within(|why| {
-            format!("after 900 ms with nothing but lines that are no message, every 100 ms: {why}")
-        })
+        unmet.within(|why| format!("after 900 ms with only lines that are not messages, every 100 ms: {why}"))
     })?;
     pass()
 }
@@ -366,7 +365,7 @@ fn lease_two_links(trial: &Trial) -> Checked {
     pass()
 }
 
-/// All that a server may ask of a robot that belongs to another session.
+/// All requests that a server may send to a robot that belongs to another session.
 fn asks_in_vain(trial: &Trial, session: &SessionId) -> Result<Vec<u8>, Unmet> {
     let actor = trial.actor()?;
     let (named, timestamp) = (Some(session.clone()), Some(trial.stamp()));

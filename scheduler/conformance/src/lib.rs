@@ -1,8 +1,8 @@
-//! Acts as the server of a robot, and judges whether the robot meets the requirements of the protocol, one at a time.
+//! Acts as the server of a robot, and checks the requirements of the protocol one at a time.
 //!
-//! The crate has its own test client, with blocking sockets and raw bytes, because it must also send bytes that no server sends.
-//! Each file covers one theme, and lists its requirements with their checks. `trial` is the environment of the checks, `line`
-//! one connection.
+//! The crate has its own test client, with blocking sockets and raw bytes, because it must also send bytes that no server sends. Each
+//! file covers one topic and lists its requirements with their checks. `trial` is the environment of the checks, `line` is one
+//! connection.
 
 mod actor;
 mod greeting;
@@ -37,22 +37,22 @@ use downbeat_runtime::server_clock::ServerClock;
 use requirement::Unmet;
 use trial::Trial;
 
-/// How a robot is examined.
+/// Settings of an examination.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// How long the robot may take for any answer.
+    /// Maximum time that the robot may take for any answer.
     pub patience: Span,
-    /// How far a start or an end may lie from its time.
+    /// Maximum deviation of a start or an end from its time.
     pub tolerance: Span,
-    /// Which device to move; otherwise the first that fits.
+    /// The device to move; the first suitable one by default.
     pub device: Option<String>,
-    /// Judge by the robot's own clock, however far it is off.
+    /// Whether to judge by the robot's own clock, regardless of its offset.
     pub clock_measured: bool,
-    /// Only these requirements, by name; all when empty.
+    /// The requirements to check, by name; all if empty.
     pub only: Vec<String>,
-    /// How the test proves who it is.
+    /// How the test proves its identity.
     pub security: Security,
-    /// How another operator does who may do nothing but observe; without one it is not tried what that is good for.
+    /// The identity of another operator that may only observe; without it, the permissions of observers are not tested.
     pub observer: Option<Security>,
 }
 
@@ -70,14 +70,14 @@ impl Default for Options {
     }
 }
 
-/// What an examination came to.
+/// The result of an examination.
 #[derive(Clone, Debug)]
 pub struct Examined {
-    /// One for each requirement that was checked.
+    /// A verdict for each requirement that was checked.
     pub judged: Vec<Judged>,
-    /// The operator had enough before the end.
+    /// Whether the operator interrupted the examination.
     pub interrupted: bool,
-    /// The robot confirmed at the end that it is at rest.
+    /// Whether the robot confirmed at the end that it is at rest.
     pub at_rest: bool,
 }
 
@@ -105,7 +105,7 @@ pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
         .chain(&security::ALL)
 }
 
-/// Judges a robot. `tell` hears of each requirement before it is checked, and the verdict after.
+/// Judges a robot. `tell` receives each requirement before it is checked, and again with the verdict afterwards.
 ///
 /// # Errors
 /// [`NotExamined`] if no robot answers at the address, or the robot lacks the device that is to be moved.
@@ -131,17 +131,17 @@ pub fn examine(
     let off = off.filter(|reading| trial.options().clock_measured || !greeting::agrees(reading));
     trial.shift = off.map_or(Span::ZERO, |reading| reading.offset);
     trial.greets = matches!(greeting::skip_handshake(&trial), Err(Unmet::Failed(_)));
-    // The check of the greeting may have left a script held.
+    // The check of the greeting may have left a script pending.
     let _at_rest = trial.settle();
     let mut examined = Examined { judged: Vec::new(), interrupted: false, at_rest: true };
     let chosen = |r: &&Requirement| {
         let Options { only, security, .. } = trial.options();
-        // At a tcp:// address nothing is asked for.
+        // A tcp:// address requires no proof of identity.
         let asked_for = !security::is_among(r) || !matches!(security, Security::Plain);
         (only.is_empty() && asked_for) || only.iter().any(|name| name == r.name)
     };
     let answered = trial.is_alive();
-    // Since which requirement the robot answers nothing any more.
+    // The requirement since which the robot no longer answers.
     let mut dead: Option<&'static str> = None;
     for requirement in requirements().filter(chosen) {
         tell(requirement, None);
@@ -163,7 +163,7 @@ pub fn examine(
     Ok(examined)
 }
 
-/// A robot that is known and lacks the device that was named would have nearly everything not applicable.
+/// Rejects a named device that the robot lacks: nearly all requirements would be reported as not applicable.
 fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Result<(), NotExamined> {
     let (Some(block), Some(named)) = (block, named) else { return Ok(()) };
     if block.device(named).is_some() {
@@ -178,15 +178,15 @@ fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Resul
     )))
 }
 
-/// Asking a robot that is gone takes the patience each time.
+/// Skips the check, because requests to an unresponsive robot would each wait for the whole patience.
 fn not_judged(requirement: &Requirement, since: &str) -> Judged {
     let why = format!(
-        "not judged: since `{since}` the robot takes no connection or answers nothing; expected it to live"
+        "not checked: since `{since}` the robot accepts no connection or does not answer; expected it to keep running"
     );
     Judged { requirement: requirement.name, verdict: Verdict::Fail, why, millis: 0 }
 }
 
-/// `None` when the operator has had enough.
+/// Returns `None` if the operator interrupts.
 fn judge(trial: &Trial, requirement: &'static Requirement) -> Option<Judged> {
     let began = trial.now();
     let (verdict, why) = match (requirement.check)(trial) {

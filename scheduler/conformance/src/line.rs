@@ -1,4 +1,4 @@
-//! One connection of the test client: bytes on the wire, a limit on every wait, and each answer with its request.
+//! One connection of the test client: bytes on the wire, a limit on every wait, and each response assigned to its request.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
@@ -15,23 +15,23 @@ use super::requirement::{Unmet, differs, shown};
 use super::stream::Stream;
 use super::trial::Trial;
 
-/// Longest line that a robot may send: the block of one with 32,000 devices is shorter.
+/// Maximum length of a line from a robot: the block of a robot with 32,000 devices is shorter.
 const LINE_BYTES_MAX: usize = 64 * 1024 * 1024;
-/// How long a read waits before it looks whether the operator has had enough.
+/// Read timeout, after which the client checks for an interruption by the operator.
 const SLICE: Duration = Duration::from_millis(50);
 
-/// A connection with what came on it. Dropping it breaks the connection.
+/// A connection and its received messages. Dropping it closes the connection.
 pub(super) struct Line<'a> {
     trial: &'a Trial,
     stream: Stream,
     buffer: Vec<u8>,
-    /// Up to where no newline is known to stand.
+    /// End of the part of `buffer` that contains no newline.
     searched: usize,
     exchanges: Exchanges,
-    /// The session that was named last, to which belongs what is held.
+    /// The most recently named session, which owns the held commands.
     session: Option<SessionId>,
     others: VecDeque<Heard<Message>>,
-    /// Set when the peer has hung up: why.
+    /// The reason, once the peer has closed the connection.
     ended: Option<String>,
 }
 
@@ -44,7 +44,7 @@ pub(super) struct Inquired {
 }
 
 impl Inquired {
-    /// A failure: the answer is another than it should be.
+    /// A failure: the answer is not the expected one.
     pub(super) fn differs(&self, expected: &str) -> Unmet {
         differs(&self.sent, &self.came, expected)
     }
@@ -64,7 +64,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Sends a request and gives it a name.
+    /// Sends a request and returns its ticket.
     pub(super) fn ask(&mut self, request: &ControlRequest) -> Result<Ticket, Unmet> {
         let mut line = Vec::new();
         encode(&Message::ControlRequest(request.clone()), &mut line);
@@ -74,7 +74,7 @@ impl<'a> Line<'a> {
         self.ask_text(id, request.device_id.as_str(), &text)
     }
 
-    /// Sends a control request as it stands, so that it may be wrong. The text ends with its newline.
+    /// Sends a control request verbatim, even if it is invalid. The text ends with its newline.
     pub(super) fn ask_text(&mut self, id: Option<String>, device: &str, text: &str) -> Result<Ticket, Unmet> {
         let sent = self.send(text.as_bytes())?;
         Ok(self.exchanges.ask(id, device.to_owned(), text.to_owned(), sent))
@@ -88,18 +88,18 @@ impl<'a> Line<'a> {
         Ok(())
     }
 
-    /// Names a request that was sent on another connection, whose reports may come on this one.
+    /// Registers a request that was sent on another connection, because its reports may arrive on this one.
     pub(super) fn expect_for(&mut self, asked: &Asked) -> Ticket {
         self.exchanges.adopt(asked.clone())
     }
 
-    /// Writes bytes; gives the instant before the first of them.
+    /// Writes bytes; returns the instant before the first byte.
     pub(super) fn send(&mut self, bytes: &[u8]) -> Result<Timestamp<Server>, Unmet> {
         let sent = self.trial.now();
         self.stream.write_all(bytes).and_then(|()| self.stream.flush()).map_err(|error| {
             let text = String::from_utf8_lossy(&bytes[..bytes.len().min(2_000)]);
             Unmet::Failed(format!(
-                "the connection broke while {} bytes were sent ({error}): {}; expected the robot to read on",
+                "the connection broke while {} bytes were sent ({error}): {}; expected the robot to continue reading",
                 bytes.len(),
                 shown(&text)
             ))
@@ -111,15 +111,15 @@ impl<'a> Line<'a> {
         self.session = session.cloned().or_else(|| self.session.take());
     }
 
-    /// A message as it would travel, which counts as if it had been sent.
+    /// The bytes of a message on the wire; the encryption treats them as sent.
     pub(super) fn wrapped(&mut self, message: &Message) -> Result<Vec<u8>, Unmet> {
         let mut line = Vec::new();
         encode(message, &mut line);
-        let broke = |error| Unmet::Failed(format!("nothing can be encrypted or sealed: {error}"));
+        let broke = |error| Unmet::Failed(format!("cannot encrypt or seal: {error}"));
         self.stream.wrapped(&line).map_err(broke)
     }
 
-    /// Sends bytes past what encrypts or seals them.
+    /// Sends bytes without encrypting or sealing them.
     pub(super) fn send_past(&mut self, bytes: &[u8]) -> Result<(), Unmet> {
         let broke = |error| Unmet::Failed(format!("the connection broke while bytes were sent: {error}"));
         self.stream.socket().write_all(bytes).map_err(broke)
@@ -140,7 +140,7 @@ impl<'a> Line<'a> {
         self.exchanges.of(ticket)
     }
 
-    /// Takes what comes until `until`, or until `done` holds; whether it does.
+    /// Reads until `until` or until `done` returns true. Returns whether `done` did.
     pub(super) fn listen(
         &mut self,
         until: Timestamp<Server>,
@@ -161,11 +161,11 @@ impl<'a> Line<'a> {
 
     fn read(&mut self, limit: Duration) -> Result<(), Unmet> {
         let mut bytes = [0; 64 * 1024];
-        // A limit of zero would mean none.
+        // A limit of zero would be invalid.
         let _unlimited_never =
             self.stream.socket().set_read_timeout(Some(limit.max(Duration::from_micros(100))));
         let read = match self.stream.read(&mut bytes) {
-            Ok(0) => return self.end("the robot hung up"),
+            Ok(0) => return self.end("the robot closed the connection"),
             Ok(read) => read,
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
                 return Ok(());
@@ -211,7 +211,7 @@ impl<'a> Line<'a> {
             Some(Ok(message)) => self.others.push_back(Heard { at, text, message }),
             Some(Err(error)) => {
                 return Err(Unmet::Failed(format!(
-                    "the robot sent a line that is no message: {error}: {}",
+                    "the robot sent a line that is not a message: {error}: {}",
                     shown(&text)
                 )));
             }
@@ -223,7 +223,7 @@ impl<'a> Line<'a> {
         self.ended.is_some()
     }
 
-    /// Why nothing came: hung up, or silent for the patience.
+    /// Why no message arrived: the peer closed the connection, or was silent for the patience.
     fn nothing(&self) -> String {
         let silent = || format!("nothing within {}", self.trial.options().patience);
         self.ended.as_ref().map_or_else(silent, |why| format!("nothing: {why}"))
@@ -298,12 +298,12 @@ impl<'a> Line<'a> {
             let last = asked
                 .heard
                 .last()
-                .map_or_else(|| self.nothing(), |last| format!("{} as the last", last.text));
+                .map_or_else(|| self.nothing(), |last| format!("{} as the last response", last.text));
             differs(&asked.text, &last, &format!("a report with status `{status}`"))
         })
     }
 
-    /// Waits for the report that a held request failed for this reason.
+    /// Waits for the report that a held request failed with this code.
     pub(super) fn failure(
         &mut self,
         ticket: Ticket,
@@ -317,19 +317,20 @@ impl<'a> Line<'a> {
         match last.filter(|last| is_failure(&last.message, std::slice::from_ref(&code))) {
             Some(last) => Ok(last.clone()),
             None => {
-                let came = last.map_or_else(|| self.nothing(), |last| format!("{} as the last", last.text));
+                let came =
+                    last.map_or_else(|| self.nothing(), |last| format!("{} as the last response", last.text));
                 Err(differs(&asked.text, &came, &format!("a report `Failed` with error code `{code}`")))
             }
         }
     }
 
-    /// The next message that belongs to no control request.
+    /// The next message that does not belong to a control request.
     pub(super) fn other(&mut self, until: Timestamp<Server>) -> Result<Option<Heard<Message>>, Unmet> {
         self.listen(until, |line| !line.others.is_empty())?;
         Ok(self.others.pop_front())
     }
 
-    /// Asks for availability and waits for the answer to that: `Failed` ones belong to something else.
+    /// Sends an availability request and waits for its answer; ignores `Failed` ones, which belong to another request.
     pub(super) fn availability(
         &mut self,
     ) -> Result<(String, Timestamp<Server>, Heard<AvailabilityResponse>), Unmet> {
@@ -352,18 +353,19 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &came, "an availability_response with status `OK`"))
     }
 
-    /// Whether the robot continues answering after `before` was sent.
+    /// Checks that the robot continues to answer after `before` was sent.
     pub(super) fn goes_on_after(&mut self, before: &str) -> Result<(), Unmet> {
         match self.availability() {
             Ok(_) => Ok(()),
-            Err(Unmet::Failed(why)) => {
-                Err(Unmet::Failed(format!("after {} the connection must go on, but: {why}", shown(before))))
-            }
+            Err(Unmet::Failed(why)) => Err(Unmet::Failed(format!(
+                "after {} the connection must continue, but: {why}",
+                shown(before)
+            ))),
             Err(other) => Err(other),
         }
     }
 
-    /// Asks for the block.
+    /// Requests the initialization block.
     pub(super) fn initialization(&mut self) -> Result<(String, Heard<InitializationBlock>), Unmet> {
         let sent = self.say(&Message::InitializationRequest(urrcp::InitializationRequest::default()))?;
         let until = self.trial.patience();
@@ -389,8 +391,8 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &self.nothing(), "an inquiry_response"))
     }
 
-    /// Asks for the block again and again without reading, until the peer takes no more for a while, or hangs up, or
-    /// enough has been asked for. How often it was.
+    /// Requests the initialization block repeatedly without reading, until the peer accepts no more bytes for a while, closes the
+    /// connection, or enough requests are sent. Returns the number of requests.
     pub(super) fn overfill(&mut self) -> Result<usize, Unmet> {
         const ANSWERS_BYTES_MAX: usize = 32 * 1024 * 1024;
         const REQUESTS_MAX: usize = 100_000;
@@ -412,7 +414,7 @@ impl<'a> Line<'a> {
         Ok(wanted)
     }
 
-    /// Sends a line that cannot be understood and waits until the robot says so.
+    /// Sends an invalid line and waits until the robot reports it as malformed.
     pub(super) fn is_malformed(&mut self, line: &[u8]) -> Result<(), Unmet> {
         self.send(line)?;
         let until = self.trial.patience();
@@ -426,12 +428,12 @@ impl<'a> Line<'a> {
 }
 
 impl Line<'_> {
-    /// Breaks the connection with what is held on it.
+    /// Closes the connection without ending the held commands.
     pub(super) fn cut(mut self) {
         self.exchanges = Exchanges::default();
     }
 
-    /// Ends what is still held; whether that is certain.
+    /// Ends the commands that are still held. Returns whether this is certain.
     fn wind_up(&mut self) -> Result<bool, Unmet> {
         let cancel = self.trial.cancel(self.trial.actor()?);
         let ticket = self.ask(&ControlRequest { session: self.session.clone(), ..cancel })?;
@@ -443,7 +445,7 @@ impl Line<'_> {
     }
 }
 
-/// A check that is over leaves nothing behind, however it ended.
+/// A finished check leaves nothing behind, regardless of its result.
 impl Drop for Line<'_> {
     fn drop(&mut self) {
         let certain = !self.exchanges.any_held() || matches!(self.wind_up(), Ok(true));

@@ -1,4 +1,4 @@
-//! Connections: many messages at once, peers that do not read, one connection after another and at the same time as another.
+//! Connections: many messages at once, peers that do not read, and several connections, consecutively and concurrently.
 
 use serde_json::json;
 use urrcp::{Message, Span};
@@ -15,7 +15,7 @@ pub(super) const ALL: [Requirement; 5] = [
     },
     Requirement {
         name: "slow-reader",
-        demands: "A server that sends and does not read delays no other.",
+        demands: "A server that sends and does not read does not delay the others.",
         section: "Sessions and connections (D)",
         check: slow_reader,
     },
@@ -27,13 +27,13 @@ pub(super) const ALL: [Requirement; 5] = [
     },
     Requirement {
         name: "two-links",
-        demands: "A second connection is served while the first one stands.",
+        demands: "A second connection is served while the first one is open.",
         section: "Sessions and connections (D)",
         check: two_links,
     },
     Requirement {
         name: "silent-peers",
-        demands: "Sixteen connections that say nothing, or half a message, keep a server out for 10 s at most.",
+        demands: "Sixteen connections that send nothing, or half a message, keep a server out for at most 10 s.",
         section: "Strangers (D)",
         check: silent_peers,
     },
@@ -55,7 +55,7 @@ fn many_messages(trial: &Trial) -> Checked {
         match line.other(until)? {
             Some(heard) => match heard.message {
                 Message::AvailabilityResponse(response) => shown.push(response.originate_timestamp),
-                _ => return Err(differs(&what, &heard.text, "availability responses alone")),
+                _ => return Err(differs(&what, &heard.text, "only availability responses")),
             },
             None => {
                 let came = format!("{} answers within {}", shown.len(), trial.options().patience);
@@ -63,7 +63,7 @@ fn many_messages(trial: &Trial) -> Checked {
             }
         }
     }
-    // Whether the time is echoed is the concern of `availability`.
+    // The requirement `availability` checks whether the time is echoed.
     let echoed: Vec<_> = shown.into_iter().flatten().collect();
     if echoed.is_sorted() {
         pass()
@@ -77,7 +77,7 @@ fn slow_reader(trial: &Trial) -> Checked {
     let mut deaf = trial.connect()?;
     let asked = deaf.overfill()?;
     let what = format!("{asked} initialization requests on another connection, whose answers are not read,");
-    // It takes a while until all that lies between the two is full.
+    // All buffers between the two sides take a while to fill.
     let until = trial.soon(1_000);
     while trial.now() < until {
         other.goes_on_after(&what)?;
@@ -102,7 +102,7 @@ fn two_links(trial: &Trial) -> Checked {
     let mut first = trial.connect()?;
     first.availability()?;
     let mut second = trial.connect()?;
-    second.goes_on_after("a second connection was opened while the first one stood")?;
+    second.goes_on_after("a second connection was opened while the first one was open")?;
     first.goes_on_after("a second connection was opened")?;
     second.goes_on_after("both connections were served once")?;
     pass()
@@ -115,7 +115,7 @@ fn silent_peers(trial: &Trial) -> Checked {
     let half = json!({"availability_request": {"timestamp": trial.stamp()}}).to_string();
     let mut peers = Vec::new();
     for n in 0..PEERS {
-        // A robot may refuse them, or hang up.
+        // A robot may refuse them or close the connection.
         let Ok(mut peer) = trial.connect_silently() else { break };
         if n % 2 == 1 {
             let _hung_up = peer.send(&half.as_bytes()[..half.len() / 2]);
@@ -129,7 +129,7 @@ fn silent_peers(trial: &Trial) -> Checked {
         match served {
             Ok(()) => return Ok(format!("served {out} after {} of them", peers.len())),
             Err(Unmet::Failed(why)) if out > OUT_MAX + trial.slack() => {
-                let silent = format!("{PEERS} connections say nothing or half a message");
+                let silent = format!("{PEERS} connections send nothing or half a message");
                 return Err(Unmet::Failed(format!("{silent}, and {out} later: {why}")));
             }
             Err(Unmet::Failed(_)) => trial.pause(Span::from_millis(100))?,

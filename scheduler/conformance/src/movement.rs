@@ -1,4 +1,5 @@
-//! What moves nothing: stops, ends of leases, and connections. The robot states its commanded positions in answers to inquiries.
+//! Events that must not cause motion: stops, ends of leases, and connections. The robot states its commanded positions in answers to
+//! inquiries.
 
 use urrcp::{ControlRequest, ControlType, Inquiry, RequestState, Span, StopCondition};
 
@@ -43,15 +44,15 @@ pub(super) const ALL: [Requirement; 5] = [
     },
 ];
 
-/// A movement to the default state would have begun by then.
+/// A movement to the default state would have begun within this time.
 const WATCHED: Span = Span::from_millis(300);
 
-/// Moves the device to a position other than the one to which it would go by default.
+/// Moves the device to a position other than its default one.
 fn moved_away(trial: &Trial) -> Result<(&Actor, Line<'_>), Unmet> {
     answering(trial)?;
     let actor = trial.actor()?;
     if actor.control_type != ControlType::Position || actor.near == actor.rest {
-        return Err(not_applicable("the device has no two positions"));
+        return Err(not_applicable("the device does not have two positions"));
     }
     let mut line = trial.connect()?;
     let request = trial.set(actor, actor.near).leased(LEASE_MS);
@@ -59,14 +60,14 @@ fn moved_away(trial: &Trial) -> Result<(&Actor, Line<'_>), Unmet> {
     reaches(trial, &mut line, &request, RequestState::Ended)?;
     match stated(&mut line, actor)?.0 {
         Some(position) if is_at(actor, position, actor.near) => Ok((actor, line)),
-        Some(_) => {
-            Err(not_applicable("the robot states another position than it was sent (see `inquiry-position`)"))
-        }
-        None => Err(not_applicable("the robot does not state the position of the device")),
+        Some(_) => Err(not_applicable(
+            "the robot reports a different position than it was sent (see `inquiry-position`)",
+        )),
+        None => Err(not_applicable("the robot does not report the position of the device")),
     }
 }
 
-/// The position of the device, with the answer that states it.
+/// The position of the device, and the answer that states it.
 fn stated(line: &mut Line, actor: &Actor) -> Result<(Option<f64>, Inquired), Unmet> {
     let devices = vec![actor.device.id.clone()];
     let inquired = line.inquire(&Inquiry { devices, ..Inquiry::default() })?;
@@ -77,13 +78,13 @@ fn is_at(actor: &Actor, stated: f64, position: f64) -> bool {
     (stated - position).abs() < actor.limits.granularity / 2.0
 }
 
-/// The device is still where it was commanded to be, and has not set out for another place.
+/// Checks that the device is still at its commanded position and has not started to move elsewhere.
 fn stays(trial: &Trial, line: &mut Line, actor: &Actor, what: &str) -> Checked {
     for pause in [Span::ZERO, WATCHED] {
         trial.pause(pause)?;
         let (position, inquired) = stated(line, actor)?;
         if !position.is_some_and(|position| is_at(actor, position, actor.near)) {
-            let expected = format!("position {}, which was commanded last: {what} moves nothing", actor.near);
+            let expected = format!("position {}, the last commanded one: {what} moves nothing", actor.near);
             return Err(inquired.differs(&expected));
         }
     }
@@ -125,7 +126,7 @@ fn stays_running(trial: &Trial) -> Checked {
     stays_after_lease(trial, &mut line, actor)
 }
 
-/// Whether the lease ends, and when, is checked by other requirements.
+/// Other requirements check whether and when the lease ends.
 fn stays_after_lease(trial: &Trial, line: &mut Line, actor: &Actor) -> Checked {
     trial.pause(PERIOD + trial.slack())?;
     stays(trial, line, actor, "the end of a lease")
@@ -148,7 +149,7 @@ fn home_position(trial: &Trial) -> Checked {
         }
         if trial.now() >= until {
             return Err(inquired
-                .differs(&format!("position {home}, the default_value: an empty script said `home: true`")));
+                .differs(&format!("position {home}, the default_value: the empty script had `home: true`")));
         }
         trial.pause(Span::from_millis(50))?;
     }

@@ -1,4 +1,4 @@
-//! The session that owns a robot: what others cannot stop, where its reports go, and when silence ends it.
+//! The session that owns a robot: commands that others cannot stop, the destination of its reports, and its end by silence.
 
 use urrcp::{ControlRequest, ErrorCode, SessionId, Span, Status};
 
@@ -10,25 +10,25 @@ use super::trial::{LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 3] = [
     Requirement {
         name: "session-stop",
-        demands: "A stop of a session to which the robot does not belong, or of none, is refused with `busy`, and ends and takes back nothing.",
+        demands: "A stop by a session to which the robot does not belong, or without a session, is refused with `busy`, and ends and cancels nothing.",
         section: "Sessions and connections (D)",
         check: session_stop,
     },
     Requirement {
         name: "session-silence",
-        demands: "A session that holds nothing keeps the robot for 5 s of silence while its connection stands, and no longer.",
+        demands: "A session that holds nothing keeps the robot for 5 s of silence while its connection is open, and no longer.",
         section: "Sessions and connections (D)",
         check: session_silence,
     },
     Requirement {
         name: "reports-follow",
-        demands: "Reports go to the connection on which the session was last heard, whichever the command came on.",
+        demands: "Reports go to the connection on which the session last sent a message, whichever connection the command came on.",
         section: "Reports (D)",
         check: reports_follow,
     },
 ];
 
-/// A session of a name that nobody has used.
+/// A session with an unused name.
 pub(super) fn session(trial: &Trial) -> Result<SessionId, Unmet> {
     let name = format!("{}/session", trial.fresh_id());
     SessionId::new(name).map_err(|error| not_applicable(error.to_string()))
@@ -57,7 +57,7 @@ fn session_stop(trial: &Trial) -> Checked {
     line.answer(own)?;
     refused?;
     more.map_or(Ok(()), Err)?;
-    // What is sent ahead of the timestamp of a stop that does not count.
+    // The timestamp of a stop that was refused must not invalidate earlier commands.
     let again = line.held(&of(&ours, trial.pending(actor)));
     let own = line.ask(&of(&ours, stop()))?;
     line.answer(own)?;
@@ -67,7 +67,7 @@ fn session_stop(trial: &Trial) -> Checked {
     pass()
 }
 
-/// After which a session that holds nothing has lost the robot.
+/// Period after which a silent session without held commands loses the robot.
 const SILENCE: Span = Span::from_millis(5_000);
 
 fn session_silence(trial: &Trial) -> Checked {
@@ -83,7 +83,7 @@ fn session_silence(trial: &Trial) -> Checked {
     let (sent, early) = claim(trial, &mut second, &theirs)?;
     let silent = trial.now() - before;
     if early.message.status == Status::Ok && silent < SILENCE {
-        let expected = format!("`Failed` with `busy`: `{ours}` has been silent for {silent} only");
+        let expected = format!("`Failed` with `busy`: `{ours}` has been silent for only {silent}");
         return Err(differs(&sent, &early.text, &expected));
     }
     loop {
@@ -104,7 +104,7 @@ fn reports_follow(trial: &Trial) -> Checked {
     trial.reporting()?;
     let ours = session(trial)?;
     for route in [&[0, 1][..], &[0, 1, 0]] {
-        // A session that was heard only when the command had begun shows nothing.
+        // If the session used the connection only after the command had begun, the test shows nothing.
         let heard_in_time = follows(trial, &ours, route, 500.0)?;
         if !heard_in_time {
             follows(trial, &ours, route, 1_000.0)?;
@@ -113,8 +113,8 @@ fn reports_follow(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Sends a command on the first connection of the route and is heard on the others, one after the other. Its reports must
-/// come on the last; `false` if it began before that.
+/// Sends a command on the first connection of the route, and further messages on the others in order. The reports of the command must
+/// arrive on the last. Returns `false` if the command began before that.
 fn follows(trial: &Trial, session: &SessionId, route: &[usize], millis: f64) -> Result<bool, Unmet> {
     let actor = trial.actor()?;
     let first = trial.connect()?;
@@ -138,14 +138,14 @@ fn follows(trial: &Trial, session: &SessionId, route: &[usize], millis: f64) -> 
             Err(Unmet::Failed(why)) if in_time => {
                 let heard = if to == from { "this one again" } else { "this one" };
                 return Err(Unmet::Failed(format!(
-                    "the session was last heard on another connection than before, {heard}, which was told no report: {why}"
+                    "the session last sent a message on a different connection than before, {heard}, which received no report: {why}"
                 )));
             }
             Err(Unmet::Failed(_)) => return Ok(false),
             other => other.map(drop)?,
         }
     }
-    // All has ended, also what was told elsewhere.
+    // All commands have ended, including those whose end was reported elsewhere.
     lines.into_iter().for_each(Line::cut);
     Ok(true)
 }

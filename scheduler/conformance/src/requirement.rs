@@ -1,37 +1,37 @@
-//! A requirement, how a check of it ends, and how that is told.
+//! A requirement, and the possible results of its check.
 
 use serde::Serialize;
 
 use super::trial::Trial;
 
-/// Something that the protocol demands of a robot, with the check that shows it.
+/// A demand of the protocol on a robot, with the check for it.
 #[derive(Clone, Copy, Debug)]
 pub struct Requirement {
-    /// Its name, as `--only` takes it.
+    /// The name that `--only` accepts.
     pub name: &'static str,
-    /// One sentence: what it demands.
+    /// The demand in one sentence.
     pub demands: &'static str,
-    /// The section of `docs/protocol.md` that says so.
+    /// The section of `docs/protocol.md` that states it.
     pub section: &'static str,
     pub(super) check: fn(&Trial) -> Checked,
 }
 
-/// What a check comes to: a note for people, empty where there is nothing to say, or why it was not passed.
+/// The result of a check: a note for people, possibly empty, or the reason why it did not pass.
 pub(super) type Checked = Result<String, Unmet>;
 
 /// Why a requirement was not passed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Unmet {
-    /// The robot does something else: what was sent, what came, what was expected.
+    /// The robot behaves differently; contains the sent, the received and the expected message.
     Failed(String),
-    /// The robot does not declare what the check needs.
+    /// The robot does not declare a capability that the check needs.
     NotApplicable(String),
-    /// The operator has had enough.
+    /// The operator interrupted the check.
     Interrupted,
 }
 
 impl Unmet {
-    /// A failure as one of something larger.
+    /// Rewrites the reason of a failure to add context.
     pub(super) fn within(self, tell: impl FnOnce(String) -> String) -> Self {
         match self {
             Self::Failed(why) => Self::Failed(tell(why)),
@@ -44,16 +44,16 @@ impl Unmet {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The robot does what is demanded.
+    /// The robot meets the requirement.
     Pass,
-    /// It does not, or died over it.
+    /// The robot violates the requirement, or stopped responding during the check.
     Fail,
-    /// It does not declare what the check needs.
+    /// The robot does not declare a capability that the check needs.
     NotApplicable,
 }
 
 impl Verdict {
-    /// For people.
+    /// Returns the verdict as short text for people.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -67,34 +67,34 @@ impl Verdict {
 /// The verdict on one requirement.
 #[derive(Clone, Debug, Serialize)]
 pub struct Judged {
-    /// The requirement's name.
+    /// The name of the requirement.
     pub requirement: &'static str,
-    /// How it was judged.
+    /// The result of the check.
     pub verdict: Verdict,
-    /// What was sent, what came and what was expected; for a pass what was measured, if anything.
+    /// The sent, the received and the expected message; after a pass, the measurement, if any.
     pub why: String,
-    /// How long the check took.
+    /// Duration of the check in milliseconds.
     pub millis: u64,
 }
 
-/// A pass with nothing to say.
+/// A pass without a note.
 pub(super) fn pass() -> Checked {
     Ok(String::new())
 }
 
-/// A failure in the words that every one of them uses.
+/// A failure in the standard wording.
 pub(super) fn differs(sent: &str, came: &str, expected: &str) -> Unmet {
-    Unmet::Failed(format!("sent {}; came {}; expected {expected}", shown(sent), shown(came)))
+    Unmet::Failed(format!("sent {}; received {}; expected {expected}", shown(sent), shown(came)))
 }
 
 pub(super) fn not_applicable(why: impl Into<String>) -> Unmet {
     Unmet::NotApplicable(why.into())
 }
 
-/// Characters of a line that a sentence quotes.
+/// Maximum characters of a quoted line.
 const SHOWN_CHARS_MAX: usize = 400;
 
-/// A line as a sentence quotes it: the beginning of a long one, and its length.
+/// A line as quoted in a sentence: a long one is cut, followed by its length.
 pub(super) fn shown(line: &str) -> String {
     let line = line.trim_end();
     match line.char_indices().nth(SHOWN_CHARS_MAX) {

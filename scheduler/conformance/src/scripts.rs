@@ -1,4 +1,4 @@
-//! Scripts: their order, their timing, how many steps and how many of them.
+//! Scripts: their order, their timing, the number of steps, and the number of scripts.
 
 use urrcp::{ControlRequest, ErrorCode, Span, Status};
 
@@ -33,21 +33,21 @@ pub(super) const ALL: [Requirement; 6] = [
     },
     Requirement {
         name: "queue",
-        demands: "script_queue scripts one right behind the other are held, one more is refused with `busy`.",
+        demands: "script_queue scripts in direct succession are held, one more is refused with `busy`.",
         section: "Refusing",
         check: queue,
     },
     Requirement {
         name: "overlap",
-        demands: "A script that overlaps one that is held is refused with `overlap`, or `busy` where only one is held.",
+        demands: "A script that overlaps a held one is refused with `overlap`, or with `busy` if the queue holds only one.",
         section: "Refusing",
         check: overlap,
     },
 ];
 
-/// Steps that are tried; a robot may declare more than one cares to send.
+/// Maximum number of steps to test; a robot may declare more than is practical.
 const STEPS_TRIED_MAX: u32 = 10_000;
-/// Scripts that are tried in a queue.
+/// Maximum number of scripts to test in a queue.
 const QUEUE_TRIED_MAX: u32 = 256;
 
 fn script_order(trial: &Trial) -> Checked {
@@ -98,7 +98,7 @@ fn script_timing(trial: &Trial) -> Checked {
     }
 }
 
-/// A script of this many steps, a millisecond apart, that never starts.
+/// A script with this many steps at intervals of a millisecond, which never starts.
 fn of_steps(trial: &Trial, actor: &Actor, count: u32) -> ControlRequest {
     let steps: Vec<_> = (0..count).map(|i| (f64::from(i), actor.rest)).collect();
     trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)
@@ -117,7 +117,7 @@ fn max_steps(trial: &Trial) -> Checked {
     if tried == declared {
         Ok(format!("{tried} steps"))
     } else {
-        Ok(format!("{tried} steps; {declared} are declared, more than {STEPS_TRIED_MAX} are not tried"))
+        Ok(format!("{tried} steps; {declared} are declared, but more than {STEPS_TRIED_MAX} are not tried"))
     }
 }
 
@@ -126,7 +126,7 @@ fn one_step_too_many(trial: &Trial) -> Checked {
     let declared = steps_declared(actor);
     if declared >= STEPS_TRIED_MAX {
         return Err(not_applicable(format!(
-            "{declared} steps are declared, more than {STEPS_TRIED_MAX} are not tried"
+            "{declared} steps are declared, but more than {STEPS_TRIED_MAX} are not tried"
         )));
     }
     let mut line = trial.connect()?;
@@ -134,7 +134,7 @@ fn one_step_too_many(trial: &Trial) -> Checked {
     pass()
 }
 
-/// The n-th of scripts that follow one another without a gap.
+/// The n-th script of a gapless sequence.
 fn nth(trial: &Trial, actor: &Actor, timestamp: &ControlRequest, n: u32) -> ControlRequest {
     let request = trial.there_and_back(actor, 500.0).leased(LEASE_MS);
     let request = ControlRequest { timestamp: timestamp.timestamp, ..request };
@@ -146,7 +146,7 @@ fn queue(trial: &Trial) -> Checked {
     let declared = actor.device.script_queue;
     if declared > QUEUE_TRIED_MAX {
         return Err(not_applicable(format!(
-            "a queue of {declared} scripts is declared, more than {QUEUE_TRIED_MAX} are not tried"
+            "a queue of {declared} scripts is declared, but more than {QUEUE_TRIED_MAX} are not tried"
         )));
     }
     let mut line = trial.connect()?;

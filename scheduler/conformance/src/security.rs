@@ -1,5 +1,5 @@
-//! What a robot at a `tls://` or `hmac://` address does about those who do not prove who they are, and about what is altered on its
-//! way.
+//! How a robot at a `tls://` or `hmac://` address handles peers that do not prove their identity, and messages that are altered in
+//! transit.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -16,37 +16,37 @@ use super::trial::Trial;
 use downbeat_runtime::link::Security;
 
 const SECTION: &str = "Proving who one is (D)";
-/// Within which a robot hangs up on a peer that has not proven who it is.
+/// Time within which a robot closes the connection to a peer that has not proven its identity.
 const DEADLINE: Span = Span::from_millis(5_000);
 
 pub(super) const ALL: [Requirement; 12] = [
     Requirement {
         name: "no-plain",
-        demands: "A message of a peer that has proven nothing is not answered, and the connection is closed.",
+        demands: "A message of a peer that has not proven its identity is not answered, and the connection is closed.",
         section: SECTION,
         check: no_plain,
     },
     Requirement {
         name: "proven-in-time",
-        demands: "A peer that has not proven who it is within 5 s is hung up on.",
+        demands: "A peer that has not proven its identity within 5 s is disconnected.",
         section: SECTION,
         check: proven_in_time,
     },
     Requirement {
         name: "altered",
-        demands: "Bytes that were altered on their way end the connection, and are not heard.",
+        demands: "Bytes that were altered in transit end the connection and are not processed.",
         section: SECTION,
         check: altered,
     },
     Requirement {
         name: "repeated",
-        demands: "A record that is repeated on its way is not heard again, and ends the connection.",
+        demands: "A record that is repeated in transit is not processed again and ends the connection.",
         section: SECTION,
         check: repeated,
     },
     Requirement {
         name: "reordered",
-        demands: "Records in another order than they were sent in are not heard, and end the connection.",
+        demands: "Records that arrive in a different order than they were sent in are not processed and end the connection.",
         section: SECTION,
         check: reordered,
     },
@@ -58,7 +58,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "wrong-secret",
-        demands: "With `hmac`: an operator that does not prove its pass is hung up on.",
+        demands: "With `hmac`: an operator that does not prove its pass is disconnected.",
         section: SECTION,
         check: wrong_secret,
     },
@@ -70,7 +70,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "other-robot",
-        demands: "With `hmac`: a claim to another robot is refused, with the robot's own id.",
+        demands: "With `hmac`: a claim for another robot is refused, with the robot's own id.",
         section: SECTION,
         check: other_robot,
     },
@@ -82,19 +82,19 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "repeated-connection",
-        demands: "With `hmac`: what was said on an earlier connection proves nothing.",
+        demands: "With `hmac`: messages of an earlier connection prove nothing.",
         section: SECTION,
         check: repeated_connection,
     },
     Requirement {
         name: "roles",
-        demands: "An operator that may only observe is answered, and moves nothing: `forbidden`.",
+        demands: "An operator that may only observe gets answers but cannot move anything: `forbidden`.",
         section: "Errors",
         check: roles,
     },
 ];
 
-/// Whether a requirement is one of these.
+/// Whether a requirement belongs to this file.
 pub(super) fn is_among(requirement: &Requirement) -> bool {
     ALL.iter().any(|own| own.name == requirement.name)
 }
@@ -102,7 +102,7 @@ pub(super) fn is_among(requirement: &Requirement) -> bool {
 fn protected(trial: &Trial) -> Result<(), Unmet> {
     match trial.options().security {
         Security::Plain => {
-            Err(not_applicable("the robot has a tcp:// address, so it asks nobody who they are"))
+            Err(not_applicable("the robot has a tcp:// address, so it does not check identities"))
         }
         _ => Ok(()),
     }
@@ -120,13 +120,13 @@ fn availability() -> Message {
     Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None, seize: false })
 }
 
-/// A connection on which nothing has been proven.
+/// A connection without any proof of identity.
 fn unproven(trial: &Trial) -> Result<TcpStream, Unmet> {
     let failed = |error: io::Error| Unmet::Failed(format!("no connection to {}: {error}", trial.address()));
     dial(trial.address(), trial.options().patience.to_duration()).map_err(failed)
 }
 
-/// What comes until the robot hangs up; `None` if it has not by then.
+/// The bytes that arrive until the robot closes the connection; `None` if it is still open at `until`.
 fn until_hung_up(
     trial: &Trial,
     socket: &mut TcpStream,
@@ -146,7 +146,7 @@ fn until_hung_up(
     Ok(None)
 }
 
-/// Until when a robot has to have hung up on who proves nothing.
+/// The instant by which a robot must have closed the connection to a peer without proof of identity.
 fn deadline(trial: &Trial) -> Timestamp<Server> {
     trial.now() + DEADLINE + trial.options().patience
 }
@@ -156,13 +156,15 @@ fn no_plain(trial: &Trial) -> Checked {
     let mut socket = unproven(trial)?;
     let mut said = Vec::new();
     encode(&availability(), &mut said);
-    let text = format!("{} without proving anything", String::from_utf8_lossy(&said).trim_end());
+    let text = format!("{} without a proof of identity", String::from_utf8_lossy(&said).trim_end());
     let _hung_up = socket.write_all(&said);
     match until_hung_up(trial, &mut socket, deadline(trial))? {
-        None => Err(differs(&text, "no end of the connection", "the robot to hang up")),
-        Some(came) if came.contains(&b'{') => {
-            Err(differs(&text, &String::from_utf8_lossy(&came), "no answer, and the robot to hang up"))
-        }
+        None => Err(differs(&text, "no end of the connection", "the robot to close the connection")),
+        Some(came) if came.contains(&b'{') => Err(differs(
+            &text,
+            &String::from_utf8_lossy(&came),
+            "no answer, and the robot to close the connection",
+        )),
         Some(_) => pass(),
     }
 }
@@ -172,15 +174,15 @@ fn proven_in_time(trial: &Trial) -> Checked {
     let mut socket = unproven(trial)?;
     let begun = trial.now();
     match until_hung_up(trial, &mut socket, deadline(trial))? {
-        Some(_) => Ok(format!("hung up on after {}", trial.now() - begun)),
+        Some(_) => Ok(format!("disconnected after {}", trial.now() - begun)),
         None => {
             let waited = format!("no end within {}", trial.now() - begun);
-            Err(differs("nothing on a connection", &waited, "the robot to hang up after 5 s"))
+            Err(differs("no message on a connection", &waited, "the robot to close the connection after 5 s"))
         }
     }
 }
 
-/// Whether the connection ends, and is answered on at most so often before that.
+/// Checks that the connection ends, after at most `answers_max` answers.
 fn ends(trial: &Trial, line: &mut Line<'_>, what: &str, answers_max: usize) -> Checked {
     let until = trial.patience();
     line.listen(until, |line| line.has_ended())?;
@@ -205,7 +207,7 @@ fn altered(trial: &Trial) -> Checked {
         *byte ^= 1;
     }
     line.send_past(&record)?;
-    ends(trial, &mut line, "an availability request with a bit changed on its way", 0)
+    ends(trial, &mut line, "an availability request with a bit changed in transit", 0)
 }
 
 fn repeated(trial: &Trial) -> Checked {
@@ -213,7 +215,7 @@ fn repeated(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let record = line.wrapped(&availability())?;
     line.send_past(&record.repeat(2))?;
-    ends(trial, &mut line, "an availability request that comes twice on its way", 1)
+    ends(trial, &mut line, "an availability request that is duplicated in transit", 1)
 }
 
 fn reordered(trial: &Trial) -> Checked {
@@ -221,7 +223,7 @@ fn reordered(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let records = [line.wrapped(&availability())?, line.wrapped(&availability())?];
     line.send_past(&[records[1].as_slice(), &records[0]].concat())?;
-    ends(trial, &mut line, "two availability requests that change places on their way", 0)
+    ends(trial, &mut line, "two availability requests that are swapped in transit", 0)
 }
 
 fn no_certificate(trial: &Trial) -> Checked {
@@ -232,7 +234,7 @@ fn no_certificate(trial: &Trial) -> Checked {
     let mut said = Vec::new();
     encode(&availability(), &mut said);
     let text = format!("{} by TLS without a certificate", String::from_utf8_lossy(&said).trim_end());
-    // With TLS 1.3 the robot refuses what this side takes for a whole handshake, so the message may be sent.
+    // With TLS 1.3 the robot refuses a handshake that this side considers complete, so the message may be sent.
     let answered = Stream::without_certificate(trial.address(), tls, trial.options().patience.to_duration())
         .and_then(|mut stream| {
             stream.write_all(&said)?;
@@ -241,14 +243,16 @@ fn no_certificate(trial: &Trial) -> Checked {
         });
     match answered {
         Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-            Err(differs(&text, "no end of the connection", "the robot to hang up"))
+            Err(differs(&text, "no end of the connection", "the robot to close the connection"))
         }
-        Ok(came) if !came.is_empty() => Err(differs(&text, &came, "no answer, and the robot to hang up")),
+        Ok(came) if !came.is_empty() => {
+            Err(differs(&text, &came, "no answer, and the robot to close the connection"))
+        }
         Ok(_) | Err(_) => pass(),
     }
 }
 
-/// Says the first line to the robot, and hears its answer.
+/// Sends the first line to the robot and receives its answer.
 fn greeted(trial: &Trial, hello: &Hello) -> Result<(TcpStream, String), Unmet> {
     let mut socket = unproven(trial)?;
     let said = hello.line();
@@ -271,7 +275,9 @@ fn refused(trial: &Trial, hello: &Hello, expected: &Refused) -> Checked {
     }
     match until_hung_up(trial, &mut socket, deadline(trial))? {
         Some(_) => pass(),
-        None => Err(differs(said.trim_end(), answer.trim_end(), "the robot to hang up after that")),
+        None => {
+            Err(differs(said.trim_end(), answer.trim_end(), "the robot to close the connection after that"))
+        }
     }
 }
 
@@ -284,11 +290,13 @@ fn wrong_secret(trial: &Trial) -> Checked {
     match until_hung_up(trial, &mut socket, deadline(trial))? {
         Some(came) if came.is_empty() => pass(),
         Some(came) => Err(differs(
-            "a wrong proof of a right claim",
+            "an invalid proof for a valid claim",
             &String::from_utf8_lossy(&came),
-            "the robot to hang up without a word",
+            "the robot to close the connection without an answer",
         )),
-        None => Err(differs("a wrong proof of a right claim", "no end", "the robot to hang up")),
+        None => {
+            Err(differs("an invalid proof for a valid claim", "no end", "the robot to close the connection"))
+        }
     }
 }
 
@@ -320,7 +328,7 @@ fn forged_roles(trial: &Trial) -> Checked {
         Ok(()) => Err(differs(
             hello.line().trim_end(),
             answer.trim_end(),
-            "a proof by another pass than that of fewer roles",
+            "a proof by a different pass than that of fewer roles",
         )),
     }
 }
@@ -346,29 +354,37 @@ fn repeated_connection(trial: &Trial) -> Checked {
         return Err(differs(
             said.trim_end(),
             second.trim_end(),
-            "another number than on the connection before",
+            "a different number than on the connection before",
         ));
     }
     let _hung_up = again.write_all(&record);
     match until_hung_up(trial, &mut again, deadline(trial))? {
         Some(came) if came.is_empty() => pass(),
-        Some(_) => {
-            Err(differs("all that was said on an earlier connection", "an answer", "the robot to hang up"))
-        }
-        None => Err(differs("all that was said on an earlier connection", "no end", "the robot to hang up")),
+        Some(_) => Err(differs(
+            "all messages of an earlier connection",
+            "an answer",
+            "the robot to close the connection",
+        )),
+        None => Err(differs(
+            "all messages of an earlier connection",
+            "no end",
+            "the robot to close the connection",
+        )),
     }
 }
 
 fn roles(trial: &Trial) -> Checked {
     protected(trial)?;
     let Some(observer) = &trial.options().observer else {
-        return Err(not_applicable("no other operator is known: --observer names the identity of one"));
+        return Err(not_applicable(
+            "no other operator is known: pass the identity file of one with --observer",
+        ));
     };
     let mut line = trial.connect_as(observer)?;
     line.availability()?;
     let actor = trial.actor()?;
     line.refuses(&trial.set(actor, actor.rest), ErrorCode::Forbidden)?;
     line.refuses(&trial.cancel(actor), ErrorCode::Forbidden)?;
-    line.goes_on_after("what its peer may not do")?;
+    line.goes_on_after("forbidden requests")?;
     pass()
 }

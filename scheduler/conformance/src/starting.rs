@@ -1,4 +1,4 @@
-//! When a command starts, and what is told of it.
+//! When a command starts, and what the robot reports about it.
 
 use urrcp::{Command, ControlRequest, ErrorCode, Span, Status, StatusValue};
 
@@ -36,7 +36,7 @@ pub(super) const ALL: [Requirement; 6] = [
     },
     Requirement {
         name: "late-by-little",
-        demands: "A command whose start has passed by a few milliseconds is refused with `late` as well, also a script whose other steps are still ahead.",
+        demands: "A command whose start has passed by a few milliseconds is refused with `late` as well, even a script whose other steps are still in the future.",
         section: "Time (D)",
         check: late_by_little,
     },
@@ -48,9 +48,9 @@ pub(super) const ALL: [Requirement; 6] = [
     },
 ];
 
-/// A robot's clock may show an instant a little before its own: rounding.
+/// A robot's clock may show a start slightly early, due to rounding.
 pub(super) const EARLY_MAX: Span = Span::from_millis(1);
-/// From sending to a start that is to be judged.
+/// Time from sending to a start that is to be judged, in milliseconds.
 const SOON_MS: f64 = 400.0;
 
 fn deferred_start(trial: &Trial) -> Checked {
@@ -87,7 +87,7 @@ fn starts(trial: &Trial, line: &mut Line, request: &ControlRequest, after: Span)
     let sent = line.asked(ticket).text.clone();
     let started = line.report(ticket, &Status::Started, trial.patience())?;
     let (Some(planned), Some(at)) = (planned, started.message.event_timestamp) else {
-        return Err(differs(&sent, &started.text, "an event_timestamp: when the command really started"));
+        return Err(differs(&sent, &started.text, "an event_timestamp: when the command actually started"));
     };
     let error = at - planned;
     let tolerance = trial.options().tolerance;
@@ -95,11 +95,11 @@ fn starts(trial: &Trial, line: &mut Line, request: &ControlRequest, after: Span)
         let expected = format!("event_timestamp from {planned} to {tolerance} later; it is off by {error}");
         return Err(differs(&sent, &started.text, &expected));
     }
-    // A report of a start that has not been yet cannot be true, whatever it states.
+    // A report of a start in the future is false, regardless of its timestamp.
     let arrived = started.at + trial.shift - planned.assume_clock();
     let clocks = Span::from_millis(50);
     if arrived < -clocks {
-        let expected = format!("no report before the start; it came {} ahead", arrived.abs());
+        let expected = format!("no report before the start; it came {} early", arrived.abs());
         return Err(differs(&sent, &started.text, &expected));
     }
     Ok(format!("started {error} after its time"))
@@ -110,7 +110,7 @@ fn immediate_start(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let ticket = line.held(&trial.set(actor, actor.rest).leased(LEASE_MS))?;
     if !trial.reports() {
-        return Ok("accepted; without `reports` nothing tells whether it started".to_owned());
+        return Ok("accepted; without `reports`, it is unknown whether it started".to_owned());
     }
     let accepted = line.answer(ticket)?;
     let started = line.report(ticket, &Status::Started, trial.patience())?;
@@ -142,7 +142,7 @@ fn refused_for_good(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<()
     }
 }
 
-/// How much a start must have passed for any reading of the clock to agree that it has.
+/// How far in the past a start must lie for any reading of the clock to agree on that.
 const JUST_PASSED: Span = Span::from_millis(10);
 
 fn late_by_little(trial: &Trial) -> Checked {
@@ -196,7 +196,7 @@ fn status_value(trial: &Trial) -> Checked {
         (Status::Failed, _) => {
             return Err(differs(&line.asked(ticket).text, &refusal.text, "status_value null on failure"));
         }
-        // What may be refused is another requirement's concern.
+        // Another requirement checks which requests may be refused.
         _ => {}
     }
     drop(line);
@@ -208,7 +208,7 @@ fn script_value(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let cancel = line.ask(&trial.cancel(actor))?;
     let rests = line.answer(cancel)?;
-    // Whether it is confirmed is the concern of `cancel-pending`.
+    // The requirement `cancel-pending` checks the confirmation.
     if rests.message.status == Status::Ok && rests.message.status_value != StatusValue::Null {
         let expected = "status_value null with the `OK` to an empty script";
         return Err(differs(&line.asked(cancel).text, &rests.text, expected));

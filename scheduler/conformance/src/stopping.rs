@@ -1,4 +1,4 @@
-//! Cancelling, holding, and stops that overtake.
+//! Cancelling, holding, and stops that arrive ahead of their command.
 
 use urrcp::{ControlRequest, ErrorCode, Span, Status};
 
@@ -10,31 +10,31 @@ use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "cancel-pending",
-        demands: "An empty script without a start is answered `OK`, and what is pending ends `Failed`, `cancelled`.",
+        demands: "An empty script without a start is answered `OK`, and pending commands end `Failed`, `cancelled`.",
         section: "Cancelling (D)",
         check: cancel_pending,
     },
     Requirement {
         name: "cancel-from",
-        demands: "An empty script at S drops what starts at S or later, and nothing that starts before.",
+        demands: "An empty script at S cancels commands that start at S or later, and none that start before.",
         section: "Cancelling (D)",
         check: cancel_from,
     },
     Requirement {
         name: "cancel-running",
-        demands: "An empty script without a start ends what runs, which reports `Failed`, `cancelled`.",
+        demands: "An empty script without a start ends running commands, which report `Failed`, `cancelled`.",
         section: "Cancelling (D)",
         check: cancel_running,
     },
     Requirement {
         name: "home",
-        demands: "An empty script with `home: true` is answered `OK` and ends what is pending as well.",
+        demands: "An empty script with `home: true` is answered `OK` and ends pending commands as well.",
         section: "Cancelling (D)",
         check: home,
     },
     Requirement {
         name: "take-back",
-        demands: "A stop with a timestamp also refuses with `cancelled` what was sent up to then and arrives after it, and nothing that was sent later.",
+        demands: "A stop with a timestamp also refuses with `cancelled` commands that were sent up to then and arrive after it, and none that were sent later.",
         section: "Cancelling (D)",
         check: take_back,
     },
@@ -51,7 +51,7 @@ pub(super) fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -
     }
 }
 
-/// What an empty script has ended reports so, where the robot reports.
+/// Expects the report of the request that an empty script has ended, if the robot reports.
 fn is_cancelled(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
     if trial.reports() {
         line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;
@@ -65,7 +65,7 @@ fn cancel_pending(trial: &Trial) -> Checked {
     let pending = line.held(&trial.pending(actor))?;
     cancels(trial, &mut line, &trial.cancel(actor))?;
     is_cancelled(trial, &mut line, pending)?;
-    // Nothing is held any more, so the same time is free again.
+    // The device no longer holds anything, so the same time is free again.
     line.held(&trial.pending(actor))?;
     pass()
 }
@@ -83,7 +83,7 @@ fn cancel_from(trial: &Trial) -> Checked {
     cancels(trial, &mut line, &from(LATER_MS + 1.0))?;
     line.listen(trial.soon(100), |line| line.asked(ticket).heard.len() > 1)?;
     if let Some(more) = line.asked(ticket).heard.get(1) {
-        let expected = "nothing: the empty script starts 1 ms after it and leaves it alone";
+        let expected = "nothing: the empty script starts 1 ms after it and does not affect it";
         return Err(differs(&line.asked(ticket).text, &more.text, expected));
     }
     cancels(trial, &mut line, &from(LATER_MS))?;
@@ -126,7 +126,7 @@ fn take_back(trial: &Trial) -> Checked {
     let ticket = upload.ask(&overtaken)?;
     upload.refused(ticket, &[ErrorCode::Cancelled]).map_err(|unmet| {
         unmet.within(|why| {
-            format!("a stop with a later timestamp came ahead of it on another connection: {why}")
+            format!("a stop with a later timestamp arrived before it on another connection: {why}")
         })
     })?;
     upload.held(&trial.pending(actor))?;

@@ -1,5 +1,5 @@
-//! The bytes under a connection of the test client: as they are, by TLS, or in records with codes. Blocking, and open enough that what
-//! is said can be altered on its way.
+//! The byte stream of a connection of the test client: plain, TLS, or authenticated records. Blocking, and accessible enough to alter
+//! messages in transit.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -17,7 +17,7 @@ use rustls::{ClientConfig, ClientConnection, SignatureScheme, StreamOwned};
 
 use downbeat_runtime::link::{Security, Tls};
 
-/// Bytes of a line of the handshake at most.
+/// Maximum length of a handshake line in bytes.
 const LINE_BYTES_MAX: usize = 8 * 1024;
 
 /// A connection to a robot.
@@ -27,7 +27,7 @@ pub(super) enum Stream {
     Hmac(Box<Sealed>),
 }
 
-/// One whose bytes travel in records.
+/// A stream of records with authentication codes.
 pub(super) struct Sealed {
     socket: TcpStream,
     sealing: Sealing,
@@ -37,18 +37,18 @@ pub(super) struct Sealed {
 }
 
 impl Stream {
-    /// Connects and proves who this is, within the patience.
+    /// Connects and proves its identity, within the patience.
     pub(super) fn connect(address: SocketAddr, security: &Security, patience: Duration) -> io::Result<Self> {
         let socket = dial(address, patience)?;
         match security {
             Security::Plain => Ok(Self::Plain(socket)),
-            Security::Nameless => Err(io::Error::other("name your identity file: DOWNBEAT_IDENTITY")),
+            Security::Nameless => Err(io::Error::other("set DOWNBEAT_IDENTITY to your identity file")),
             Security::Tls(tls) => Self::by_tls(socket, Arc::clone(tls.config())),
             Security::Hmac(hmac) => Ok(Self::Hmac(Box::new(greet(socket, hmac.pass()?)?))),
         }
     }
 
-    /// The same by TLS, without proving who this is.
+    /// Like [`Stream::connect`], by TLS and without a client certificate.
     pub(super) fn without_certificate(
         address: SocketAddr,
         tls: &Tls,
@@ -75,7 +75,7 @@ impl Stream {
         }
     }
 
-    /// These bytes as they would travel, which counts as if they had been sent.
+    /// These bytes in their wire format; the encryption treats them as sent.
     pub(super) fn wrapped(&mut self, bytes: &[u8]) -> io::Result<Vec<u8>> {
         let mut wrapped = Vec::new();
         match self {
@@ -92,7 +92,7 @@ impl Stream {
     }
 }
 
-/// Has none to show.
+/// Presents no client certificate.
 #[derive(Debug)]
 struct NoCertificate;
 
@@ -161,7 +161,7 @@ impl Read for Sealed {
     }
 }
 
-/// A connection on which nothing has been said.
+/// A connection without any messages.
 pub(super) fn dial(address: SocketAddr, patience: Duration) -> io::Result<TcpStream> {
     let socket = TcpStream::connect_timeout(&address, patience)?;
     socket.set_nodelay(true)?;
@@ -170,7 +170,7 @@ pub(super) fn dial(address: SocketAddr, patience: Duration) -> io::Result<TcpStr
     Ok(socket)
 }
 
-/// The next line of the handshake, with its end. What follows it is not read.
+/// The next line of the handshake, including its newline. Does not read beyond it.
 pub(super) fn line(socket: &mut TcpStream) -> io::Result<String> {
     let (mut line, mut byte) = (Vec::new(), [0]);
     while line.last() != Some(&b'\n') && line.len() < LINE_BYTES_MAX {
@@ -180,7 +180,7 @@ pub(super) fn line(socket: &mut TcpStream) -> io::Result<String> {
     String::from_utf8(line).map_err(|_| io::Error::other(NotSealed::NotSpoken))
 }
 
-/// The first line to a robot that has this pass.
+/// The first line for a robot, according to this pass.
 pub(super) fn hello(held: &Held) -> io::Result<Hello> {
     Ok(Hello { nonce: fresh_nonce()?, robot: held.robot.clone(), claim: held.claim.clone() })
 }
@@ -196,7 +196,7 @@ fn greet(mut socket: TcpStream, held: &Held) -> io::Result<Sealed> {
     Ok(Sealed { socket, sealing, opening, opened: Vec::new(), read: 0 })
 }
 
-/// With the pass for the robot that is there, as it says itself, if there is one.
+/// Selects the pass for the robot at this address, by the robot's own id, if there is one.
 pub(super) fn for_robot_at(address: SocketAddr, security: Security, patience: Duration) -> Security {
     let Security::Hmac(hmac) = &security else { return security };
     let named = || {

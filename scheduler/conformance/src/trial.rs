@@ -1,4 +1,4 @@
-//! What every check has available: the robot's address and block, clocks, connections, requests.
+//! The environment of every check: the robot's address and block, clocks, connections, requests.
 
 use std::cell::Cell;
 use std::net::SocketAddr;
@@ -20,14 +20,14 @@ use super::stream::Stream;
 use downbeat_runtime::link::{Security, denial};
 use downbeat_runtime::server_clock::ServerClock;
 
-/// A start that never comes, because the check is over before.
+/// A start that is never reached, because the check ends earlier.
 pub(super) const LATER_MS: f64 = 20_000.0;
-/// The lease of commands that are held only for a moment: what a check cannot cancel ends soon by itself.
+/// The lease of commands that are held briefly: commands that a check cannot cancel end soon.
 pub(super) const LEASE_MS: f64 = 1_500.0;
-/// Between two looks at whether the operator has had enough.
+/// Interval between checks for an interruption by the operator.
 const SLICE: Duration = Duration::from_millis(50);
 
-/// What the checks work on.
+/// The environment of the checks.
 #[derive(Debug)]
 pub(super) struct Trial {
     address: SocketAddr,
@@ -36,16 +36,16 @@ pub(super) struct Trial {
     interrupted: Arc<AtomicBool>,
     /// Added to the server's time in every request.
     pub(super) shift: Span,
-    /// The robot wants to be greeted on every connection.
+    /// Whether the robot requires a greeting on every connection.
     pub(super) greets: bool,
-    /// As far as the robot has told it.
+    /// The block, if the robot has sent one.
     pub(super) block: Option<InitializationBlock>,
     actor: Option<Actor>,
-    /// Tells requests of this run from those of an earlier one.
+    /// Distinguishes requests of this run from those of an earlier one.
     run: u64,
     next_id: Cell<u64>,
     left_held: Cell<bool>,
-    /// The longest that was seen.
+    /// The longest observed round trip.
     round_trip: Cell<Span>,
 }
 
@@ -85,17 +85,17 @@ impl Trial {
         &self.options
     }
 
-    /// By the monotonic clock.
+    /// The time by the monotonic clock.
     pub(super) fn now(&self) -> Timestamp<Server> {
         self.clock.now()
     }
 
-    /// What requests state as the present.
+    /// The current time as stated in requests.
     pub(super) fn stamp(&self) -> Timestamp<Server> {
         self.now() + self.shift
     }
 
-    /// Until when an answer to something sent now may take.
+    /// Deadline for an answer to a message sent now.
     pub(super) fn patience(&self) -> Timestamp<Server> {
         self.now() + self.options.patience
     }
@@ -121,7 +121,7 @@ impl Trial {
         }
     }
 
-    /// A new connection. A robot that serves only connections that have greeted it is greeted, so that this alone fails.
+    /// Opens a connection. Greets a robot that requires it on every connection, so that only the check of the greeting fails.
     pub(super) fn connect(&self) -> Result<Line<'_>, Unmet> {
         let mut line = self.connect_silently()?;
         if self.greets {
@@ -131,12 +131,12 @@ impl Trial {
         Ok(line)
     }
 
-    /// A new connection on which nothing has been said.
+    /// Opens a connection without any messages.
     pub(super) fn connect_silently(&self) -> Result<Line<'_>, Unmet> {
         self.connect_as(&self.options.security)
     }
 
-    /// The same by another proof of who this is.
+    /// Like [`Trial::connect_silently`], with another proof of identity.
     pub(super) fn connect_as(&self, security: &Security) -> Result<Line<'_>, Unmet> {
         let connected = Stream::connect(self.address, security, self.options.patience.to_duration());
         connected.map(|stream| Line::over(self, stream)).map_err(|error| {
@@ -151,7 +151,7 @@ impl Trial {
         })
     }
 
-    /// Whether it takes a connection and answers on it; one that is being started again is given the patience.
+    /// Whether the robot accepts a connection and answers on it. Waits for the patience, because the robot may be restarting.
     pub(super) fn is_alive(&self) -> bool {
         let until = self.patience();
         loop {
@@ -164,7 +164,7 @@ impl Trial {
         }
     }
 
-    /// A connection in addition to an open one, if the robot serves several.
+    /// Opens an additional connection, if the robot serves several.
     pub(super) fn connect_beside(&self) -> Result<Line<'_>, Unmet> {
         let second = self.connect().and_then(|mut line| line.availability().map(|_| line));
         second.map_err(|unmet| match unmet {
@@ -177,37 +177,37 @@ impl Trial {
 
     pub(super) fn block(&self) -> Result<&InitializationBlock, Unmet> {
         self.block.as_ref().ok_or_else(|| {
-            not_applicable("without a readable initialization block nothing is known of the robot (see `initialization`)")
+            not_applicable("without a readable initialization block, nothing is known about the robot (see `initialization`)")
         })
     }
 
-    /// The device that is moved.
+    /// The device to move.
     pub(super) fn actor(&self) -> Result<&Actor, Unmet> {
         self.block()?;
         self.actor.as_ref().ok_or_else(|| match &self.options.device {
             Some(id) => not_applicable(format!("`{id}` has no position, speed or acceleration with a value on its grid")),
             None => not_applicable(
-                "no device has position, speed or acceleration; which values of custom types are safe only their maker knows",
+                "no device has position, speed or acceleration; only the manufacturer knows which values of custom types are safe",
             ),
         })
     }
 
-    /// The same, where it takes scripts.
+    /// The device to move, if it accepts scripts.
     pub(super) fn scripted(&self) -> Result<&Actor, Unmet> {
         let actor = self.actor()?;
         if actor.in_script {
             Ok(actor)
         } else {
-            Err(not_applicable(format!("`{}` takes no scripts", actor.device.id)))
+            Err(not_applicable(format!("`{}` does not support scripts", actor.device.id)))
         }
     }
 
-    /// Whether the robot says what becomes of what it has accepted.
+    /// Checks that the robot reports on accepted commands.
     pub(super) fn reporting(&self) -> Result<(), Unmet> {
         if self.block()?.reports {
             Ok(())
         } else {
-            Err(not_applicable("the robot declares no `reports`, so nothing tells what it does"))
+            Err(not_applicable("the robot does not declare `reports`, so its actions are not visible"))
         }
     }
 
@@ -220,7 +220,7 @@ impl Trial {
         format!("conformance/{:x}/{}", self.run, self.next_id.get())
     }
 
-    /// A request of this device that states the present as its timestamp and starts on receipt.
+    /// A request to this device with the current time as its timestamp, which starts on receipt.
     pub(super) fn request(&self, device: &DeviceId, command: Command) -> ControlRequest {
         ControlRequest {
             timestamp: Some(self.stamp()),
@@ -233,7 +233,7 @@ impl Trial {
         self.request(&actor.device.id, Command::Set(Setpoint::new(actor.control_type, value)))
     }
 
-    /// A script of steps, each with its milliseconds from the start and its value.
+    /// A script of steps, each with its offset in milliseconds and its value.
     pub(super) fn script(&self, actor: &Actor, steps: &[(f64, f64)]) -> ControlRequest {
         let step = |(millis, value): &(f64, f64)| Step {
             offset: millis_of(*millis),
@@ -244,12 +244,12 @@ impl Trial {
         self.request(&actor.device.id, Command::Script(script))
     }
 
-    /// Moves a little and back, in this time.
+    /// A script that moves slightly and back within this time.
     pub(super) fn there_and_back(&self, actor: &Actor, millis: f64) -> ControlRequest {
         self.script(actor, &[(0.0, actor.rest), (millis / 2.0, actor.near), (millis, actor.rest)])
     }
 
-    /// Something that is accepted and held until the check is over: a script where the device takes them.
+    /// A command that is held until the end of the check: a script if the device accepts scripts.
     pub(super) fn pending(&self, actor: &Actor) -> ControlRequest {
         let request =
             if actor.in_script { self.there_and_back(actor, 500.0) } else { self.set(actor, actor.rest) };
@@ -266,18 +266,18 @@ impl Trial {
         self.round_trip.set(self.round_trip.get().max(span));
     }
 
-    /// How much later than it happened something may be heard of: the longest way that was seen, and the tolerance.
+    /// Maximum delay before an event becomes known: the longest observed round trip plus the tolerance.
     pub(super) fn slack(&self) -> Span {
         self.round_trip.get() + self.options.tolerance
     }
 
-    /// A held command has been left behind by a connection that is gone.
+    /// Notes that a closed connection has left a held command behind.
     pub(super) fn leaves_held(&self) {
         self.left_held.set(true);
     }
 
-    /// Whether this answer to an empty script says that the device rests: `OK`, or where it takes no scripts that it
-    /// lacks this control type, which sends it to its default state as well.
+    /// Whether this answer to an empty script confirms that the device rests. That is `OK`, or from a device without scripts the error
+    /// that it lacks this control type, which also sends it to its default state.
     pub(super) fn confirms_rest(&self, answer: &ControlResponse) -> bool {
         let scripts =
             self.actor.as_ref().is_some_and(|actor| actor.device.available_control_types.script().is_some());
@@ -286,7 +286,7 @@ impl Trial {
         answer.status == Status::Ok || !scripts && lacking
     }
 
-    /// Brings the robot to rest, so that the next check begins as the first one did. Whether it confirmed that.
+    /// Brings the robot to rest, so that every check starts from the same state. Returns whether the robot confirmed it.
     pub(super) fn settle(&self) -> bool {
         let Some(actor) = &self.actor else { return true };
         let until = self.patience();
@@ -297,7 +297,7 @@ impl Trial {
             });
             match answer {
                 Ok(answer) if self.confirms_rest(&answer.message) => break true,
-                // A session whose connection has just gone may hold the robot for a moment.
+                // A session whose connection has just closed may still own the robot for a moment.
                 Ok(answer)
                     if answer.message.error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy) => {}
                 _ => break false,
@@ -312,7 +312,7 @@ impl Trial {
         confirmed
     }
 
-    /// For the way out: an operator who has had enough still wants the robot to rest.
+    /// Brings the robot to rest at the end, even after an interruption by the operator.
     pub(super) fn settle_at_the_end(&self) -> bool {
         self.interrupted.store(false, Ordering::Relaxed);
         self.settle()
@@ -323,7 +323,7 @@ pub(super) fn millis_of(millis: f64) -> Millis {
     Millis::from_span(Span::from_millis_f64(millis))
 }
 
-/// A request's start and lease.
+/// Sets the start and the lease of a request.
 pub(super) trait Shaped {
     /// Starts this many milliseconds after its timestamp.
     fn starting_in(self, millis: f64) -> Self;

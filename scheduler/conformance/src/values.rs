@@ -1,4 +1,4 @@
-//! What a robot declares of its devices and what it then takes.
+//! The declared values of a robot's devices, and the values that it accepts.
 
 use urrcp::{Command, ControlType, DeviceId, ErrorCode, Message, Script, Setpoint, Status, Step, encode};
 
@@ -15,7 +15,7 @@ pub(super) const ALL: [Requirement; 9] = [
     },
     Requirement {
         name: "granularity",
-        demands: "A value that is no multiple of the granularity is refused with `off_granularity`.",
+        demands: "A value that is not a multiple of the granularity is refused with `off_granularity`.",
         section: "Refusing",
         check: granularity,
     },
@@ -27,19 +27,19 @@ pub(super) const ALL: [Requirement; 9] = [
     },
     Requirement {
         name: "unknown-device",
-        demands: "A request to a device that the robot lacks is refused with `unknown_device`.",
+        demands: "A request to a device that the robot does not have is refused with `unknown_device`.",
         section: "Refusing",
         check: unknown_device,
     },
     Requirement {
         name: "unsupported-control-type",
-        demands: "A control type that the device lacks is refused with `unsupported_control_type`, and what was pending there ends `Failed`, `cancelled`.",
+        demands: "A control type that the device does not have is refused with `unsupported_control_type`, and its pending commands end `Failed`, `cancelled`.",
         section: "Refusing",
         check: unsupported_control_type,
     },
     Requirement {
         name: "unknown-control-type",
-        demands: "A control type that the protocol does not know is one that the device lacks, with the same consequences, whatever its control_value is, also a list or a text.",
+        demands: "A control type that the protocol does not define is treated as one that the device does not have, whatever its control_value is, including a list or a string.",
         section: "Refusing",
         check: unknown_control_type,
     },
@@ -57,13 +57,13 @@ pub(super) const ALL: [Requirement; 9] = [
     },
     Requirement {
         name: "sensor-not-a-sensor",
-        demands: "A sensor request to a device that is no sensor is refused with `unsupported_control_type`.",
+        demands: "A sensor request to a device that is not a sensor is refused with `unsupported_control_type`.",
         section: "Sensors",
         check: sensor_not_a_sensor,
     },
 ];
 
-/// Has a value accepted for later and cancels it at once, so that nothing moves there.
+/// Checks that a value is accepted for later, and cancels it at once, so that nothing moves.
 fn takes(trial: &Trial, line: &mut Line, value: f64) -> Result<(), Unmet> {
     let actor = trial.actor()?;
     line.held(&trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS))?;
@@ -82,7 +82,7 @@ fn range(trial: &Trial) -> Checked {
         let request = trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS);
         line.refuses(&request, ErrorCode::OutOfRange)?;
     }
-    Ok(format!("`{}` took {low} and {high}, refused {below} and {above}", actor.device.id))
+    Ok(format!("`{}` accepted {low} and {high}, refused {below} and {above}", actor.device.id))
 }
 
 /// A value between two multiples of the granularity.
@@ -158,7 +158,7 @@ fn lacking(trial: &Trial, control_type: &str, value: &str) -> Checked {
     let id = request.request_id.as_ref().map(ToString::to_string);
     let mut text = Vec::new();
     encode(&Message::ControlRequest(request), &mut text);
-    // Its name and value alone are others, also where no type of ours could bear them.
+    // Only the name and the value differ, even if no type of ours could represent them.
     let named = format!("\"control_type\":\"{control_type}\"");
     let valued = format!("\"control_value\":{value}");
     let text = String::from_utf8_lossy(&text).replace("\"control_type\":\"position\"", &named);
@@ -166,7 +166,7 @@ fn lacking(trial: &Trial, control_type: &str, value: &str) -> Checked {
     let ticket = line.ask_text(id, actor.device.id.as_str(), &text)?;
     line.refused(ticket, &[ErrorCode::UnsupportedControlType])?;
     if !trial.reports() {
-        return Ok("refused; without `reports` nothing tells whether the device went to its default state"
+        return Ok("refused; without `reports`, it is unknown whether the device went to its default state"
             .to_owned());
     }
     line.failure(pending, ErrorCode::Cancelled, trial.patience()).map_err(|unmet| unmet.within(|why| format!(
@@ -203,10 +203,10 @@ fn sensor(trial: &Trial) -> Checked {
         trial.block()?.devices.iter().filter_map(|d| Some((d, d.available_control_types.sensor()?)));
     let preferred = sensors.clone().find(|(device, _)| Some(device.id.as_str()) == wanted);
     let Some((device, parameters)) = preferred.or_else(|| sensors.next()) else {
-        return Err(not_applicable("the robot declares no sensor"));
+        return Err(not_applicable("the robot has no sensor"));
     };
     let mut line = trial.connect()?;
-    // So that the way there and back has been seen.
+    // Measures the round trip.
     line.availability()?;
     let ticket = line.ask(&trial.request(&device.id, Command::ReadSensor))?;
     let answer = line.answer(ticket)?;

@@ -1,4 +1,4 @@
-//! Lines that no server sends: the robot answers or ignores them, and lives.
+//! Lines that no server sends: the robot answers or ignores them and continues to work.
 
 use serde_json::{Value, json};
 use urrcp::{Message, STRING_CHARS_MAX};
@@ -17,31 +17,31 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "unknown-message",
-        demands: "A message of another name is answered `malformed` or ignored, and the connection goes on.",
+        demands: "A message with an unknown name is answered `malformed` or ignored, and the connection continues.",
         section: "Framing (D)",
         check: unknown_message,
     },
     Requirement {
         name: "malformed-line",
-        demands: "A line that is not JSON is answered `malformed`, and the connection goes on.",
+        demands: "A line that is not JSON is answered `malformed`, and the connection continues.",
         section: "Framing (D)",
         check: malformed_line,
     },
     Requirement {
         name: "wrong-type",
-        demands: "A value of the wrong type or a missing key is answered `malformed`, and the connection goes on.",
+        demands: "A value of the wrong type or a missing key is answered `malformed`, and the connection continues.",
         section: "Framing (D)",
         check: wrong_type,
     },
     Requirement {
         name: "not-utf8",
-        demands: "A line that is not UTF-8 is answered `malformed`, and the connection goes on.",
+        demands: "A line that is not UTF-8 is answered `malformed`, and the connection continues.",
         section: "Framing (D)",
         check: not_utf8,
     },
     Requirement {
         name: "deep-nesting",
-        demands: "A line nested 100,000 deep is answered, and the connection goes on.",
+        demands: "A line nested 100,000 deep is answered, and the connection continues.",
         section: "Framing (D)",
         check: deep_nesting,
     },
@@ -53,25 +53,25 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "long-strings",
-        demands: "A string of 256 characters is taken, one of 257 answered `malformed`.",
+        demands: "A string of 256 characters is accepted, one of 257 is answered `malformed`.",
         section: "Framing (D)",
         check: long_strings,
     },
     Requirement {
         name: "duplicate-keys",
-        demands: "A key that stands twice is answered `malformed`.",
+        demands: "A duplicate key is answered `malformed`.",
         section: "Framing (D)",
         check: duplicate_keys,
     },
     Requirement {
         name: "huge-line",
-        demands: "A line of 17 MB is answered `malformed` or hung up on, and the robot takes new connections.",
+        demands: "A line of 17 MB is answered `malformed` or ends the connection, and the robot accepts new connections.",
         section: "Framing (D)",
         check: huge_line,
     },
     Requirement {
         name: "half-line",
-        demands: "A message that comes in two halves is read as one; half a message and a broken connection do no harm.",
+        demands: "A message that arrives in two halves is read as one; half a message and a broken connection do no harm.",
         section: "Framing (D)",
         check: half_line,
     },
@@ -83,7 +83,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
 ];
 
-/// A control request that would be accepted and held, to be spoilt.
+/// A valid control request that is accepted and held, as a base for invalid ones.
 fn sound(trial: &Trial) -> Result<Value, Unmet> {
     let actor = trial.actor()?;
     Ok(json!({
@@ -97,7 +97,7 @@ fn line_of(request: &Value) -> Vec<u8> {
     format!("{}\n", json!({"control_request": request})).into_bytes()
 }
 
-/// Each of the lines is answered `malformed`, and behind them the connection continues.
+/// Checks that each of the lines is answered with `malformed`, and that the connection continues afterwards.
 fn all_malformed(line: &mut Line, lines: &[Vec<u8>]) -> Checked {
     for bytes in lines {
         line.is_malformed(bytes)?;
@@ -214,7 +214,7 @@ fn bad_numbers(trial: &Trial) -> Checked {
 fn long_strings(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let mut request = sound(trial)?;
-    // Characters count, not bytes.
+    // The limit is in characters, not bytes.
     let id = "\u{44f}".repeat(STRING_CHARS_MAX - 16) + &format!("{:016x}", fastrand::u64(..));
     request["request_id"] = json!(id);
     let text = String::from_utf8_lossy(&line_of(&request)).into_owned();
@@ -259,9 +259,9 @@ fn huge_line(trial: &Trial) -> Checked {
                 line.goes_on_after(&what)?;
             }
         }
-        Some(heard) => return Err(differs(&what, &heard.text, "`malformed`, or that the robot hangs up")),
+        Some(heard) => return Err(differs(&what, &heard.text, "`malformed`, or the end of the connection")),
         None if line.has_ended() => {}
-        None => return Err(differs(&what, "nothing", "`malformed`, or that the robot hangs up")),
+        None => return Err(differs(&what, "nothing", "`malformed`, or the end of the connection")),
     }
     trial.connect()?.goes_on_after(&what)?;
     pass()

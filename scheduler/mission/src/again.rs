@@ -11,21 +11,21 @@ use super::{Mission, Outcome, Phase};
 
 /// The maximum number of times that an act is prepared again.
 const AGAIN_MAX: u32 = 2;
-/// The shortest delay to allow for: a machine that was late by less may be late by this much the next time.
+/// The minimum delay to allow for. A machine that was late by less may be late by this much the next time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
-/// An act that is overdue by more than this, or was in the last few seconds, has missed a round. If leases end then, this machine is
-/// the cause.
+/// An act that is overdue by more than this, or was in the last few seconds, has missed a round. If leases end then, this machine is the
+/// cause.
 const OVERDUE: Span = Span::from_millis(5);
 
-/// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the
-/// act lapses and is not stopped, because a stop would end both.
+/// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the act
+/// lapses and is not stopped, because a stop would end both.
 #[derive(Debug)]
 pub(super) struct Again {
     act: usize,
     attempts: u32,
     /// The fixed start of the act.
     start: Option<Timestamp<Server>>,
-    /// Robots that would have failed if this machine were not suspected. They have failed if they do not confirm their stop.
+    /// Robots that would have failed if this machine were not suspected. They fail if they do not confirm their stop.
     suspended: Vec<(usize, FailureKind)>,
     hold_up: Span,
 }
@@ -40,9 +40,9 @@ impl Mission {
         }
     }
 
-    /// Handles the failure of robots in an act. This machine may be the cause if leases end or robots are silent before the commitment and
-    /// the mission has run late, or if most robots have not accepted in time although their links are up.
-    /// In these cases, the mission prepares the act again before the robots count as failed.
+    /// Handles the failure of robots in an act. This machine may be the cause if leases end or robots are silent before the commitment
+    /// and the mission has run late, or if most robots have not accepted in time although their links are up. In these cases, the mission
+    /// prepares the act again before it considers the robots failed.
     pub(super) fn fail_of_act(
         &mut self,
         now: Timestamp<Server>,
@@ -53,7 +53,7 @@ impl Mission {
         let act = self.acts.iter().find(|act| act.number() == number);
         let act = act.filter(|_| self.phase == Phase::Performing);
         let act = act.filter(|_| self.may_be_prepared_again(now, number));
-        // A round that was sent late lets leases end a little later, when the mission is no longer overdue. Robots on the same machine
+        // A round that was sent late makes leases end slightly later, when the mission is no longer overdue. Robots on the same machine
         // answer as late.
         let overdue = act.filter(|act| !act.is_committed()).map(|act| {
             let by = act.wakeup().map_or(Span::ZERO, |due| now - due);
@@ -84,8 +84,8 @@ impl Mission {
         }
     }
 
-    /// Whether the act has attempts left, may start later than at a fixed time and, while another act plays, has only robots that
-    /// drop it by themselves.
+    /// Whether the act has attempts left and may start later than at a fixed time. While another act plays, all its robots must also drop
+    /// it by themselves.
     pub(super) fn may_be_prepared_again(&self, now: Timestamp<Server>, number: u32) -> bool {
         let drops = |member: &Member| self.robots[member.robot].drops_undecided();
         let (act, drops) = match self.acts.as_slice() {
@@ -122,7 +122,7 @@ impl Mission {
         let reason = match suspended.as_slice() {
             [(_, FailureKind::Silent { .. }), ..] if act.progress() == Progressed::Preparing => {
                 let (count, all) = (suspended.len(), act.present().count());
-                format!("{count} of {all} robots have not accepted in time")
+                format!("{count} of {all} robots did not accept in time")
             }
             _ => outcome.hold_up().unwrap_or_else(|| outcome.to_string()),
         };
@@ -142,7 +142,7 @@ impl Mission {
             return true;
         }
         self.then = None;
-        // Robots that confirm nothing are the cause, and not this machine.
+        // Robots that confirm nothing are the cause, not this machine.
         let failed =
             again.suspended.into_iter().filter(|(robot, _)| moved || self.robots[*robot].awaits_stop());
         let failed: Vec<_> = failed.collect();
@@ -155,7 +155,7 @@ impl Mission {
         false
     }
 
-    /// Discards the withdrawn attempt and lines the act up again. The condition of the act has been met.
+    /// Discards the withdrawn attempt and queues the act again. The condition of the act has been met.
     pub(super) fn line_up_again(&mut self, now: Timestamp<Server>) {
         let Some(Again { act, attempts, start, .. }) = self.again.take() else { return };
         while !self.acts.is_empty() {

@@ -1,4 +1,4 @@
-//! Robots, scripts and answers for the tests of single machines, without a mission and without links.
+//! Robots, scripts and answers for unit tests, without a mission and without links.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use urrcp::{
 use super::Participant;
 use super::robot_state::RobotState;
 
-/// What a robot tells of its scripts.
+/// The reports of a robot about its scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Tells {
     /// It reports by itself, and answers inquiries.
@@ -21,11 +21,11 @@ pub(super) enum Tells {
     Reports,
     /// It answers inquiries.
     Answers,
-    /// Neither.
+    /// It does neither.
     Nothing,
 }
 
-/// A script of a device: its name, when it starts and how long it plays, in milliseconds.
+/// A script of a device: the device, its start and its playing time in milliseconds.
 pub(super) type Planned<'a> = (&'a str, i64, i64);
 
 pub(super) const RUNNING: Span = Span::from_millis(2_000);
@@ -40,7 +40,7 @@ pub(super) fn at(millis: i64) -> Timestamp<Server> {
     Timestamp::from_nanos(0) + ms(1_000_000 + millis)
 }
 
-/// A robot whose link stands, with the devices `a`, `b` and `c`.
+/// A connected robot with the devices `a`, `b` and `c`.
 pub(super) fn robot(id: &str, tells: Tells, queue: usize) -> RobotState {
     let (reports, inquiry) = match tells {
         Tells::Everything => (true, true),
@@ -105,7 +105,7 @@ pub(super) fn played(scripts: &[&[Planned]]) -> Arc<Choreography> {
     Arc::new(choreography(scripts))
 }
 
-/// A robot's clock that shows the server's time.
+/// The time of a robot's clock that shows the server's time.
 pub(super) fn by_robot(at: Timestamp<Server>) -> Timestamp<Robot> {
     at.assume_clock()
 }

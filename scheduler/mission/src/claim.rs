@@ -1,16 +1,16 @@
-//! What a robot says of a script, compared with what is possible.
+//! Checks a robot's statements about a script against the possible values.
 //!
-//! A robot is believed what it says of itself, as long as that can be true: no more steps than the script has, no start before
-//! the script was sent or ahead of now, no end before the script can have ended. Times are compared as far as the robot's
-//! clock is known, and starts within `start_tolerance` are no matter here.
+//! A robot's statement about itself is accepted as long as it can be true: at most as many steps as the script has, no start before
+//! the script was sent or in the future, no end before the script can have ended. Times are compared as far as the robot's clock is
+//! known. Starts within `start_tolerance` are not checked here.
 
 use serde::{Deserialize, Serialize};
 use urrcp::{ControlResponse, RequestReport, RequestState, Robot, Server, Span, Status, Timestamp};
 
-/// What a busy machine and coarse clocks may add to any time.
+/// The maximum error that a busy machine and coarse clocks add to any time.
 const GRAIN: Span = Span::from_millis(20);
 
-/// Something that a robot says of a script and that cannot be true.
+/// An impossible statement of a robot about a script.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "claim", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
@@ -18,79 +18,79 @@ pub enum Claim {
     /// More steps than the script has.
     #[error("{claimed} steps done, of {planned} planned")]
     Steps {
-        /// What it says.
+        /// The stated number of steps.
         claimed: u32,
-        /// What the script has.
+        /// The number of steps of the script.
         planned: u32,
     },
-    /// Fewer steps than it had said before.
-    #[error("{claimed} steps done, after it had said {before}")]
+    /// Fewer steps than it had stated before.
+    #[error("{claimed} steps done, after reporting {before}")]
     FewerSteps {
-        /// What it says.
+        /// The stated number of steps.
         claimed: u32,
-        /// What it had said.
+        /// The number stated before.
         before: u32,
     },
-    /// More late steps than it has done.
+    /// More late steps than executed steps.
     #[error("{claimed} steps late, of {done} done")]
     LateSteps {
-        /// What it says.
+        /// The stated number of late steps.
         claimed: u32,
-        /// What it says to have done.
+        /// The stated number of executed steps.
         done: u32,
     },
-    /// The end of the script before its last step.
+    /// Completion before its last step.
     #[error("completed with {claimed} steps done, of {planned} planned")]
     Completed {
-        /// What it says.
+        /// The stated number of steps.
         claimed: u32,
-        /// What the script has.
+        /// The number of steps of the script.
         planned: u32,
     },
     /// A start before the script was sent.
     #[error("started {by} before the script was sent")]
     BeforeSent {
-        /// What it says.
+        /// The stated start.
         claimed: Timestamp<Robot>,
-        /// How long before it can have been, at least.
+        /// The minimum time by which it is too early.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// A start before it can have come.
-    #[error("started {by} before it can have")]
+    /// A start before the script can have arrived.
+    #[error("started {by} earlier than possible")]
     StartedEarly {
-        /// How long before, at least.
+        /// The minimum time by which it is too early.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// Something that has not happened yet.
-    #[error("the time of what it reports is {by} after it can have been")]
+    /// An event in the future.
+    #[error("the reported time is {by} in the future")]
     Ahead {
-        /// What it says.
+        /// The stated time.
         claimed: Timestamp<Robot>,
-        /// How long after the arrival of its report, at least.
+        /// The minimum time by which it is later than the arrival of its report.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// The end of the script before it can have been played.
-    #[error("completed {by} before the script can have ended")]
+    /// Completion before the script can have been played.
+    #[error("completed {by} earlier than possible")]
     EndedEarly {
-        /// How long before, at least.
+        /// The minimum time by which it is too early.
         #[serde(rename = "by_ms")]
         by: Span,
     },
 }
 
-/// What a robot says of a script at one instant.
+/// A robot's statement about a script at one instant.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Told {
     arrived: Timestamp<Server>,
     said_at: Timestamp<Robot>,
     steps_done: Option<u32>,
     late_steps: Option<u32>,
-    /// It says that it has begun.
+    /// Whether it states that the script has begun.
     begun: bool,
-    /// It says that it is at its end.
+    /// Whether it states that the script has completed.
     completed: bool,
     started_at: Option<Timestamp<Robot>>,
     ended_at: Option<Timestamp<Robot>>,
@@ -129,7 +129,7 @@ impl Told {
         }
     }
 
-    /// When it came.
+    /// The arrival time.
     pub(crate) const fn arrived(&self) -> Timestamp<Server> {
         self.arrived
     }
@@ -138,40 +138,40 @@ impl Told {
         self.begun || self.steps_done.is_some_and(|steps| steps > 0)
     }
 
-    /// Its number of steps, and when it said so.
+    /// The stated number of steps, with its time.
     pub(crate) fn steps(&self) -> Option<(Timestamp<Robot>, u32)> {
         self.steps_done.map(|steps| (self.said_at, steps))
     }
 }
 
-/// What can be true of a script.
+/// The possible values for a script.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Possible {
-    /// How many steps it has.
+    /// The number of its steps.
     pub(crate) planned: u32,
-    /// What the robot last said of its steps, and when by its clock.
+    /// The latest report of executed steps, with its time by the robot's clock.
     pub(crate) before: Option<(Timestamp<Robot>, u32)>,
-    /// The robot's times; `None` before the script's act was sent.
+    /// The instants of the script; `None` before the script's act was sent.
     pub(crate) times: Option<Times>,
 }
 
-/// The instants of a script, and how well the robot's clock is known.
+/// The instants of a script, and the accuracy of the robot's clock.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Times {
-    /// The act was not sent before this.
+    /// The act was sent at this time or later.
     pub(crate) sent: Timestamp<Server>,
-    /// When the script starts by the robot's clock, and how long it plays.
+    /// The start of the script by the robot's clock, and its playing time.
     pub(crate) start: Timestamp<Robot>,
     pub(crate) duration: Span,
-    /// Robot minus server, and how far that may be off.
+    /// The offset, robot minus server, and its uncertainty.
     pub(crate) offset: Span,
     pub(crate) uncertainty: Span,
-    /// How far from the plan a start may be.
+    /// The permitted distance of a start from the plan.
     pub(crate) tolerance: Span,
 }
 
 impl Possible {
-    /// What of it cannot be true.
+    /// The impossible part of a statement, if any.
     pub(crate) fn contradicts(&self, told: &Told) -> Option<Claim> {
         self.steps(told).or_else(|| self.times.and_then(|times| times.contradicts(told)))
     }

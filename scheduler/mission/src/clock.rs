@@ -10,44 +10,43 @@ use urrcp::{Robot, Server, Span, Timestamp};
 
 use round_trips::RoundTrips;
 
-/// Fastest that two clocks drift apart, as a fraction: what IEEE 802.3 allows the oscillator of a network port, hence what
-/// a free-running computer has. It holds until the drift has been measured.
+/// The fastest drift between two clocks, as a fraction. IEEE 802.3 allows it for the oscillator of a network port, and thus of a
+/// free-running computer. It applies until the drift has been measured.
 pub const DRIFT_BOUND: f64 = 100e-6;
 
-/// How far a measured drift wanders while it is followed, as a fraction: PHI, the frequency tolerance of RFC 5905,
-/// section 7.2.
+/// How much a measured drift changes while it is tracked, as a fraction: PHI, the frequency tolerance of RFC 5905, section 7.2.
 pub const DRIFT_WANDER: f64 = 15e-6;
 
-/// Drift is told and followed from here on: a worse estimate says little more than the bound.
+/// The largest uncertainty of a drift that is reported and tracked. A worse estimate adds little to the bound.
 const DRIFT_KNOWN: f64 = DRIFT_BOUND / 2.0;
 
-/// What is remembered for the drift: this many bins, which widen until together they span the window.
+/// The number of bins for the drift. They widen until together they span the window.
 const BINS: usize = 64;
 const WINDOW: Span = Span::from_millis(3_600_000);
-/// Doubled at most this often: from 220 ms to 56 s.
+/// The bins are doubled at most this often: from 220 ms to 56 s.
 const DOUBLINGS_MAX: u32 = 8;
 const FIRST_BIN_NANOS: i64 = (WINDOW.as_nanos() / 64) >> DOUBLINGS_MAX;
 
 /// One exchange with a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockSample {
-    /// The robot's clock minus the server's, if both ways took equally long.
+    /// The robot's clock minus the server's, if both ways took the same time.
     pub offset: Span,
-    /// Round trip without the robot's own time.
+    /// Round trip without the robot's processing time.
     pub delay: Span,
-    /// The offset was at least this at `at`: the way back took no less than no time.
+    /// The minimum offset at `at`, because the way back took at least zero time.
     pub lower: Span,
-    /// The offset was at most this at `sent`: nor did the way there.
+    /// The maximum offset at `sent`, because the way there took at least zero time.
     pub upper: Span,
-    /// When the server asked.
+    /// The time at which the server asked.
     pub sent: Timestamp<Server>,
-    /// When the server had the answer.
+    /// The time at which the server received the answer.
     pub at: Timestamp<Server>,
 }
 
 impl ClockSample {
-    /// Offset ((T2-T1)+(T3-T4))/2 and delay (T4-T1)-(T3-T2), RFC 5905 section 8; bounds T3-T4 and T2-T1, widened by the
-    /// step in which the robot's timestamps count.
+    /// Offset ((T2-T1)+(T3-T4))/2 and delay (T4-T1)-(T3-T2), RFC 5905 section 8; bounds T3-T4 and T2-T1, widened by the resolution of the
+    /// robot's timestamps.
     #[must_use]
     pub fn from_exchange(
         sent: Timestamp<Server>,
@@ -70,15 +69,15 @@ impl ClockSample {
     }
 }
 
-/// The unit in which two timestamps of a robot count. Many robots write milliseconds or microseconds. On a fast link, this is
-/// longer than the travel time.
+/// The resolution of two timestamps of a robot. Many robots write milliseconds or microseconds. On a fast link, this is longer than the
+/// travel time.
 #[must_use]
 pub fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
     let counts_in = |step: &i64| one.as_nanos() % step == 0 && other.as_nanos() % step == 0;
     Span::from_nanos([1_000_000, 1_000].into_iter().find(counts_in).unwrap_or(1))
 }
 
-/// The offset was at least, or at most, `value` at an instant.
+/// A lower or upper bound of the offset at an instant.
 #[derive(Clone, Copy, Debug)]
 struct Bound {
     at: Timestamp<Server>,
@@ -90,24 +89,24 @@ impl Bound {
         self.value + Span::from_millis_f64((now - self.at).as_millis_f64() * rate)
     }
 
-    /// What a lower bound still says at another instant.
+    /// The value of a lower bound at another instant.
     fn least(self, now: Timestamp<Server>, rates: Rates) -> Span {
         self.drifted(now, rates.least).min(self.drifted(now, rates.most))
     }
 
-    /// What an upper bound still says at another instant.
+    /// The value of an upper bound at another instant.
     fn most(self, now: Timestamp<Server>, rates: Rates) -> Span {
         self.drifted(now, rates.least).max(self.drifted(now, rates.most))
     }
 
-    /// Mean rate since `earlier`, if both were the offset itself.
+    /// The mean rate since `earlier`, if both bounds were the offset itself.
     fn rate_since(self, earlier: Self) -> Option<f64> {
         let time = (self.at - earlier.at).as_millis_f64();
         (time > 0.0).then(|| (self.value - earlier.value).as_millis_f64() / time)
     }
 }
 
-/// Between which rates the offset drifts.
+/// The range of the drift rate of the offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rates {
     least: f64,
@@ -127,7 +126,7 @@ impl Rates {
     }
 }
 
-/// The tightest lower and upper bound of some exchanges, which need not be of the same one.
+/// The tightest lower and upper bound of several exchanges, possibly from different ones.
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
     lower: Bound,
@@ -136,12 +135,12 @@ struct Bounds {
 
 impl Bounds {
     fn of(sample: &ClockSample) -> Self {
-        // A robot that claims to have taken longer than the whole exchange lies: nothing inside those bounds is better.
+        // A robot that claims a longer processing time than the whole exchange is wrong. No value inside those bounds is better.
         let (lower, upper) = (sample.lower.min(sample.upper), sample.lower.max(sample.upper));
         Self { lower: Bound { at: sample.at, value: lower }, upper: Bound { at: sample.sent, value: upper } }
     }
 
-    /// Keeps of each kind what says more at `now`.
+    /// Keeps the tighter bound of each kind at `now`.
     fn tighten(&mut self, other: Self, now: Timestamp<Server>, rates: Rates) {
         if other.lower.least(now, rates) >= self.lower.least(now, rates) {
             self.lower = other.lower;
@@ -172,11 +171,11 @@ impl Interval {
     }
 }
 
-/// What the exchanges so far say of a robot's clock and link: where all their bounds agree.
+/// The estimate of a robot's clock and link from the exchanges so far: the intersection of all their bounds.
 #[derive(Clone, Debug, Default)]
 pub struct ClockEstimate {
-    /// Of all exchanges since the last step. Any drift within the bound keeps the order in which two bounds tighten, so
-    /// that one of each kind is enough.
+    /// Bounds of all exchanges since the last step. Any drift within the bound keeps the order of two bounds, so one of each kind is
+    /// enough.
     bounds: Option<Bounds>,
     history: History,
     latest: Option<Timestamp<Server>>,
@@ -196,37 +195,37 @@ pub struct ClockReading {
     /// The true offset lies within this of `offset`, whatever the asymmetry of the path.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
-    /// Least round trip.
+    /// The shortest round trip.
     #[serde(rename = "delay_min_ms")]
     pub delay_min: Span,
-    /// Longest round trip of all.
+    /// The longest of all round trips.
     #[serde(rename = "delay_max_ms")]
     pub delay_max: Span,
-    /// How long round trips take now, but for outliers that stand alone: what times are computed from. Unlike the longest
-    /// of all it forgets.
+    /// The current duration of round trips without isolated outliers, from which times are computed. Unlike the longest of all, it
+    /// forgets.
     #[serde(rename = "delay_high_ms")]
     pub delay_high: Span,
-    /// How many exchanges stand behind it.
+    /// The number of exchanges.
     pub samples: u32,
-    /// How often exchanges contradicted earlier ones: a clock was set, or lies.
+    /// The number of exchanges that contradicted earlier ones: a clock was set, or is wrong.
     pub steps: u32,
     /// How fast the robot's clock gains on the server's, once the exchanges span enough time.
     #[serde(flatten)]
     pub drift: Option<Drift>,
 }
 
-/// Why a reading says that a robot may start at the wrong time.
+/// The reason why a reading indicates a start at the wrong time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockDoubt {
-    /// The clock is surely off, whatever the path: its own synchronisation is to be looked at.
+    /// The clock is certainly off, whatever the path. Check its synchronization.
     Clock,
-    /// The clock may well be right; round trips are too long or too uneven to know. The link is to be looked at.
+    /// The clock may be right, but the round trips are too long or too uneven to be sure. Check the link.
     Path,
 }
 
 impl ClockDoubt {
-    /// Of an offset that is known to within `uncertainty`. The clock is surely off where that leaves no room for none.
+    /// The doubt about an offset with this uncertainty. The clock is certainly off if the interval excludes zero.
     #[must_use]
     pub fn of(offset: Span, uncertainty: Span) -> Self {
         if offset.abs() > uncertainty { Self::Clock } else { Self::Path }
@@ -234,14 +233,14 @@ impl ClockDoubt {
 }
 
 impl ClockReading {
-    /// What dominates where this reading is too bad for a start: the clock's offset or the path's uncertainty.
+    /// The dominant cause of a reading that is too bad for a start: the clock's offset or the path's uncertainty.
     #[must_use]
     pub fn doubt(&self) -> ClockDoubt {
         ClockDoubt::of(self.offset, self.uncertainty)
     }
 }
 
-/// How fast one clock gains on another, in parts per million.
+/// The rate at which one clock gains on another, in parts per million.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Drift {
     /// The rate.
@@ -253,8 +252,7 @@ pub struct Drift {
 }
 
 impl ClockEstimate {
-    /// Takes one more exchange. If it contradicts the earlier ones, they are forgotten: it alone is surely of the clock as
-    /// it is now.
+    /// Takes an exchange. If it contradicts the earlier ones, they are discarded: only the new one certainly reflects the current clock.
     pub fn add(&mut self, sample: ClockSample) {
         self.delay_min = if self.samples == 0 { sample.delay } else { self.delay_min.min(sample.delay) };
         self.delay_max = self.delay_max.max(sample.delay);
@@ -268,7 +266,7 @@ impl ClockEstimate {
             (Some(bounds), Some(all)) if !all.and(told).is_empty() => {
                 bounds.tighten(new, now, Rates::ANY);
                 if self.history.narrow(all, now).and(told).is_empty() {
-                    // Within the bound, but not at the rate that was measured: NTP may have begun to fix the clock.
+                    // Within the bound, but not at the measured rate: NTP may have begun to correct the clock.
                     self.history = History::default();
                 }
             }
@@ -287,7 +285,7 @@ impl ClockEstimate {
         self.samples
     }
 
-    /// How often exchanges contradicted earlier ones.
+    /// The number of exchanges that contradicted earlier ones.
     #[must_use]
     pub const fn steps(&self) -> u32 {
         self.steps
@@ -299,17 +297,17 @@ impl ClockEstimate {
         self.latest.and_then(|at| self.reading_at(at))
     }
 
-    /// The round trip that is seldom exceeded; zero before the first exchange.
+    /// The round trip that is rarely exceeded; zero before the first exchange.
     pub(crate) const fn delay_high(&self) -> Span {
         self.round_trips.high()
     }
 
-    /// Whether there were enough exchanges to tell a round trip that was long for once from what is usual.
+    /// Whether there were enough exchanges to distinguish an isolated long round trip from usual ones.
     pub(crate) fn tells_outliers(&self) -> bool {
         self.round_trips.tell_outliers()
     }
 
-    /// The estimate carried on to `now`: by the drift if it is known, and ever less certain.
+    /// The estimate extrapolated to `now` by the drift, if known, with growing uncertainty.
     #[must_use]
     pub fn reading_at(&self, now: Timestamp<Server>) -> Option<ClockReading> {
         let all = self.bounds?.interval(now, Rates::ANY);
@@ -329,17 +327,17 @@ impl ClockEstimate {
     }
 }
 
-/// Bounds over the window, from which the drift follows. At most [`BINS`] bins, whatever the number of exchanges.
+/// Bounds over the window, from which the drift is computed. At most [`BINS`] bins, whatever the number of exchanges.
 #[derive(Clone, Debug)]
 struct History {
     bins: VecDeque<Bin>,
     doublings: u32,
-    /// The mean rate over any stretch from one bin to another is at least, and at most, one of these.
+    /// The range of the mean rate over any stretch from one bin to another.
     means: Rates,
     narrowest: Option<Narrowest>,
 }
 
-/// The bounds of the bins that say most as long as the rates stay what they are: which do is the same at any later instant.
+/// The tightest bounds of the bins as long as the rates stay the same. They remain the tightest at any later instant.
 #[derive(Clone, Copy, Debug)]
 struct Narrowest {
     rates: Rates,
@@ -347,7 +345,7 @@ struct Narrowest {
     since: Timestamp<Server>,
 }
 
-/// The tightest bounds of a stretch of time, which the index numbers.
+/// The tightest bounds of a stretch of time; `index` numbers the stretch.
 #[derive(Clone, Copy, Debug)]
 struct Bin {
     index: i64,
@@ -363,7 +361,7 @@ impl Default for History {
 impl History {
     fn add(&mut self, new: Bounds, now: Timestamp<Server>) {
         let index = now.as_nanos().div_euclid(FIRST_BIN_NANOS << self.doublings);
-        // Which bound of a bin says most is a matter of the rate at which they drift together.
+        // The tightest bound of a bin depends on the common drift rate.
         let together =
             Rates::exactly(self.rates().map_or(0.0, |rates| f64::midpoint(rates.least, rates.most)));
         match self.bins.back_mut() {
@@ -410,14 +408,14 @@ impl History {
         }
         if self.bins.len() < before {
             self.narrowest = None;
-            // What was known by the forgotten bins alone is forgotten, so that the drift may change over the hours.
+            // Knowledge from the discarded bins is discarded as well, so that the drift may change over the hours.
             let ended = self.bins.len().saturating_sub(1);
             let pairs = (0..ended).flat_map(|later| (0..later).map(move |earlier| (earlier, later)));
             self.means = pairs.fold(Rates::UNKNOWN, |means, (a, b)| means.and(self.mean(a, b)));
         }
     }
 
-    /// Between which the mean rate from one bin to a later one lies.
+    /// The range of the mean rate from one bin to a later one.
     fn mean(&self, earlier: usize, later: usize) -> Rates {
         let (earlier, later) = (self.bins[earlier].bounds, self.bins[later].bounds);
         Rates {
@@ -426,8 +424,8 @@ impl History {
         }
     }
 
-    /// Between which the rate lies now, once that is known well: wherever in the window a mean was measured, no rate in it
-    /// is further from that than [`DRIFT_WANDER`].
+    /// The range of the current rate, once it is known well. Wherever in the window a mean was measured, no rate in the window differs
+    /// from it by more than [`DRIFT_WANDER`].
     fn rates(&self) -> Option<Rates> {
         let Rates { least, most } = self.means;
         let rates = Rates { least: least - DRIFT_WANDER, most: most + DRIFT_WANDER }.and(Rates::ANY);
@@ -442,7 +440,7 @@ impl History {
         })
     }
 
-    /// What remains of an interval when the bounds of the window are carried on to `now` by the drift.
+    /// The rest of an interval after the bounds of the window are extrapolated to `now` by the drift.
     fn narrow(&self, interval: Interval, now: Timestamp<Server>) -> Interval {
         let Some(rates) = self.rates() else { return interval };
         if let Some(narrowest) = self.narrowest.filter(|narrowest| narrowest.since <= now) {
@@ -461,12 +459,12 @@ pub struct NtpState {
     /// The true change lies within this of `offset_change`, if the NTP server is right; `None` before the first answer.
     #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Span>,
-    /// How fast NTP time gains on the server's clock, once it is known.
+    /// The rate at which NTP time gains on the server's clock, once known.
     #[serde(flatten)]
     pub drift: Option<Drift>,
-    /// How often NTP time contradicted itself: the NTP server was set, or lies.
+    /// The number of times that NTP time contradicted itself: the NTP server was set, or is wrong.
     pub steps: u32,
-    /// Since when the NTP server has not answered, if it has left several questions unanswered.
+    /// The time since which the NTP server has not answered, if it has left several questions unanswered.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lost_since: Option<Timestamp<Server>>,
 }

@@ -1,4 +1,4 @@
-//! The course of a mission through its acts: each is advanced, followed by the next one, and closed.
+//! The course of a mission through its acts: each act is advanced, followed by the next one, and closed.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -15,11 +15,11 @@ use super::robot_state::{Reading, Rest, RobotState, Standing};
 use super::script::Script;
 use super::{Action, Mission, Outcome, Phase, Progress};
 
-/// Reports of acts are kept as long as they have no more rows than this in all.
+/// The maximum number of rows in all reports of acts that are kept.
 const ROWS_KEPT: usize = 20_000;
 
 impl Mission {
-    /// One round of everything that is due while acts wait, start and play.
+    /// Performs everything that is due while acts wait, start and play.
     pub(super) fn perform(&mut self, now: Timestamp<Server>) {
         self.notice_hold_up(now);
         self.renew_if_due(now);
@@ -39,7 +39,7 @@ impl Mission {
         }
     }
 
-    /// Something has come in that may let an act go on.
+    /// Continues after an event that may permit an act to progress.
     pub(super) fn goes_on(&mut self, now: Timestamp<Server>) {
         match self.phase {
             Phase::Performing => self.perform(now),
@@ -49,7 +49,7 @@ impl Mission {
     }
 
     fn advance_act(&mut self, now: Timestamp<Server>, index: usize) {
-        // A stage may be passed through at once: each is looked at in turn.
+        // An act may pass several stages at once. Each is processed in turn.
         for _ in 0..6 {
             let (number, before) = (self.acts[index].number(), self.acts[index].progress());
             let actions = self.acts[index].advance(now, &self.robots, &self.options);
@@ -65,13 +65,13 @@ impl Mission {
             if self.phase != Phase::Performing || !(gone_on || acted) {
                 return;
             }
-            // Other leases count now.
+            // Other leases apply now.
             let lease = self.acts.get(index).and_then(Act::shortest_lease);
             self.quicken_rounds(now, lease);
         }
     }
 
-    /// Does what an act wants, in order, as long as the mission performs.
+    /// Performs the actions of an act in order, as long as the mission performs.
     pub(super) fn carry_out(&mut self, now: Timestamp<Server>, number: u32, actions: Vec<ActAction>) {
         for action in actions {
             if matches!(self.phase, Phase::Ended) {
@@ -94,7 +94,7 @@ impl Mission {
                 ActAction::Withdraw(outcome) => self.withdraw_act(now, number, outcome),
                 ActAction::TimedOut(way) => self.skip_act(now, number, way),
                 ActAction::Read { robot, sensor, what } => {
-                    // An answer that was lost must not be waited for.
+                    // An answer that was lost must not be awaited.
                     if matches!(what, Reading::Wait(_) | Reading::Motion(..)) {
                         self.robots[robot].reads.forget(|waits| *waits == what);
                     }
@@ -104,7 +104,7 @@ impl Mission {
         }
     }
 
-    /// What an act waits for has not come in time.
+    /// Skips an act whose condition was not met in time.
     fn skip_act(&mut self, now: Timestamp<Server>, number: u32, way: Way) {
         if let Some(at) = self.acts.iter().position(|act| act.number() == number) {
             let act = self.acts.remove(at);
@@ -118,7 +118,7 @@ impl Mission {
         self.go_way(now, way);
     }
 
-    /// Sees to it that the act that follows is there in time, and ends the mission after the last one.
+    /// Queues the following act in time, and ends the mission after the last one.
     fn line_up(&mut self, now: Timestamp<Server>) {
         let [last] = self.acts.as_slice() else { return };
         if !(last.is_committed() || last.is_over()) || !self.may_begin_another() {
@@ -131,7 +131,7 @@ impl Mission {
         }
     }
 
-    /// A failure leads to another act. One that waits behind the one that plays, and was not sent, gives way to it.
+    /// Makes a failure lead to another act. An act that waits behind the playing one, and was not sent, is removed.
     pub(super) fn lead_elsewhere(&mut self, act: usize) {
         self.detour = Some(act);
         if let [.., _, waiting] = self.acts.as_slice()
@@ -142,7 +142,7 @@ impl Mission {
         }
     }
 
-    /// After an act has ended with none behind it.
+    /// Continues after an act that has ended without a following one.
     fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
         let way = self.detour.take().map_or(follow, Way::Act);
         self.go_way(now, way);
@@ -175,14 +175,14 @@ impl Mission {
         self.end();
     }
 
-    /// What may be said of a mission that came to its end.
+    /// The outcome of a mission that finished.
     fn outcome_at_the_end(&self) -> Outcome {
         let never_joined = |robot: &RobotState| {
             robot.failures.iter().any(|f| matches!(f.kind, FailureKind::NeverJoined { .. }))
         };
         // A robot that failed while it was absent did not join either.
         let is_out = |robot: &RobotState| robot.standing != Standing::In || never_joined(robot);
-        // Of those that were left out nothing is promised.
+        // Robots that were left out do not matter.
         if self.robots.iter().any(|robot| !is_out(robot) && robot.was_lost_sight_of) {
             return Outcome::Unknown;
         }
@@ -200,7 +200,7 @@ impl Mission {
         }
     }
 
-    /// One more act begins to wait for its condition.
+    /// Queues an act, which begins to wait for its condition.
     pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: usize) {
         let fixed = self.options.fixed.operator.filter(|fixed| fixed.act == index);
         let start = fixed.filter(|_| !std::mem::replace(&mut self.start_was_fixed, true));
@@ -236,13 +236,13 @@ impl Mission {
         self.advance_act(now, self.acts.len() - 1);
     }
 
-    /// Tells what an act waits for, unless it waits for an act before it still.
+    /// Reports the condition of an act, unless it still waits for an earlier act.
     fn announce(&mut self, index: usize) {
         let announcement = self.acts.get_mut(index).and_then(|act| act.announcement(&self.options));
         announcement.into_iter().for_each(|waiting| self.tell(waiting));
     }
 
-    /// The operator says go: it counts for the act that waits for it, and not ahead of that.
+    /// Takes the operator's go. It applies to the act that waits for it now, not to a later one.
     pub(super) fn go(&mut self, now: Timestamp<Server>, named: Option<&str>, by: Option<String>) {
         let answer = match self.awaits_go(named) {
             Ok(index) => {
@@ -260,13 +260,13 @@ impl Mission {
         }
     }
 
-    /// The act for which a go counts now, or why there is none.
+    /// The act to which a go applies now, or the reason why a go is ignored.
     fn awaits_go(&self, named: Option<&str>) -> Result<usize, String> {
         let known = |name: &str| {
             (0..self.choreography.acts.len()).any(|act| act_name(&self.choreography, act) == name)
         };
         if let Some(name) = named.filter(|name| !known(name)) {
-            return Err(format!("no act is called `{name}`"));
+            return Err(format!("unknown act `{name}`"));
         }
         match self.phase {
             Phase::Greeting { .. } => return Err("the fleet is still being checked".to_owned()),
@@ -279,13 +279,13 @@ impl Mission {
         let name = self.acts[index].name();
         match named {
             Some(other) if other != name => {
-                Err(format!("`{other}` does not wait: `{name}` waits for the operator's go"))
+                Err(format!("`{other}` is not waiting; `{name}` waits for the operator's go"))
             }
             _ => Ok(index),
         }
     }
 
-    /// Why no go counts now, although the mission performs.
+    /// The reason why no go is accepted now, although the mission performs.
     fn why_no_go(&self, named: Option<&str>) -> String {
         let behind = self.acts.windows(2).find(|acts| acts[1].awaits_operator());
         match (behind, named) {
@@ -297,7 +297,7 @@ impl Mission {
         }
     }
 
-    /// Closes all acts, however far they are.
+    /// Closes all acts in any stage.
     pub(super) fn close_all(&mut self, now: Timestamp<Server>) {
         while !self.acts.is_empty() {
             self.close_act(now, 0);
@@ -325,7 +325,7 @@ impl Mission {
         }
     }
 
-    /// Puts an act's story into its report and forgets the rest.
+    /// Moves the facts of an act into its report and discards the rest.
     fn close_act(&mut self, now: Timestamp<Server>, index: usize) {
         let act = self.acts.remove(index);
         if act.was_sent() {
@@ -350,13 +350,13 @@ impl Mission {
         }
         let mut follow = act.follow();
         if !act.was_sent() {
-            // A round of acts without a robot left to play them would never end.
+            // A cycle of acts without a robot left to play them would never end.
             self.skipped += 1;
             if self.skipped > self.choreography.acts.len() {
                 follow = Way::End;
             }
         }
-        // An act that is over before the one ahead of it, as when all its robots were left out, is not played again.
+        // An act that is over before the previous one, for example because all its robots were left out, is not played again.
         if let Some(before) = index.checked_sub(1).and_then(|before| self.acts.get_mut(before)) {
             before.lead_to(follow);
         }
@@ -376,8 +376,8 @@ impl Mission {
         self.moved_before || self.fates.iter().any(|act| act.moved)
     }
 
-    /// Whether robots may have begun an act: they have reported it, or its earliest start has passed and the fate of a script is
-    /// unknown. A robot that reports nothing moves as well, as early as its clock permits.
+    /// Whether robots may have begun an act: they have reported it, or its earliest start has passed and the fate of a script is unknown.
+    /// A robot that does not report also moves, as early as its clock permits.
     pub(super) fn may_have_begun(&self, now: Timestamp<Server>, act: &Act) -> bool {
         let is_due = act.timing().is_some_and(|timing| now >= timing.earliest_start());
         act.has_begun() || is_due && self.may_begin_unheard(act)
@@ -393,13 +393,13 @@ impl Mission {
     fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
         let performs = self.phase == Phase::Performing;
         let deserted = act.present().next().is_none();
-        // What a robot that was left out still has of it may move it, as long as it has not said otherwise.
+        // Scripts of a robot that was left out may still move it, until it has reported otherwise.
         let moved = self.may_have_begun(now, act) || deserted && self.may_begin_unheard(act);
         // A stop does not end an act whose planned end has passed, even if no process watched that end.
         let ended = if performs { act.is_over() } else { self.has_ended_before_the_stop(act) };
         match (act.was_sent(), moved) {
             (true, _) if ended && act.is_done_by_one() => ActFate::Played,
-            // A script that was never sent did not play: that is known.
+            // A script that was never sent certainly did not play.
             (true, true) if ended && !deserted && !act.was_cut_short() && act.is_unaccounted() => {
                 ActFate::Unknown
             }
@@ -416,7 +416,7 @@ impl Mission {
         self.stopped_at.zip(end).is_some_and(|(stopped, end)| stopped >= end)
     }
 
-    /// An act has ended so, here or before another process died.
+    /// Takes the flaws of an act that ended here or before another process died.
     pub(super) fn is_flawed(&mut self, flaws: &ActFlaws) {
         if let Some(OutOfTolerance { spread, tolerance }) = flaws.out_of_tolerance {
             self.flaw_of_times.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
@@ -458,7 +458,7 @@ impl Mission {
         }
     }
 
-    /// Robots that join later have missed their part in an act that was sent without them.
+    /// Notes robots that join later and have missed their part in an act that was sent without them.
     fn note_missed(&mut self, act: &Act) {
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
@@ -472,7 +472,7 @@ impl Mission {
 
     fn account(&mut self, now: Timestamp<Server>, act: &Act) {
         for member in act.members() {
-            // What it had of an act before this one is over, and was followed.
+            // Its scripts of an earlier act are over, and were followed.
             if !self.robots[member.robot].stop_was_sent() {
                 self.robots[member.robot].left.clear();
             }

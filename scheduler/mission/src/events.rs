@@ -1,4 +1,4 @@
-//! What goes into a mission and what comes out of it.
+//! The input and the output of a mission.
 
 use std::sync::Arc;
 
@@ -12,160 +12,159 @@ use super::robot_state::Rest;
 use super::{LeadTime, Preflight, Record, SkewBudget};
 use crate::clock::NtpState;
 
-/// What happened outside.
+/// Something that happened outside.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// A link stands.
+    /// A link was made.
     LinkUp {
         /// Index of the robot.
         robot: usize,
     },
-    /// A robot has proven who it is, on the link that stands next.
+    /// A robot has proven its identity, on the link that is made next.
     Proven {
         /// Index of the robot.
         robot: usize,
-        /// Until when its certificate counts, if it has shown one.
+        /// The expiry of its certificate, if it has presented one.
         until: Option<Timestamp<Server>>,
     },
     /// A link broke or could not be made.
     LinkDown {
         /// Index of the robot.
         robot: usize,
-        /// What is certain about it.
+        /// The certain facts about the loss.
         loss: Loss,
-        /// Why, for people.
+        /// The reason, for users.
         reason: String,
     },
     /// A message arrived.
     Received {
-        /// From whom.
+        /// Index of the robot.
         robot: usize,
         /// The message.
         message: Message,
     },
-    /// Bytes arrived that are no message.
+    /// Bytes arrived that are not a message.
     Garbled {
-        /// From whom.
+        /// Index of the robot.
         robot: usize,
-        /// What is wrong with them.
+        /// The fault in the bytes.
         reason: String,
     },
-    /// The operator wants everything to stop.
+    /// The operator requests a stop of everything.
     StopRequested {
         /// How the robots come to rest.
         rest: Rest,
-        /// Who says so, for people, where that is another than who began the mission.
+        /// The operator who requests it, for users, if another operator started the mission.
         by: Option<String>,
     },
-    /// The operator lets the act begin that waits for it. Answered by [`Action::Answer`].
+    /// The operator permits the waiting act to begin. Answered by [`Action::Answer`].
     Go {
-        /// Which act is meant; `None`: whichever waits.
+        /// The name of the act; `None` for any act that waits.
         act: Option<String>,
-        /// Who says so, for people, where that is another than who began the mission.
+        /// The operator who sent it, for users, if another operator started the mission.
         by: Option<String>,
     },
-    /// What NTP says of this machine's clock by now.
+    /// The current state of this machine's clock according to NTP.
     ServerTime(NtpState),
-    /// So many durable records of this mission are on the disk, the first ones, counted from 1. A driver without a journal
-    /// says so at once.
+    /// The first `count` durable records of this mission are on disk. A driver without a journal sends this at once.
     Recorded {
-        /// How many.
+        /// The number of records, counted from 1.
         count: u64,
     },
     /// The journal was removed or replaced, and all of it has been written again.
     JournalWrittenAgain,
-    /// The journal takes no more records.
+    /// The journal no longer accepts records.
     JournalLost {
-        /// Why, for people.
+        /// The reason, for users.
         reason: String,
     },
 }
 
-/// What the end of a link says about the robot behind it.
+/// Information that the end of a link gives about the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loss {
     /// An established link was closed or reset.
     Closed,
     /// Connecting was refused: no process listens there.
     Refused,
-    /// One side does not prove who it is, or is not let in: another attempt changes nothing.
+    /// One side does not prove its identity, or is not admitted. Another attempt changes nothing.
     Denied,
-    /// No route, no answer in time, or anything else that leaves open whether the robot lives.
+    /// No route, no answer in time, or any other loss that does not show whether the robot is alive.
     Unreachable,
-    /// The robot sends far more than it was asked for. It is connected to again only to be stopped.
+    /// The robot sends far more messages than requested. The mission reconnects to it only to stop it.
     Flooding {
-        /// Messages that have come on the link.
+        /// Number of messages received on the link.
         messages: u64,
-        /// Bytes that have come on it.
+        /// Number of bytes received on it.
         bytes: u64,
     },
 }
 
-/// What the driver has to do.
+/// A task of the driver.
 #[derive(Clone, Debug)]
 pub enum Action {
     /// Send a message on the robot's link.
     Send {
-        /// To whom.
+        /// Index of the robot.
         robot: usize,
         /// The message.
         message: Message,
-        /// Ahead of everything that waits to be sent.
+        /// Whether it goes ahead of all messages that wait to be sent.
         urgent: bool,
     },
     /// Connect to the robot again.
     Reconnect {
         /// Index of the robot.
         robot: usize,
-        /// The pause before that.
+        /// The pause before the attempt.
         after: Span,
     },
-    /// Write this down. A durable record is answered by [`Event::Recorded`] once it is on the disk; what follows is done
-    /// without waiting for that.
+    /// Write this record. [`Event::Recorded`] confirms a durable record once it is on disk. The following actions are performed without
+    /// waiting for that.
     Record(Record),
-    /// Tell the operator.
+    /// Report this to the operator.
     Tell(Progress),
-    /// Answer the operator's go: which act it lets begin, or why it counts for none.
+    /// Answer the operator's go: the act that it permits to begin, or the reason why it is ignored.
     Answer(Result<String, String>),
 }
 
-/// What an operator wants to know while the mission goes on.
+/// Progress for the operator while the mission runs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "progress", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Progress {
-    /// All links stand.
+    /// All links are connected.
     Connected {
-        /// How many robots.
+        /// Number of robots.
         robots: usize,
     },
     /// All robots are greeted and checked.
     Greeted {
-        /// Largest measured offset of a clock that follows NTP; `None` where robots have failed.
+        /// The largest measured offset of a clock that follows NTP; `None` if robots have failed.
         #[serde(rename = "clock_offset_max_ms")]
         clock_offset_max: Option<Span>,
-        /// What was checked, a row a robot.
+        /// The results of the checks, one row per robot.
         preflight: Preflight,
     },
     /// An act waits for its condition.
     Waiting {
-        /// Which act.
+        /// Name of the act.
         act: String,
-        /// For what, for people.
+        /// The condition, for users.
         awaits: String,
-        /// The instant at which it is meant to start, if it waits for a time.
+        /// The intended start, if it waits for a time.
         #[serde(skip_serializing_if = "Option::is_none")]
         at: Option<Timestamp<Server>>,
     },
-    /// All requests of an act are on their way.
+    /// All requests of an act are being sent.
     Preparing {
-        /// Which act.
+        /// Name of the act.
         act: String,
-        /// The sending timestamp that all share.
+        /// The sending timestamp that all requests share.
         timestamp: Timestamp<Server>,
-        /// When the first cue starts.
+        /// The start of the first cue.
         start: Timestamp<Server>,
-        /// Why the start is that far ahead.
+        /// The components of the time until the start.
         lead: LeadTime,
         /// How far apart the robots may start.
         skew: Option<SkewBudget>,
@@ -175,98 +174,99 @@ pub enum Progress {
     },
     /// A robot has accepted all its scripts.
     Accepted {
-        /// Which robot.
+        /// Id of the robot.
         robot: RobotId,
     },
-    /// All have accepted: the act starts, unless a lease cannot be carried over the start.
+    /// All have accepted. The act starts, unless a lease cannot be extended beyond the start.
     Decided {
-        /// Which act.
+        /// Name of the act.
         act: String,
-        /// When the first cue starts.
+        /// The start of the first cue.
         start: Timestamp<Server>,
-        /// How long it plays.
+        /// The playing time.
         #[serde(rename = "duration_ms")]
         duration: Span,
         /// All leases end here unless the act is committed.
         leases_end: Timestamp<Server>,
-        /// A failure that is known by then is withdrawn before anything has moved; after it only stopping is possible.
+        /// A failure that is known by this time is withdrawn before anything has moved. Later, only stopping is possible.
         no_return: Timestamp<Server>,
-        /// A robot that goes silent without a word later than so long before the start may be noticed too late.
+        /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
         #[serde(rename = "doubt_ms")]
         doubt: Span,
     },
-    /// All robots have confirmed the renewal that carries them over the start.
+    /// All robots have confirmed the renewal that extends their leases beyond the start.
     Committed {
-        /// Which act.
+        /// Name of the act.
         act: String,
-        /// Between the first renewal sent and the last confirmed: had this machine died in it, some would have started.
+        /// Time between sending the first renewal and the last confirmation. If this machine had died in it, only some robots would have
+        /// started.
         #[serde(rename = "window_ms")]
         window: Option<Span>,
     },
     /// A device's script has started.
     Started {
-        /// On which robot.
+        /// Id of the robot.
         robot: RobotId,
         /// Actual minus planned start.
         #[serde(rename = "error_ms")]
         error: Option<Span>,
     },
-    /// What a robot says of itself while it plays, at most once a second.
+    /// A robot's own status while it plays, at most once per second.
     Heard {
-        /// Which robot.
+        /// Id of the robot.
         robot: RobotId,
-        /// Steps of the act under way that it has executed.
+        /// Executed steps of the act under way.
         steps_done: u64,
         /// Its clock's offset, robot minus server.
         #[serde(rename = "clock_offset_ms")]
         clock_offset: Option<Span>,
     },
-    /// The sensor that an act waits for reads another value than before.
+    /// The sensor that an act waits for has a new value.
     Reading {
-        /// Which act.
+        /// Name of the act.
         act: String,
-        /// What it reads.
+        /// The value; `None` without a reading.
         value: Option<f64>,
     },
     /// A robot has confirmed its stop on every device.
     AtRest {
-        /// Which robot.
+        /// Id of the robot.
         robot: RobotId,
     },
     /// A robot has ended all its scripts of an act.
     Finished {
-        /// Which robot.
+        /// Id of the robot.
         robot: RobotId,
-        /// Which of the mission's acts, counted from zero.
+        /// The number of the act in the mission, starting at 0.
         number: u32,
     },
-    /// An act is not played, and the mission goes on.
+    /// An act is not played, and the mission continues.
     ActSkipped {
-        /// Which act.
+        /// Name of the act.
         act: String,
-        /// Why it is not played.
+        /// The reason why it is not played.
         #[serde(flatten)]
         fate: ActFate,
     },
     /// An act has ended.
     ActEnded {
-        /// Which act.
+        /// Name of the act.
         act: String,
     },
-    /// Something failed.
+    /// A robot failed.
     Failed(Failure),
-    /// The link to a robot broke in mid-mission; it goes on by its script.
+    /// The link to a robot broke in mid-mission. The robot continues with its script.
     LinkLost {
-        /// Which robot.
+        /// Id of the robot.
         robot: RobotId,
-        /// Why the link broke, for people.
+        /// The reason, for users.
         reason: String,
-        /// When it is given up; `None` where it holds nothing that could still move it.
+        /// The time at which the robot is given up; `None` if it holds nothing that could still move it.
         until: Option<Timestamp<Server>>,
     },
-    /// A robot is back.
+    /// A robot has reconnected.
     Reattached {
-        /// Which robot.
+        /// Id of the robot.
         robot: RobotId,
     },
     /// All robots rest, and this act moves their devices to their default positions.
@@ -293,35 +293,35 @@ pub enum Progress {
     NotApproached {
         /// The name of the act.
         act: String,
-        /// The reason, for people.
+        /// The reason, for users.
         reason: String,
     },
     /// The devices stay where they came to rest, instead of moving to their default positions.
     NotHome {
-        /// The reason, for people.
+        /// The reason, for users.
         reason: String,
     },
-    /// A robot is left out from here on.
+    /// A robot is left out from now on.
     Dropped {
-        /// Which robot.
+        /// Id of the robot.
         robot: RobotId,
     },
-    /// The NTP server answers no more: this machine's clock goes on by itself.
+    /// The NTP server no longer answers. This machine's clock runs without correction.
     NtpLost {
-        /// Since when.
+        /// The time of the loss.
         since: Timestamp<Server>,
     },
     /// The NTP server answers again.
     NtpBack {
-        /// What has come between NTP time and this machine's clock since the mission began.
+        /// The change between NTP time and this machine's clock since the mission began.
         #[serde(rename = "offset_change_ms")]
         offset_change: Span,
     },
-    /// The journal was removed or replaced while the mission ran, and all of it has been written again.
+    /// The journal was removed or replaced during the mission, and all of it has been written again.
     JournalWrittenAgain,
-    /// The journal cannot be written: everything is stopped.
+    /// The journal cannot be written, and all robots are stopped.
     JournalLost {
-        /// Why it cannot be written, for people.
+        /// The reason, for users.
         reason: String,
     },
     /// An act was withdrawn before anything moved, and is prepared again.
@@ -329,25 +329,25 @@ pub enum Progress {
         /// The name of the act.
         act: String,
     },
-    /// Stop requests are on their way.
+    /// Stop requests are being sent.
     Stopping {
-        /// Why all are stopped, for people.
+        /// The reason, for users.
         reason: String,
-        /// How they come to rest.
+        /// How the robots come to rest.
         rest: Rest,
     },
 }
 
-/// A reading that the scenario asked for.
+/// A reading that the scenario requested.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TakenReading {
     /// The sensor's robot.
     pub robot: RobotId,
-    /// Which sensor.
+    /// Id of the sensor.
     pub sensor: DeviceId,
-    /// When it was asked for, from the act's start.
+    /// The time of the request, from the act's start.
     #[serde(rename = "at_ms")]
     pub at: Span,
-    /// What it read.
+    /// The value; `None` without a reading.
     pub value: Option<f64>,
 }

@@ -1,7 +1,7 @@
-//! Which of a robot's answers are answers: those to a question that was asked, each once, with times that can be true.
+//! Accepts only valid answers of a robot: each answers an open question once, with possible times.
 //!
-//! The times in an answer decide how long all robots wait for each other. An answer to a question that was never asked could
-//! name any instant as its own.
+//! The times in an answer decide how long all robots wait for each other. An answer to a question that was never asked could contain any
+//! instant.
 
 use std::collections::VecDeque;
 
@@ -9,15 +9,15 @@ use urrcp::{Robot, Server, Span, Timestamp};
 
 use crate::clock::{ClockSample, resolution};
 
-/// Questions that are remembered. More are open only on a link that stands still; then the newest count.
+/// Number of questions that are remembered. More are open only on a stalled link; then the newest are kept.
 const OPEN_MAX: usize = 1_024;
-/// Nobody waits so long for an answer.
+/// No answer is expected after this time.
 const OPEN_FOR: Span = Span::from_millis(60_000);
 
 /// The questions to one robot that it has not answered.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Exchanges {
-    /// When, and by how many messages of that instant; the oldest first.
+    /// The sending times with the number of messages at that instant, oldest first.
     open: VecDeque<(Timestamp<Server>, usize)>,
     ignored: u64,
 }
@@ -25,18 +25,18 @@ pub(crate) struct Exchanges {
 /// The times in an answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Times {
-    /// When the question was sent, as the robot repeats it; `None` from a robot that does not.
+    /// The sending time of the question, as the robot repeats it; `None` if the robot does not repeat it.
     pub(crate) originate: Option<Timestamp<Server>>,
-    /// When the robot received it.
+    /// The time at which the robot received it.
     pub(crate) received: Timestamp<Robot>,
-    /// When the robot answered.
+    /// The time at which the robot answered.
     pub(crate) answered: Timestamp<Robot>,
-    /// When the answer arrived.
+    /// The time at which the answer arrived.
     pub(crate) arrived: Timestamp<Server>,
 }
 
 impl Exchanges {
-    /// A question is sent, in so many messages.
+    /// Notes that a question is sent, in `messages` messages.
     pub(crate) fn asked(&mut self, now: Timestamp<Server>, messages: usize) {
         match self.open.back_mut().filter(|(at, _)| *at == now) {
             Some((_, open)) => *open += messages,
@@ -47,9 +47,8 @@ impl Exchanges {
         }
     }
 
-    /// Takes an answer. `None` where it answers no open question, or where its times cannot be true: it is counted and means
-    /// nothing. An answer that repeats no question answers the oldest one, so that nothing that was sent later is taken for
-    /// received.
+    /// Takes an answer. Returns `None` if it answers no open question or its times are impossible; such an answer is counted and ignored.
+    /// An answer that repeats no question answers the oldest one, so that nothing that was sent later is considered received.
     pub(crate) fn answered(&mut self, times: Times) -> Option<ClockSample> {
         let sample = self.settle(times.originate).and_then(|sent| plausible(sent, times));
         self.ignored += u64::from(sample.is_none());
@@ -70,7 +69,7 @@ impl Exchanges {
         Some(sent)
     }
 
-    /// Which open question this is the instant of, as exactly as the robot counts.
+    /// The place of the open question with this instant, within the resolution of the robot's clock.
     fn place_of(&self, originate: Timestamp<Server>) -> Option<usize> {
         if let Ok(place) = self.open.binary_search_by_key(&originate, |(at, _)| *at) {
             return Some(place);
@@ -81,23 +80,23 @@ impl Exchanges {
         self.open.get(place).filter(|(at, _)| *at < originate + step).map(|_| place)
     }
 
-    /// Something came that answers nothing.
+    /// Counts a message that answers no question.
     pub(crate) const fn ignore(&mut self) {
         self.ignored += 1;
     }
 
-    /// Answers that answered nothing, or could not be true.
+    /// Number of answers that matched no question, or whose times were impossible.
     pub(crate) const fn ignored(&self) -> u64 {
         self.ignored
     }
 
-    /// On a new link nothing that was asked before is answered.
+    /// Discards the open questions, because none is answered on a new link.
     pub(crate) fn begin_again(&mut self) {
         self.open.clear();
     }
 }
 
-/// A robot takes no less than no time for its answer, and no longer than the whole exchange.
+/// The sample of an exchange, if the robot's processing time is at least zero and at most the whole exchange.
 fn plausible(sent: Timestamp<Server>, times: Times) -> Option<ClockSample> {
     let Times { received, answered, arrived, .. } = times;
     let step = resolution(received, answered);
@@ -111,7 +110,7 @@ mod tests {
     use super::*;
     use crate::bench::{at, by_robot, ms};
 
-    /// What an answer that arrives at `arrived` and says this is taken for: a round trip.
+    /// The round trip of an answer with these times that arrives at `arrived`; `None` if it is ignored.
     fn answered(
         exchanges: &mut Exchanges,
         originate: Option<i64>,

@@ -1,4 +1,4 @@
-//! What became of an act, as plain facts for the report and the journal.
+//! The facts of an act for the report and the journal.
 
 use std::fmt;
 
@@ -12,26 +12,26 @@ use super::robot_state::{RobotState, Totals};
 use super::script::{Ending, Script, ScriptState};
 use super::{LeadTime, SkewBudget};
 
-/// What became of one act.
+/// The report of one act.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ActReport {
     /// Its name.
     pub act: String,
-    /// Which of the mission's acts, counted from zero.
+    /// The number of the act in the mission, starting at 0.
     pub number: u32,
     /// The sending timestamp that all its requests shared.
     pub timestamp: Timestamp<Server>,
     /// Planned start.
     pub start: Timestamp<Server>,
-    /// Why the start was that far ahead.
+    /// The components of the time until the start.
     pub lead: LeadTime,
     /// The robot whose link determines the lead.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowest: Option<RobotId>,
-    /// How much later it started than it should have: at the end of the act before, or at the time that it waited for.
+    /// The delay of its start against the intended one: the end of the previous act, or the time that it waited for.
     #[serde(rename = "gap_ms")]
     pub gap: Option<Span>,
-    /// How far apart the clocks allowed the starts to be, before the decision.
+    /// The spread of the starts that the clocks allowed, before the decision.
     pub skew: Option<SkewBudget>,
     /// Largest minus smallest start error, by the robots' own clocks.
     #[serde(rename = "spread_ms")]
@@ -39,23 +39,23 @@ pub struct ActReport {
     /// Time left at the decision after the last acceptance.
     #[serde(rename = "margin_left_ms")]
     pub margin_left: Option<Span>,
-    /// Between the first renewal that carried a lease over the start and the last confirmed: had the scheduler died in it,
-    /// some robots would have started and others not.
+    /// Time between sending the first renewal that extends a lease beyond the start and the last confirmation. If the scheduler had died
+    /// in it, only some robots would have started.
     #[serde(rename = "window_ms")]
     pub window: Option<Span>,
-    /// A robot that went silent without a word so shortly before the start may not have been noticed in time.
+    /// The interval before the start in which a robot that went silent without notice may not have been noticed in time.
     #[serde(rename = "doubt_ms")]
     pub doubt: Span,
     /// How often the act was withdrawn before anything moved, and prepared again, because this machine was too slow.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub prepared_again: u32,
-    /// Readings that the scenario asked for.
+    /// Readings that the scenario requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<TakenReading>,
-    /// When devices began to move, where that was verified.
+    /// The starts of motions, if they were verified.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionReport>,
-    /// How far apart these motions began.
+    /// The spread of these motions.
     #[serde(rename = "motion", skip_serializing_if = "Option::is_none")]
     pub motion_spread: Option<MotionSpread>,
     /// Robots in the order of the plan.
@@ -67,18 +67,18 @@ pub(super) const fn is_zero(count: &u32) -> bool {
     *count == 0
 }
 
-/// What one robot did in one act.
+/// The results of one robot in one act.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ActRobot {
     /// The robot's id.
     pub robot: RobotId,
-    /// It was left out.
+    /// Whether it was left out.
     pub left_out: bool,
-    /// Each device.
+    /// The results of each device.
     pub devices: Vec<DeviceReport>,
 }
 
-/// How far a script came, as far as the scheduler knows.
+/// Progress of a script, as far as the scheduler knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
@@ -95,12 +95,12 @@ pub enum DeviceState {
     Ended,
     /// It was refused or ended early.
     Failed,
-    /// It was sent, and it is unknown what became of it.
+    /// It was sent, and its fate is unknown.
     Unknown,
 }
 
 impl fmt::Display for DeviceState {
-    /// As in reports.
+    /// Formats the state as in reports.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Planned => "planned",
@@ -114,18 +114,18 @@ impl fmt::Display for DeviceState {
     }
 }
 
-/// What one script of a device did.
+/// The result of one script of a device.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct DeviceReport {
-    /// Which device.
+    /// Id of the device.
     pub device: DeviceId,
-    /// How far it came.
+    /// Progress of the script.
     pub state: DeviceState,
-    /// When its script was to start: to set the first value or, on a device that moves linearly, to begin to move to it.
+    /// The planned start of the script: setting the first value or, on a device that moves linearly, beginning to move to it.
     pub planned_start: Option<Timestamp<Server>>,
     /// Actual start by the robot's clock.
     pub started_at: Option<Timestamp<Robot>>,
-    /// Actual minus planned.
+    /// Actual minus planned start.
     #[serde(rename = "start_error_ms")]
     pub start_error: Option<Span>,
     /// Steps executed.
@@ -134,13 +134,13 @@ pub struct DeviceReport {
     pub steps_planned: usize,
     /// Steps that came more than a millisecond late.
     pub late_steps: u32,
-    /// How late the latest of them was, if the robot reports it.
+    /// The largest lateness of those steps, if the robot reports it.
     #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
     pub late_max: Option<Span>,
 }
 
 impl ActReport {
-    /// `None` for an act that was not sent.
+    /// The report of an act; `None` if the act was not sent.
     pub(super) fn new(act: &Act, robots: &[RobotState]) -> Option<Self> {
         let timing = act.timing()?;
         let robot = |member: &Member| ActRobot {
@@ -196,20 +196,20 @@ impl ActReport {
         }
     }
 
-    /// How far from its plan a script started, at most, by its robot's own clock. Of robots that were left out nothing is promised.
+    /// The largest start error of a script, by its robot's own clock. Robots that were left out are not included.
     pub(super) fn off_plan(&self) -> Option<Span> {
         let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
         scripts.filter_map(|script| script.start_error).map(Span::abs).max()
     }
 
-    /// How late the latest step was, among the robots that were not left out.
+    /// The largest lateness of a step, among the robots that were not left out.
     pub(super) fn late_max(&self) -> Option<Span> {
         let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
         scripts.filter_map(|script| script.late_max).max()
     }
 }
 
-/// Largest minus smallest error of the starts that are to be simultaneous: of the first script of every device.
+/// The spread of the simultaneous starts: the largest minus the smallest start error of the first scripts of devices.
 pub(super) fn spread<'a>(act: &Act, members: impl Iterator<Item = &'a Member>) -> Option<Span> {
     let errors = |member: &'a Member| {
         let firsts = member.firsts();

@@ -1,4 +1,4 @@
-//! What a robot's failure does to the others, and robots whose link breaks in mid-mission.
+//! The effects of a robot's failure on the others, and robots whose link breaks in mid-mission.
 
 use downbeat_plan::OnFailure;
 use downbeat_yaml::render::counted;
@@ -11,7 +11,7 @@ use super::robot_state::{Link, Lost, Rest, Standing};
 use super::script::{Script, ScriptRef, ScriptState};
 use super::{Action, Greeting, Join, Loss, Mission, Outcome, Phase, Progress};
 
-/// While robots are greeted, one that refuses connections may still be starting.
+/// How long a robot that refuses connections may still be starting during the greeting.
 const STARTS_WITHIN: Span = Span::from_millis(500);
 
 impl Mission {
@@ -42,7 +42,8 @@ impl Mission {
         }
     }
 
-    /// It says far more than it was asked for: it is lost, and connected to again only to stop it.
+    /// Handles a robot that sends far more messages than requested. It is considered lost, and the mission reconnects to it only to stop
+    /// it.
     fn flooded(
         &mut self,
         now: Timestamp<Server>,
@@ -75,7 +76,7 @@ impl Mission {
         }
     }
 
-    /// A robot that was reached, or may still be starting, is tried again as long as patience lasts.
+    /// Tries a robot again that was reached, or may still be starting, as long as the patience permits.
     fn link_down_in_greeting(
         &mut self,
         now: Timestamp<Server>,
@@ -97,7 +98,7 @@ impl Mission {
         }
     }
 
-    /// Makes a link again, one attempt at a time.
+    /// Re-establishes a link, one attempt at a time.
     pub(super) fn reconnect(&mut self, robot: usize) {
         let state = &mut self.robots[robot];
         let to_be_stopped = state.awaits_stop();
@@ -110,15 +111,15 @@ impl Mission {
         }
     }
 
-    /// Reconnects at once, instead of an attempt that may have to wait.
+    /// Reconnects immediately, instead of an attempt that may have to wait.
     pub(super) fn reconnect_at_once(&mut self, robot: usize) {
         if matches!(&self.robots[robot].link, Link::Lost(lost) if lost.connecting) {
             self.actions.push(Action::Reconnect { robot, after: Span::ZERO });
         }
     }
 
-    /// The robot goes on by its script, as far as its lease lets it. Until that is surely over it may come back. Where
-    /// connections are refused no process of it runs: what it had is over.
+    /// Handles a broken link. The robot continues with its script as far as its lease permits. It may come back until that has certainly
+    /// ended. If connections are refused, no process of the robot runs, and its scripts have ended.
     fn link_lost(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
         self.reconnect(robot);
         let gone = self.robots[robot].is_gone();
@@ -163,7 +164,7 @@ impl Mission {
         self.robots.iter().filter_map(|robot| robot.lost()?.give_up).min()
     }
 
-    /// A link stands again: ask what was missed, which renews the leases.
+    /// Handles a new link: asks about missed reports, which renews the leases.
     pub(super) fn reattach(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].standing == Standing::Absent {
             return match self.options.greeting {
@@ -186,8 +187,7 @@ impl Mission {
         }
     }
 
-    /// A robot has answered on its new link, and its clock is the one by which its scripts were translated: what waited for that is
-    /// sent.
+    /// Sends the deferred scripts: the robot has answered on its new link, and its clock is the one by which its scripts were translated.
     pub(super) fn catch_up(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if self.phase != Phase::Performing || state.standing != Standing::In || state.stop_was_sent() {
@@ -199,7 +199,7 @@ impl Mission {
         self.refill(now, robot);
     }
 
-    /// It has been heard again on a new link. Of one that was not there so far it is told when it joins.
+    /// Notes the first message from a robot on a new link. For a robot that was absent, this is reported when it joins.
     pub(super) fn is_back(&mut self, robot: usize) {
         self.give_up = self.earliest_give_up();
         if self.phase == Phase::Performing && self.robots[robot].standing != Standing::Absent {
@@ -208,8 +208,8 @@ impl Mission {
         }
     }
 
-    /// A robot that takes no inquiries is sent again what it may not have received. What it has, it knows by its name; what
-    /// has begun is left alone.
+    /// Repeats the scripts that a robot without inquiries may not have received. It recognizes duplicates by their ids. Scripts that have
+    /// begun are not repeated.
     fn send_held_again(&mut self, now: Timestamp<Server>, robot: usize) {
         let mut again = Vec::new();
         for act in self.acts.iter().filter(|act| act.is_open()) {
@@ -228,12 +228,12 @@ impl Mission {
         }
     }
 
-    /// Notes the failure of a robot and does what the policy says.
+    /// Notes the failure of a robot and applies the policy.
     pub(super) fn fail(&mut self, now: Timestamp<Server>, robot: usize, kind: FailureKind) {
         self.fail_all(now, vec![(robot, kind)]);
     }
 
-    /// All failures of one instant are noted before any of them has consequences.
+    /// Notes all failures of one instant before any of them has consequences.
     pub(super) fn fail_all(&mut self, now: Timestamp<Server>, failing: Vec<(usize, FailureKind)>) {
         let out = |mission: &Self, robot: usize| mission.robots[robot].standing == Standing::Out;
         let failing: Vec<_> = failing.into_iter().filter(|(robot, _)| !out(self, *robot)).collect();
@@ -241,13 +241,13 @@ impl Mission {
         let is_absent = |robot: usize| performing && self.robots[robot].standing == Standing::Absent;
         let (absent, failing): (Vec<_>, Vec<_>) =
             failing.into_iter().partition(|(robot, _)| is_absent(*robot));
-        // The others play without it anyway: it does not join.
+        // The others play without it anyway, so it does not join.
         for (robot, kind) in absent {
             self.note_failure(robot, kind);
             self.robots[robot].standing = Standing::Out;
         }
         let robots: Vec<usize> = failing.iter().map(|(robot, _)| *robot).collect();
-        // What a stop ends is no failure.
+        // Scripts that a stop ends are not failures.
         let stopping = matches!(self.phase, Phase::Stopping { .. } | Phase::Ended);
         for (robot, kind) in failing {
             if !stopping || (matches!(kind, FailureKind::Garbled { .. }) && !self.robots[robot].is_garbled())
@@ -256,7 +256,7 @@ impl Mission {
             }
         }
         match self.phase {
-            // All robots get their chance to speak first, so that all findings come at once.
+            // All robots can answer first, so that all findings are reported together.
             Phase::Greeting { .. } => self.greeting_progress(now),
             Phase::Performing if !robots.is_empty() => self.apply_policy(now, &robots),
             _ => {}
@@ -272,7 +272,7 @@ impl Mission {
         }
     }
 
-    /// The strictest policy of those that failed: stop, then home, then going on without them.
+    /// Applies the strictest policy of the failed robots: stop, then home, then continuing without them.
     fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[usize]) {
         if self.acts.is_empty() {
             let reason = self.reason_of(robots);
@@ -303,7 +303,7 @@ impl Mission {
         }
     }
 
-    /// What the scenario specifies if this robot fails: the policy of the newest act in which it takes part, and the act that follows.
+    /// The policy of the scenario if this robot fails: that of the newest act in which it takes part, and the act that follows.
     pub(super) fn policy_of(&self, robot: usize) -> Option<(OnFailure, Option<usize>)> {
         let takes_part =
             |act: &&super::act::Act| act.was_sent() && !act.is_lapsing() && act.member(robot).is_some();
@@ -322,7 +322,7 @@ impl Mission {
         self.abort_because(now, (outcome, reason), rest, then);
     }
 
-    /// What has just failed, for people: the first of these robots, and how many more.
+    /// The latest failure, for users: of the first of these robots, and the number of the others.
     fn reason_of(&self, robots: &[usize]) -> String {
         let failed = |robot: &usize| self.robots[*robot].failures.last();
         match robots.iter().find_map(failed) {
@@ -334,7 +334,7 @@ impl Mission {
         }
     }
 
-    /// The others go on; it comes to rest, if it can be reached.
+    /// Leaves a robot out. The others continue; it comes to rest, if it can be reached.
     pub(super) fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].standing = Standing::Out;
         if let Some(lost) = self.robots[robot].lost_mut() {

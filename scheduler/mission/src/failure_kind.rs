@@ -7,18 +7,18 @@ use urrcp::{ControlError, DeviceId, ErrorCode, RobotId, Span};
 use super::claim::Claim;
 use crate::clock::ClockDoubt;
 
-/// A robot failed the mission.
+/// A failure of a robot.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Failure {
-    /// Which robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// What happened.
+    /// The kind of failure.
     #[serde(flatten)]
     pub kind: FailureKind,
 }
 
 impl Serialize for Failure {
-    /// With what people read of it.
+    /// Serializes the failure with its text for users.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         #[derive(Serialize)]
         struct Written<'a> {
@@ -31,7 +31,7 @@ impl Serialize for Failure {
     }
 }
 
-/// Ways for a robot to fail the mission.
+/// The kind of a robot's failure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "failure", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
@@ -39,123 +39,123 @@ pub enum FailureKind {
     /// The link broke or could not be made.
     #[error("link down: {reason}")]
     LinkDown {
-        /// What the system or the robot gave as the reason.
+        /// The reason given by the system or the robot.
         reason: String,
     },
-    /// It sends far more than it was asked for. It is connected to again only to be stopped.
+    /// It sends far more messages than requested. The mission reconnects to it only to stop it.
     #[error(
-        "flooding: {messages} messages and {bytes} bytes came on its link, far more than it was asked for; in this mission it is connected to again only to be stopped"
+        "flooding: the robot sent {messages} messages and {bytes} bytes, far more than requested; in this mission it is reconnected only to be stopped"
     )]
     Flooding {
-        /// Messages that came on the link that was closed for it.
+        /// Number of messages received on the link before it was closed for this reason.
         messages: u64,
-        /// Bytes that came on it.
+        /// Number of bytes received on it.
         bytes: u64,
     },
-    /// Its answers take so long, or leave its clock so uncertain, that all others would have to wait for it.
+    /// Its answers are too slow, or leave its clock too uncertain: all others would have to wait for it.
     #[error("the link to it is too slow: {slow}; use a faster or steadier link, and check its clock")]
     TooSlow {
-        /// What is too slow, and what is possible.
+        /// The slow value and the possible one.
         #[serde(flatten)]
         slow: Slow,
     },
-    /// It sent what is no message, or one out of place.
+    /// It sent bytes that are not a message, or a message at the wrong time.
     #[error("garbled: {reason}")]
     Garbled {
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
-    /// Another robot answers at its address. Nothing is sent to that one.
-    #[error("another robot answers at its address: it calls itself `{told}`, expected `{expected}`")]
+    /// Another robot answers at its address. Nothing is sent to that robot.
+    #[error("another robot answers at its address: its id is `{told}`, expected `{expected}`")]
     AnotherRobot {
-        /// What the robot that is meant calls itself.
+        /// The id by which the intended robot identifies itself.
         expected: RobotId,
-        /// What the other one calls itself.
+        /// The id by which the other robot identifies itself.
         told: RobotId,
     },
     /// It did not answer in time.
     #[error("silent: no {awaited} within {within}{}", remedy_of_silence(awaited))]
     Silent {
-        /// What was awaited.
+        /// The awaited answer or report.
         awaited: String,
-        /// For how long.
+        /// The time allowed for it.
         #[serde(rename = "within_ms")]
         within: Span,
     },
     /// Its availability check failed.
     #[error("not available: {error}{}", remedy_of_busy(error))]
     NotAvailable {
-        /// Its own reason.
+        /// The robot's reason.
         error: ControlError,
     },
     /// It speaks another version of the protocol.
-    #[error("it speaks URRCP `{version}`, expected version 1")]
+    #[error("URRCP version `{version}` is not supported, expected version 1")]
     WrongVersion {
-        /// What it calls it.
+        /// The version, as the robot states it.
         version: String,
     },
     /// Its own description does not fit the plan.
     #[error("does not fit the plan: {reason}")]
     Unfit {
-        /// Where it differs.
+        /// The difference.
         reason: String,
     },
-    /// Its link is too slow for one of the scripts that its device has no room for at first.
+    /// Its link is too slow for a script for which its device initially has no room.
     #[error(
-        "script {} of `{device}`{} cannot be sent in time: there is room for it {} before its start, and on this link it takes {needed}; use fewer steps, or a robot that holds more scripts (`script_queue`)",
-        script + 1, act.as_ref().map(|act| format!(" in the act `{act}`")).unwrap_or_default(), (*time).max(Span::ZERO)
+        "script {} of `{device}`{} cannot be sent in time: the robot has room for it only {} before its start, but sending takes {needed}; use fewer steps, or a robot that holds more scripts (`script_queue`)",
+        script + 1, act.as_ref().map(|act| format!(" in act `{act}`")).unwrap_or_default(), (*time).max(Span::ZERO)
     )]
     NoTimeToSend {
-        /// Of the robot.
+        /// Id of the device.
         device: DeviceId,
-        /// In which act; `None` where the only one has no name.
+        /// Name of the act; `None` for a single act without a name.
         act: Option<String>,
-        /// Which script of this device in this act, from 0.
+        /// Index of the script among those of this device in this act, starting at 0.
         script: usize,
-        /// How long before its start there is room for it; negative: after that.
+        /// How long before its start there is room for it; negative if after its start.
         #[serde(rename = "time_ms")]
         time: Span,
-        /// What a round trip and what the robot does take at least.
+        /// The minimum time for a round trip and the robot's processing.
         #[serde(rename = "needed_ms")]
         needed: Span,
     },
     /// Its clock is further off than the scenario tolerates, or not known well enough.
     #[error("{}", clock_text(*offset, *uncertainty, *tolerance))]
     Clock {
-        /// Robot minus server.
+        /// The robot's clock minus the server's.
         #[serde(rename = "offset_ms")]
         offset: Span,
-        /// Of the offset.
+        /// Uncertainty of the offset.
         #[serde(rename = "uncertainty_ms")]
         uncertainty: Span,
-        /// The scenario's start_tolerance.
+        /// The scenario's `start_tolerance`.
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
     /// Its devices begin to move at instants that vary by more than the scenario tolerates.
     #[error(
-        "the latency of its devices varies by +-{spread}, the scenario tolerates {tolerance} with the clocks: measure it again with \
+        "the latency of its devices varies by +-{spread}, but the scenario tolerates {tolerance}, including clock errors: measure it again with \
          `downbeat calibrate`, or raise start_tolerance"
     )]
     LatencySpread {
         /// 95 % of the motions begin within the latency ± this.
         #[serde(rename = "spread_ms")]
         spread: Span,
-        /// The scenario's start_tolerance.
+        /// The scenario's `start_tolerance`.
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
-    /// A sensor does not read what the fleet file requires.
+    /// A sensor reads a value that the fleet file does not permit.
     #[error("`{sensor}` reads {reading}, the fleet file requires {range}", reading = reading.map_or_else(|| "nothing".to_owned(), |r| r.to_string()))]
     Requirement {
-        /// Which sensor.
+        /// Id of the sensor.
         sensor: DeviceId,
-        /// What it read.
+        /// The value; `None` without a reading.
         reading: Option<f64>,
-        /// What is required.
+        /// The required range.
         range: SensorRange,
     },
-    /// A device stands where its first keyframe does not expect it.
+    /// A device is at a position that its first keyframe does not expect.
     #[error(
         "device `{device}` is at {reading}, {}",
         match act {
@@ -164,80 +164,80 @@ pub enum FailureKind {
         }
     )]
     Position {
-        /// Which device.
+        /// Id of the device.
         device: DeviceId,
-        /// Where it stands.
+        /// Its position.
         reading: f64,
-        /// Where it should.
+        /// The expected position.
         expected: f64,
         /// The act before which the mission found this; `None` if an approach before the mission could have moved the device there.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         act: Option<String>,
     },
-    /// It says of a script what cannot be true.
-    #[error("device `{device}` reports what cannot be: {claim}")]
+    /// Its statement about a script is impossible.
+    #[error("device `{device}` sent an impossible report: {claim}")]
     Claim {
-        /// Which device.
+        /// Id of the device.
         device: DeviceId,
-        /// What it says, and what is possible.
+        /// The statement, and the possible values.
         #[serde(flatten)]
         claim: Claim,
     },
     /// It refused or ended a script.
     #[error("device `{device}`: {error}")]
     Script {
-        /// Which device.
+        /// Id of the device.
         device: DeviceId,
         /// The robot's reason.
         error: ControlError,
     },
-    /// The robot was not there when the mission began, and took no part in it until its end.
+    /// The robot was missing when the mission began, and took no part in it until its end.
     #[error("it never joined: {reason}")]
     NeverJoined {
-        /// The reason, for people.
+        /// The reason, for users.
         reason: String,
     },
 }
 
-/// What makes a link too slow.
+/// The cause of a link that is too slow.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "slow", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Slow {
     /// Its round trips.
-    #[error("a round trip takes {round_trip}, at most {longest} is possible")]
+    #[error("a round trip takes {round_trip}, expected at most {longest}")]
     RoundTrip {
-        /// What its link keeps to nearly always.
+        /// The round trip that its link nearly always keeps.
         #[serde(rename = "round_trip_ms")]
         round_trip: Span,
-        /// The longest that is taken.
+        /// The longest accepted round trip.
         #[serde(rename = "longest_ms")]
         longest: Span,
     },
-    /// The lease before the start that the act would need because of it.
+    /// The lease before the start that the act would need because of the link.
     #[error(
-        "the act would need a lease of {lease} before its start, at most {longest} is possible, because a round trip to it takes {round_trip} and its clock lets it start up to {early} early or {late} late"
+        "the act would need a lease of {lease} before the start, but at most {longest} is possible: a round trip takes {round_trip}, and the robot's clock may start it {early} early or {late} late"
     )]
     Lease {
         /// The lease that would be needed.
         #[serde(rename = "lease_ms")]
         lease: Span,
-        /// The longest that is given.
+        /// The longest permitted lease.
         #[serde(rename = "longest_ms")]
         longest: Span,
-        /// Of its link.
+        /// The round trip of its link.
         #[serde(rename = "round_trip_ms")]
         round_trip: Span,
         /// How much earlier than planned it may start.
         #[serde(rename = "early_ms")]
         early: Span,
-        /// How much later.
+        /// How much later than planned it may start.
         #[serde(rename = "late_ms")]
         late: Span,
     },
 }
 
-/// A program that never says what it is may be no robot.
+/// A hint if a program never identifies itself: it may not be a robot.
 fn remedy_of_silence(awaited: &str) -> &'static str {
     match awaited {
         "initialization block" => "; check that the program at its address is a robot that speaks URRCP",
@@ -248,13 +248,13 @@ fn remedy_of_silence(awaited: &str) -> &'static str {
 fn remedy_of_busy(error: &ControlError) -> &'static str {
     match error.code {
         ErrorCode::Busy => {
-            "; wait for its end, or end it with `downbeat stop` on the machine where it runs; an operator with the role `seize` takes robots with a `tls://` or `hmac://` address by `downbeat run --seize`"
+            "; wait until its mission ends, or end it with `downbeat stop` on the machine where it runs; an operator with the role `seize` can take over robots with a `tls://` or `hmac://` address by `downbeat run --seize`"
         }
         _ => "",
     }
 }
 
-/// A clock that is off is a matter of NTP; one that is only poorly known is a matter of the link.
+/// Names the cause: NTP for a clock that is off, the link for one that is only poorly known.
 fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
     match ClockDoubt::of(offset, uncertainty) {
         ClockDoubt::Clock => format!(
@@ -270,7 +270,7 @@ fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
 mod tests {
     use super::*;
 
-    /// The kind that stands behind another one in the enumeration: a new kind has to find its place here.
+    /// The kind that follows another one in the enumeration. A new kind must be added here.
     fn after(kind: Option<&FailureKind>) -> Option<FailureKind> {
         let text = String::new;
         let id = || RobotId::new("r").unwrap();

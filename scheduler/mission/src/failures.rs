@@ -1,11 +1,12 @@
-//! What a robot has failed by, in bounded memory: a robot that fails again and again fills no report.
+//! The failures of a robot, in bounded memory: a robot that fails repeatedly does not fill the report.
 
 use std::mem::discriminant;
 use std::ops::Deref;
 
 use super::failure_kind::Failure;
 
-/// Failures of one robot that are kept; of the others their number, and the first of each kind.
+/// The maximum number of failures per robot that are kept. Beyond it, only the first failure of each kind and the number of the
+/// others are kept.
 const KEPT_MAX: usize = 64;
 
 /// The failures of one robot, in order.
@@ -15,17 +16,17 @@ pub(crate) struct Failures {
     omitted: u64,
 }
 
-/// What became of a failure that was noted.
+/// Result of noting a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Noted {
     Kept,
-    /// Only counted.
+    /// It was only counted.
     Omitted,
 }
 
 impl Failures {
     pub(crate) fn note(&mut self, failure: Failure) -> Noted {
-        // What is decided by a kind of failure does not depend on how often the robot has failed otherwise.
+        // Decisions that depend on a kind of failure must not depend on the number of other failures.
         let known = |kept: &Failure| discriminant(&kept.kind) == discriminant(&failure.kind);
         if self.kept.len() >= KEPT_MAX && self.kept.iter().any(known) {
             self.omitted += 1;
@@ -35,7 +36,7 @@ impl Failures {
         Noted::Kept
     }
 
-    /// Those that are not listed.
+    /// Number of failures that are not listed.
     pub(crate) const fn omitted(&self) -> u64 {
         self.omitted
     }

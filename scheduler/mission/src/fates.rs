@@ -1,4 +1,4 @@
-//! What became of each act of the scenario, also of those that were never sent.
+//! The fate of each act of the scenario, including acts that were never sent.
 
 use std::fmt;
 
@@ -8,21 +8,21 @@ use urrcp::Span;
 
 use super::act::Act;
 
-/// What became of an act of the scenario. Of one that came several times the last time counts.
+/// The fate of an act of the scenario. If it occurred several times, that of the last occurrence.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "fate")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum ActFate {
-    /// The mission did not come to it.
+    /// The mission did not reach it.
     #[default]
     NotReached,
-    /// It waited when the mission ended.
+    /// It was waiting when the mission ended.
     StillWaiting,
-    /// What it waited for did not come, and the mission went on as `otherwise` says.
+    /// Its condition was not met, and the mission continued according to `otherwise`.
     TimedOut {
-        /// For what, for people.
+        /// The condition, for users.
         awaited: String,
-        /// For how long.
+        /// The time allowed for it.
         #[serde(rename = "within_ms")]
         within: Span,
     },
@@ -32,20 +32,20 @@ pub enum ActFate {
     Withdrawn,
     /// It was stopped after it had begun.
     Stopped,
-    /// Its time is over, and none of its robots has said what became of it.
+    /// Its time is over, and none of its robots has reported its fate.
     Unknown,
     /// It was played to its end.
     Played,
 }
 
-/// An act of the scenario and what became of it.
+/// An act of the scenario with its fate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ActCourse {
-    /// Its name; empty where the only one has none.
+    /// Its name; empty for a single act without a name.
     pub act: String,
     /// How often it was played to its end.
     pub played: u32,
-    /// What became of it.
+    /// The fate of the act.
     #[serde(flatten)]
     pub fate: ActFate,
     /// Whether robots have moved, or may have moved, in any of its occurrences.
@@ -60,14 +60,14 @@ impl ActCourse {
         self.fate = fate;
     }
 
-    /// It was to be played and was not, and the mission went on.
+    /// Whether it was to be played and was not, and the mission continued.
     pub(crate) const fn was_skipped(&self) -> bool {
         matches!(self.fate, ActFate::TimedOut { .. } | ActFate::NobodyLeft)
     }
 }
 
 impl ActFate {
-    /// Of an act whose wait is over without what it waited for.
+    /// The fate of an act whose condition was not met in time.
     pub(super) fn timed_out(act: &Act) -> Self {
         let written = act.written();
         let awaited = match &written.wait {
@@ -85,14 +85,12 @@ impl fmt::Display for ActFate {
             Self::NotReached => f.write_str("not reached"),
             Self::StillWaiting => f.write_str("still waiting at the end"),
             Self::TimedOut { awaited, within } => {
-                write!(f, "skipped: {awaited} did not come within {within}")
+                write!(f, "skipped: {awaited} did not occur within {within}")
             }
-            Self::NobodyLeft => {
-                f.write_str("skipped: all its robots had been left out, or were not there yet")
-            }
+            Self::NobodyLeft => f.write_str("skipped: all of its robots were left out or had not joined yet"),
             Self::Withdrawn => f.write_str("withdrawn before anything moved"),
-            Self::Stopped => f.write_str("stopped on the way"),
-            Self::Unknown => f.write_str("it is not known whether it was played"),
+            Self::Stopped => f.write_str("stopped before its end"),
+            Self::Unknown => f.write_str("unknown whether it was played"),
             Self::Played => f.write_str("played"),
         }
     }

@@ -1,4 +1,4 @@
-//! What is known of a mission and of one of its robots at this moment, for those who watch it from outside.
+//! The current figures of a mission and of one of its robots, for external monitoring.
 
 use urrcp::Span;
 
@@ -19,7 +19,7 @@ pub enum PhaseName {
     Ended,
 }
 
-/// One robot, over all acts, with those under way.
+/// The figures of one robot over all acts, including those under way.
 #[derive(Clone, Debug)]
 pub struct RobotFigures {
     /// Whether it has a link.
@@ -28,7 +28,7 @@ pub struct RobotFigures {
     pub takes_part: bool,
     /// The estimate of its clock, relative to the server's clock.
     pub clock: Option<ClockReading>,
-    /// The round trip that its link keeps to nearly always.
+    /// The round trip that its link nearly always keeps.
     pub round_trip: Span,
     /// The counts of its scripts and steps.
     pub totals: Totals,
@@ -83,7 +83,7 @@ impl Mission {
         }
     }
 
-    /// The number of rounds of questions that came so late that this machine must have stalled.
+    /// The number of rounds of questions that were so late that this machine must have stalled.
     #[must_use]
     pub const fn rounds_held_up(&self) -> u64 {
         self.rounds_held_up

@@ -1,5 +1,5 @@
-//! Steps 1 to 4 of the protocol with all robots at once: links, availability and clocks, initialization blocks; then what
-//! the fleet file requires of sensors, and where devices stand.
+//! Steps 1 to 4 of the protocol with all robots at once: links, availability and clocks, initialization blocks; then the sensor readings
+//! that the fleet file requires, and the positions of devices.
 
 use urrcp::{
     AvailabilityResponse, Command, ControlRequest, ControlResponse, DeviceId, InitializationBlock, Message,
@@ -16,17 +16,17 @@ use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, error_of_status};
 
-/// Exchanges of timestamps with each robot before anything is decided.
+/// Number of timestamp exchanges with each robot before any decision.
 const CLOCK_SAMPLES: u32 = 8;
-/// For how long clocks are sampled further while the fleet's possible spread is beyond the tolerance, or a link seems too slow.
+/// How long clocks are sampled further while the possible spread of the fleet exceeds the tolerance, or a link seems too slow.
 const SAMPLING: Span = Span::from_millis(4_000);
-/// After so long a clock is looked at again.
+/// The age after which a clock is checked again.
 const STALE: Span = Span::from_millis(500);
-/// How often it is looked whether a robot may be asked again. One question at a time: on a link that keeps the order of
-/// messages several would wait for each other.
+/// Interval between checks of whether a robot may be asked again. Questions are sent one at a time, because on a link that keeps the
+/// order of messages several would wait for each other.
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 
-/// Whether its answers take longer than any lease.
+/// Whether a robot's answers take longer than any lease.
 fn is_too_slow(robot: &RobotState) -> bool {
     robot.standing == Standing::In && !robot.is_of_another() && robot.round_trip() > ROUND_TRIP_LONGEST
 }
@@ -57,7 +57,7 @@ impl Mission {
             if self.is_to_be_seized(robot, &error) {
                 return self.greeting_progress(now);
             }
-            // A robot that comes later may still be about to start up: the next round asks it again.
+            // A robot that arrives later may still be starting up. The next round asks it again.
             if self.robots[robot].standing == Standing::Absent {
                 return;
             }
@@ -88,7 +88,7 @@ impl Mission {
         }
     }
 
-    /// Compares what a robot says of itself with the plan, the first time that it does.
+    /// Compares a robot's own description with the plan when it arrives for the first time.
     pub(super) fn introduced(&mut self, now: Timestamp<Server>, robot: usize, block: InitializationBlock) {
         if std::mem::replace(&mut self.robots[robot].introduced, true) {
             return;
@@ -110,7 +110,7 @@ impl Mission {
         }
     }
 
-    /// Where a robot's own description does not allow what any act asks of it.
+    /// The points at which a robot's own description does not allow the commands of an act.
     fn unfit(&self, robot: usize, block: &InitializationBlock) -> Vec<String> {
         let state = &self.robots[robot];
         let mut reasons = Vec::new();
@@ -119,8 +119,8 @@ impl Mission {
             let listed: Vec<_> = listed.map(|listed| format!("`{listed}`")).collect();
             let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
             reasons.push(format!(
-                "it lists no encoding `{}` (besides JSON: {listed}), expected as the fleet file says; \
-                 there, `encoding: json` is understood by every robot",
+                "it does not support the encoding `{}`, which the fleet file requires (besides JSON: {listed}); \
+                 every robot supports `encoding: json`",
                 state.settings.encoding
             ));
         }
@@ -194,7 +194,7 @@ impl Mission {
         true
     }
 
-    /// Goes on once every robot has been heard or has failed.
+    /// Continues once every robot has answered or failed.
     pub(super) fn greeting_progress(&mut self, now: Timestamp<Server>) {
         if !matches!(self.phase, Phase::Greeting { .. }) {
             return;
@@ -211,7 +211,7 @@ impl Mission {
         }
         let others = self.robots.iter().any(RobotState::is_of_another);
         if others {
-            // A mission that would not start takes no robot from another.
+            // A mission that would not start must not take over a robot of another session.
             self.check_links();
             self.check_clocks(now);
             self.check_sensors();
@@ -260,8 +260,8 @@ impl Mission {
         }
     }
 
-    /// Samples clocks further as long as that may bring the fleet's possible spread within the tolerance, or show that a robot
-    /// is slow only as long as thousands of others are connected to.
+    /// Samples clocks further as long as that may bring the possible spread of the fleet within the tolerance, or show that a robot is
+    /// slow only while thousands of others connect.
     pub(super) fn still_sampling(&mut self, now: Timestamp<Server>) -> bool {
         if self.robots.iter().any(RobotState::has_failed) {
             return false;
@@ -287,7 +287,7 @@ impl Mission {
         for robot in 0..self.robots.len() {
             let state = &self.robots[robot];
             let reading = state.clock.reading();
-            // Also those that are known well enough are looked at now and then: a clock may be set meanwhile.
+            // Clocks that are known well enough are also checked from time to time, because a clock may be set meanwhile.
             let stale = state.questions.answered().is_none_or(|at| now - at > STALE);
             let unsure = stale || reading.is_none_or(|reading| reading.uncertainty > enough);
             if (unsure || is_too_slow(state)) && state.is_up() {
@@ -300,7 +300,8 @@ impl Mission {
         }
     }
 
-    /// Asks a robot for its times again, unless an answer is on its way: a network that doubles answers would double questions.
+    /// Asks a robot for its times again, unless an answer is pending. Otherwise, a network that duplicates answers would duplicate
+    /// questions.
     pub(super) fn ask_further(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         let longest = lead::counted(state.round_trip()) * 3 + SAMPLING_INTERVAL;
@@ -314,7 +315,7 @@ impl Mission {
         SkewBudget::of_planned(plan, &self.first_robots, &self.robots, now)
     }
 
-    /// Refuses robots whose answers take longer than any lease: the others would wait for them.
+    /// Refuses robots whose answers take longer than any lease, because the others would wait for them.
     pub(super) fn check_links(&mut self) {
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
@@ -326,7 +327,7 @@ impl Mission {
         }
     }
 
-    /// Refuses robots whose clock is surely further off than the scenario tolerates, and those that spread the fleet.
+    /// Refuses robots whose clock is certainly further off than the scenario tolerates, and those that cause the spread of the fleet.
     pub(super) fn check_clocks(&mut self, now: Timestamp<Server>) {
         let tolerance = self.choreography.acts[self.options.first_act].plan.start_tolerance;
         for index in 0..self.robots.len() {
@@ -406,7 +407,7 @@ impl Mission {
             let awaited = match robot.exchanges.ignored() {
                 0 => awaited.to_owned(),
                 ignored => format!(
-                    "{awaited} to a question ({ignored} came that answer none, or whose times cannot be true)"
+                    "{awaited} to a request (answers ignored because they answer no request or have impossible times: {ignored})"
                 ),
             };
             self.fail(now, index, FailureKind::Silent { awaited, within });
@@ -415,7 +416,7 @@ impl Mission {
         self.greeting_progress(now);
     }
 
-    /// A robot that was not there at first, and may join, has been heard.
+    /// Lets a robot that was absent at first join, if permitted, after its greeting.
     fn join_if_greeted(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if state.clock.samples() < CLOCK_SAMPLES {
@@ -428,7 +429,7 @@ impl Mission {
         }
     }
 
-    /// From the next act on that has not been sent.
+    /// Adds a robot to the mission, starting with the next act that has not been sent.
     pub(super) fn joins(&mut self, robot: usize) {
         self.robots[robot].standing = Standing::In;
         self.robots[robot].joined_late = true;
@@ -436,7 +437,7 @@ impl Mission {
         self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
     }
 
-    /// Ends before anything has been sent that could move a robot.
+    /// Ends the mission before anything has been sent that could move a robot.
     pub(super) fn refuse(&mut self, outcome: Outcome) {
         self.outcome = Some(outcome);
         if self.has_moved() {
@@ -446,15 +447,15 @@ impl Mission {
     }
 }
 
-/// Of a robot in a scenario that requires `all_or_none: strict`.
-const NOT_STRICT_ENOUGH: &str = "the scenario requires `all_or_none: strict`, and the robot does not declare `pending_until` and `inquiry`";
-/// Encodings of one robot that are listed.
+/// The failure of a robot in a scenario that requires `all_or_none: strict`.
+const NOT_STRICT_ENOUGH: &str = "the scenario requires `all_or_none: strict`, but the robot does not declare `pending_until` and `inquiry`";
+/// The maximum number of listed encodings per robot.
 const ENCODINGS_SHOWN: usize = 8;
 
-/// Faults of one robot that are listed; one with another unit would bury the others.
+/// The maximum number of listed faults per robot. One robot with another unit would bury the others.
 const UNFIT_SHOWN: usize = 12;
 
-/// Where a robot's own description does not allow what a script asks of it.
+/// The points at which a robot's own description does not allow the commands of a script.
 pub(super) fn unfit(script: &downbeat_plan::DeviceScript, block: &InitializationBlock) -> Vec<String> {
     let id = &script.device;
     let Some(device) = block.device(id.as_str()) else {
@@ -464,7 +465,10 @@ pub(super) fn unfit(script: &downbeat_plan::DeviceScript, block: &Initialization
     let steps = script.script.steps();
     let room = device.available_control_types.script().map_or(0, |s| s.max_number_of_steps as usize);
     if steps.len() > room {
-        reasons.push(format!("device `{id}` takes {room} steps a script, the plan has {}", steps.len()));
+        reasons.push(format!(
+            "device `{id}` supports {room} steps per script, but the plan has {}",
+            steps.len()
+        ));
     }
     let faults = steps.iter().enumerate().filter_map(|(i, step)| {
         let error = device.check_in_script(&step.setpoint).err()?;

@@ -1,9 +1,9 @@
-//! Which robot answers on a link: asked on each new one, before anything else is sent on it.
+//! The identity of the robot on a link: requested on each new link, before anything else is sent on it.
 //!
-//! An address may lead to another robot than the one that is meant: two addresses were swapped in the fleet file, or another
-//! robot has taken over the address since. A robot says which one it is in its initialization block. Stops wait for that only
-//! for a moment: a robot that says nothing is sent them nevertheless, but only the robot that is meant can confirm them, and one
-//! that says that it is another is sent none.
+//! An address may lead to the wrong robot: two addresses were swapped in the fleet file, or another robot has taken over the address
+//! since. A robot states its identity in its initialization block. Stops wait only briefly for that. A robot that does not identify
+//! itself is sent stops nevertheless, but only the right robot can confirm them. A robot that identifies itself as another one is sent
+//! none.
 
 use urrcp::{AvailabilityResponse, InitializationRequest, Message, RobotId, Server, Span, Status, Timestamp};
 
@@ -12,7 +12,7 @@ use super::robot_state::{Link, Lost, RobotState, Standing};
 use super::rounds::SILENCE_MAX;
 use super::{Action, Greeting, Loss, Mission, Phase, Progress, error_of_status};
 
-/// A robot that has not said which one it is after so long is asked again, and is sent the stops that are meant for it.
+/// The time after which a robot that has not identified itself is asked again, and is sent its stops.
 const ASK_AGAIN: Span = Span::from_millis(250);
 
 impl Mission {
@@ -28,7 +28,7 @@ impl Mission {
         self.ask_name(now, robot);
     }
 
-    /// Whether stops may be sent on a robot's link: it is the one that is meant, or has said nothing for a while.
+    /// Whether stops may be sent on a robot's link: it is the right robot, or it has not identified itself for a while.
     pub(super) fn takes_stops(&self, now: Timestamp<Server>, robot: usize) -> bool {
         let state = &self.robots[robot];
         let another = |failure: &Failure| matches!(failure.kind, FailureKind::AnotherRobot { .. });
@@ -42,14 +42,15 @@ impl Mission {
 
     fn ask_name(&mut self, now: Timestamp<Server>, robot: usize) {
         let message = Message::InitializationRequest(InitializationRequest { timestamp: Some(now) });
-        // Ahead of the stops: its answer has to come before theirs.
+        // Before the stops, because its answer must precede theirs.
         let urgent = self.robots[robot].awaits_stop();
         self.actions.push(Action::Send { robot, message, urgent });
         let again = now + ASK_AGAIN;
         self.next_name = Some(self.next_name.map_or(again, |next| next.min(again)));
     }
 
-    /// Asks robots again that have not said which one they are. One that goes on saying nothing is as good as not reached.
+    /// Asks robots again that have not identified themselves. A robot that still does not answer is treated like one that was not
+    /// reached.
     pub(super) fn ask_names_again(&mut self, now: Timestamp<Server>) {
         if self.next_name.is_none_or(|next| now < next) {
             return;
@@ -73,8 +74,8 @@ impl Mission {
         }
     }
 
-    /// Whether a message comes from the robot that is meant. What another one says counts for nothing, nor what one says that
-    /// has not said yet which one it is.
+    /// Whether a message comes from the right robot. Messages of another robot, or of one that has not identified itself yet, are
+    /// ignored.
     pub(super) fn is_the_one(&mut self, now: Timestamp<Server>, robot: usize, message: &Message) -> bool {
         match message {
             _ if !self.asks_names() => true,
@@ -83,7 +84,7 @@ impl Mission {
                 self.met_another(now, robot, block.id.clone());
                 false
             }
-            // A robot that cannot be commanded need not identify itself: the paper's step 2 ends the exchange with the robot's reason.
+            // A robot that cannot be commanded need not identify itself: step 2 of the paper ends the exchange with the robot's reason.
             Message::AvailabilityResponse(AvailabilityResponse { status: Status::Failed, error, .. })
                 if matches!(self.phase, Phase::Greeting { .. })
                     && self.robots[robot].standing == Standing::In
@@ -97,7 +98,7 @@ impl Mission {
         }
     }
 
-    /// On this link the robot that is meant is reached: what waited for that goes on.
+    /// Continues with a link on which the right robot answers.
     pub(super) fn link_serves(&mut self, now: Timestamp<Server>, robot: usize) {
         match self.phase {
             Phase::Greeting { .. } if self.asks_names() => self.greet(now, robot),
@@ -112,7 +113,7 @@ impl Mission {
         self.greeting_progress(now);
     }
 
-    /// Nothing more is sent on this link: the robot that is meant is not reached by it.
+    /// Stops using a link that does not lead to the right robot.
     fn met_another(&mut self, now: Timestamp<Server>, robot: usize, told: RobotId) {
         let state = &mut self.robots[robot];
         let kind = FailureKind::AnotherRobot { expected: state.own_id.clone(), told };
@@ -121,7 +122,7 @@ impl Mission {
             return;
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
-            // The link is kept for the table: it stands.
+            // The link is kept for the table, because it works.
             return self.fail(now, robot, kind);
         }
         let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));

@@ -1,4 +1,4 @@
-//! What must hold of a mission between two events: the statements of `docs/mission.md`, where they can be seen from inside. Tests, the
+//! Invariants of a mission between two events: the statements of `docs/mission.md`, as far as they are visible from inside. Tests, the
 //! simulation and the fuzzer check them after every event; a released program does not.
 
 use urrcp::{Command, ControlRequest, Message, Server, Timestamp};
@@ -7,11 +7,11 @@ use super::act::Act;
 use super::robot_state::{RobotState, Standing, Stop};
 use super::{Action, Mission, Phase};
 
-/// In larger fleets, the checks would take most of the time.
+/// The maximum number of robots. In larger fleets, the checks would take most of the time.
 const ROBOTS_MAX: usize = 64;
 
 impl Mission {
-    /// Panics if a statement does not hold after what happened at `now` has led to `self.actions`.
+    /// Panics if a statement does not hold after an event at `now` has led to `self.actions`.
     pub(super) fn check(&self, now: Timestamp<Server>) {
         if !self.options.check_invariants || self.robots.len() > ROBOTS_MAX {
             return;
@@ -99,7 +99,7 @@ impl Mission {
         }
     }
 
-    /// While the others go on, a robot that was left out takes no part.
+    /// While the others continue, a robot that was left out takes no part.
     fn check_left_out(&self, act: &Act) {
         for member in act.present().filter(|_| act.was_sent() && !act.is_over()) {
             let robot = &self.robots[member.robot];
@@ -113,7 +113,7 @@ impl Mission {
         }
     }
 
-    /// Devices hold as many scripts as their queues have room for. Of those that another process sent, some may have ended.
+    /// Checks that devices hold at most as many scripts as their queues have room for. Scripts that another process sent may have ended.
     fn check_queues(&self, index: usize, robot: &RobotState) {
         let mut held = std::collections::BTreeMap::new();
         for member in self.acts.iter().filter_map(|act| act.member(index)) {
@@ -141,7 +141,7 @@ impl Mission {
         }
     }
 
-    /// `before` are the actions ahead of this one.
+    /// Checks an action. `before` contains the actions before it.
     fn check_action(&self, action: &Action, before: &[Action]) {
         match action {
             Action::Send { robot, message, .. } => self.check_message(*robot, message, before),

@@ -19,13 +19,13 @@ pub struct Kept {
     pub ended_acts: u32,
     /// The fates of the acts that are over, in order.
     pub course: Vec<ActOver>,
-    /// The flaws of the acts that ended, which rule out the outcome `done`.
+    /// The flaws of the ended acts, which rule out the outcome `done`.
     pub flaws: Vec<ActFlaws>,
     /// The failures of robots, in order.
     pub failures: Vec<Failure>,
     /// Robots that were left out.
     pub dropped: Vec<RobotId>,
-    /// Robots that do not know requests by their names.
+    /// Robots that do not know requests by their ids.
     pub unnamed: Vec<RobotId>,
     /// The latest stop that was being sent; `None` also after the stop of an attempt that was repeated.
     pub stopping: Option<Stopping>,
@@ -35,17 +35,17 @@ pub struct Kept {
     pub stopped: Vec<RobotId>,
     /// The outcome; `None` if the mission was cut off.
     pub outcome: Option<Outcome>,
-    /// The part from the first line that is not whole; `None` if all lines are whole.
+    /// The part from the first incomplete line on; `None` if all lines are complete.
     pub torn: Option<Torn>,
-    /// Every robot that was ever sent anything, with its devices.
+    /// Every robot to which anything was ever sent, with its devices.
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
     /// The doubt that was stated at the decision of each act, by its number.
     pub(crate) doubts: HashMap<u32, Span>,
-    /// The offset that was last added to timestamps for a robot's clock.
+    /// The offset last added to timestamps for a robot's clock.
     shifts: BTreeMap<RobotId, Span>,
-    /// The offsets of scripts that were not sent with the offset of their promise.
+    /// The offsets of scripts that were sent with another offset than their promise states.
     translated: HashMap<RequestId, Span>,
-    /// Length of the whole lines at the beginning, in bytes.
+    /// Length of the complete lines at the beginning, in bytes.
     whole: usize,
 }
 
@@ -58,12 +58,12 @@ pub struct Stopping {
     pub rest: Rest,
 }
 
-/// What a mission left on its robots, which another process withdraws.
+/// The remains of a mission on its robots, which another process withdraws.
 #[derive(Clone, Debug, Default)]
 pub struct Left {
-    /// The robots that were sent anything.
+    /// The robots to which anything was sent.
     pub robots: BTreeMap<RobotId, LeftOn>,
-    /// The ids by which robots call themselves, if these differ from their ids in the fleet file.
+    /// The ids by which robots identify themselves, if these differ from their ids in the fleet file.
     pub own_ids: BTreeMap<RobotId, RobotId>,
     /// No lease was renewed after this instant; `None` if leases may have been renewed until now.
     pub renewed_until: Option<Timestamp<Server>>,
@@ -73,14 +73,14 @@ pub struct Left {
     pub failures: Vec<Failure>,
 }
 
-/// What a mission left on a robot.
+/// The remains of a mission on a robot.
 #[derive(Clone, Debug, Default)]
 pub struct LeftOn {
-    /// The devices that were sent anything.
+    /// The devices to which anything was sent.
     pub devices: BTreeSet<DeviceId>,
-    /// The offset that was added to timestamps for its clock.
+    /// The offset added to timestamps for its clock.
     pub shift: Span,
-    /// The running leases of scripts whose acts have not ended; `None` for one that continues without a link.
+    /// The running leases of scripts whose acts have not ended; `None` for a script that continues without a link.
     pub leases: Vec<Option<Millis>>,
 }
 
@@ -91,18 +91,18 @@ pub enum Progressed {
     Prepared,
     /// All robots had accepted.
     Decided,
-    /// Leases were carried over its start, or were about to be.
+    /// Leases were extended beyond its start, or were about to be.
     Committed,
 }
 
-/// Records with a line that was cut off or changed. The contents of that line and of those after it are not known.
+/// Records with a line that was cut off or changed. The contents of that line and of the following ones are unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Torn {
     /// The number of the line, counted from 1.
     pub line: usize,
     /// Bytes from there to the end.
     pub bytes: usize,
-    /// Whole lines after it. If there are any, the file was damaged, not only cut off.
+    /// Complete lines after it. If there are any, the file was damaged, not only cut off.
     pub whole_after: usize,
 }
 
@@ -114,7 +114,7 @@ struct Dated {
     record: Record,
 }
 
-/// The part of a report that is read here. The rest of it, which fills most of a long journal, is skipped.
+/// The part of a report that is read here. The rest, which fills most of a long journal, is skipped.
 #[derive(Deserialize)]
 struct Numbered {
     number: u32,
@@ -138,7 +138,7 @@ struct Touched<'a> {
     shift: Span,
 }
 
-/// What `resume` does with a mission that was cut off.
+/// The action of `resume` for a mission that was cut off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     /// It plays the mission to its end, because the promised acts were decided.
@@ -162,7 +162,7 @@ impl Kept {
         kept.promises = under_way.into_iter().filter_map(promise).collect();
         if !rest.is_empty() {
             let after: Vec<_> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(sound).collect();
-            // Of the records after the damage, only this is used: these robots may hold scripts.
+            // Of the records after the damage, only the promises are used: their robots may hold scripts.
             let promises = after.iter().filter_map(|json| serde_json::from_slice::<Touching<'_>>(json).ok());
             promises.for_each(|promise| kept.touch(&promise));
             kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
@@ -170,29 +170,29 @@ impl Kept {
         kept
     }
 
-    /// Length of the whole lines at the beginning, in bytes.
+    /// Length of the complete lines at the beginning, in bytes.
     #[must_use]
     pub const fn whole(&self) -> usize {
         self.whole
     }
 
-    /// What `resume` does with the mission, if it was cut off here.
+    /// The action of `resume` for the mission, if it was cut off here.
     #[must_use]
     pub fn fate(&self) -> Fate {
         if self.stopping.is_some() {
-            return Fate::Withdraw("it was being stopped");
+            return Fate::Withdraw("the mission was being stopped");
         }
         if self.torn.is_some_and(|torn| torn.whole_after > 0) {
             return Fate::Withdraw("its journal is damaged");
         }
         if self.promises.iter().any(|(_, progressed)| *progressed == Progressed::Prepared) {
-            return Fate::Withdraw("an act was sent and not decided");
+            return Fate::Withdraw("an act was sent, but its start was not decided");
         }
         if self.promises.is_empty() { Fate::Withdraw("no act was under way") } else { Fate::Resume }
     }
 
-    /// The outcome that the mission gets if `resume` withdraws it, and its reason for people: the outcome of the stop that was
-    /// being sent, otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
+    /// The outcome of the mission if `resume` withdraws it, and its reason for users: the outcome of the stop that was being sent,
+    /// otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
     #[must_use]
     pub fn ending(&self, why: &str) -> (Outcome, String) {
         let outcome = self.stopping.as_ref().map_or(Outcome::Failed, |stopping| stopping.outcome.clone());
@@ -203,7 +203,7 @@ impl Kept {
         (outcome, reason)
     }
 
-    /// Whether robots may have moved. Only an act whose commitment is on the disk can start, but damage may hide a commitment.
+    /// Whether robots may have moved. Only an act whose commitment is on disk can start, but damage may hide a commitment.
     fn may_have_moved(&self) -> bool {
         let in_act =
             |over: &ActOver| matches!(over.fate, ActFate::Played | ActFate::Stopped | ActFate::Unknown);
@@ -212,7 +212,7 @@ impl Kept {
             || self.torn.is_some_and(|torn| torn.whole_after > 0)
     }
 
-    /// What the mission left on its robots.
+    /// The remains of the mission on its robots.
     #[must_use]
     pub fn left(&self) -> Left {
         let mut left = Left {
@@ -234,7 +234,7 @@ impl Kept {
         left
     }
 
-    /// A promise with the offsets with which its scripts were sent.
+    /// A promise with the offsets that were sent with its scripts.
     fn promise(&self, json: &[u8]) -> Option<Promise> {
         let mut promise: Promise = serde_json::from_slice(json).ok()?;
         for script in &mut promise.scripts {
@@ -316,10 +316,9 @@ impl Kept {
     }
 }
 
-/// A promise that has not ended: its number, its line, and how far it came.
+/// A promise that has not ended: its number, its line, and its progress.
 type UnderWay<'a> = (u32, &'a [u8], Progressed);
 
-/// Whether a line is a promise.
 fn is_promise(json: &[u8]) -> bool {
     begins_with(json, br#","record":"prepared","#)
 }

@@ -1,4 +1,4 @@
-//! Robots that declare another latency than their motions were planned with.
+//! Robots that declare other latencies than those with which their motions were planned.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -9,37 +9,37 @@ use downbeat_yaml::duration::written;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
-/// Latencies that differ by no more than this are the same.
+/// The maximum difference of latencies that are considered the same.
 const SAME: Span = Span::from_millis(1);
-/// Devices of one robot that are named.
+/// The maximum number of listed devices per robot.
 const SHOWN_MAX: usize = 12;
 
-/// Devices of one robot that declare another latency than was compensated.
+/// Devices of one robot that declare another latency than the compensated one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct LatencyDiffers {
-    /// At least one.
+    /// The devices, at least one.
     pub devices: Vec<OtherLatency>,
 }
 
-/// A device that declares another latency than was compensated.
+/// A device that declares another latency than the compensated one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OtherLatency {
-    /// Which device.
+    /// Id of the device.
     pub device: DeviceId,
-    /// What it declares.
+    /// The declared latency.
     #[serde(rename = "declared_ms")]
     pub declared: Span,
-    /// What is compensated.
+    /// The compensated latency.
     #[serde(rename = "compensated_ms")]
     pub compensated: Span,
-    /// Where that is from; `None`: nothing was known.
+    /// The source of the compensated latency; `None` if none was known.
     pub from: Option<LatencySource>,
 }
 
 impl LatencyDiffers {
-    /// Of a robot that has given its own block. What the fleet's copy of the block declares as well was known to the author of the
-    /// fleet file, who may have said something else there.
+    /// The differences of a robot that has sent its own block. The author of the fleet file knew the declarations in the fleet's copy of
+    /// the block, and may have deliberately set another latency.
     pub(super) fn of(
         choreography: &Choreography,
         robot: &RobotId,
@@ -78,7 +78,7 @@ impl fmt::Display for LatencyDiffers {
         let one = |other: &OtherLatency| {
             let OtherLatency { device, declared, compensated, from } = other;
             let from = from.map_or_else(String::new, |from| format!(" (from the {from})"));
-            format!("`{device}` {declared} where {compensated} is compensated{from}")
+            format!("`{device}` {declared} instead of {compensated}{from}")
         };
         let line = |other: &OtherLatency| format!("{}: {}", other.device, written(other.declared));
         let shown = &self.devices[..self.devices.len().min(SHOWN_MAX)];
@@ -88,7 +88,7 @@ impl fmt::Display for LatencyDiffers {
         let more = if more > 0 { format!(", and {more} more devices") } else { String::new() };
         write!(
             f,
-            "it declares another latency: {}{more}; to compensate what it declares, give it \
+            "its declared latency differs from the compensated one: {}{more}; to compensate the declared latency, set \
              `latency: {{{}}}` in the fleet file",
             all.join(", "),
             lines.join(", ")
@@ -110,7 +110,7 @@ mod tests {
         Latency { median: Span::from_millis(millis), spread: Span::ZERO }
     }
 
-    /// What is told of a device that declares `declared` while `used` is compensated, and the fleet's copy declares `known`.
+    /// The report about a device that declares `declared` while `used` is compensated, and the fleet's copy declares `known`.
     fn differs(
         declared: Option<i64>,
         used: Option<(i64, LatencySource)>,
@@ -140,17 +140,17 @@ mod tests {
         use LatencySource::{File, Fleet, Robot};
         assert_eq!(
             differs(Some(42), None, None).unwrap(),
-            "it declares another latency: `a` 42 ms where 0 ms is compensated; to compensate what it declares, \
-             give it `latency: {a: 42ms}` in the fleet file"
+            "its declared latency differs from the compensated one: `a` 42 ms instead of 0 ms; \
+             to compensate the declared latency, set `latency: {a: 42ms}` in the fleet file"
         );
         let from_file = differs(Some(42), Some((30, File)), None).unwrap();
-        assert!(from_file.contains("where 30 ms is compensated (from the file)"), "{from_file}");
+        assert!(from_file.contains("`a` 42 ms instead of 30 ms (from the file)"), "{from_file}");
         assert!(differs(Some(42), Some((30, Robot)), Some(30)).is_some());
         for same in [
             differs(None, Some((30, Fleet)), None),
             differs(Some(42), Some((41, Fleet)), None),
             differs(Some(42), Some((42, Robot)), Some(42)),
-            // The author of the fleet file knew, and says something else.
+            // The author of the fleet file knew the latency, and set another one.
             differs(Some(42), Some((30, Fleet)), Some(42)),
         ] {
             assert_eq!(same, None);
@@ -169,7 +169,7 @@ mod tests {
         let all = text(SHOWN_MAX);
         assert!(!all.contains("more devices") && all.contains(&format!("`d{}`", SHOWN_MAX - 1)), "{all}");
         let some = text(SHOWN_MAX + 2);
-        assert!(some.contains("is compensated, and 2 more devices; to compensate"), "{some}");
+        assert!(some.contains("instead of 0 ms, and 2 more devices; to compensate"), "{some}");
         assert!(!some.contains(&format!("d{SHOWN_MAX}")), "{some}");
     }
 }

@@ -5,7 +5,7 @@ use urrcp::{Server, Span, Timestamp};
 
 /// The interval at which the mission asks to be called during the greeting, so that it knows the lateness before the first act.
 const PROBED_EVERY: Span = Span::from_millis(10);
-/// The largest lateness counts for at least this time, and for at most twice this time.
+/// The largest lateness applies for at least this time, and for at most twice this time.
 const COUNTS_FOR: Span = Span::from_millis(5_000);
 /// Shorter delays are usual, and the shortest leases already allow for them.
 const LATENESS_MIN: Span = Span::from_millis(5);
@@ -15,12 +15,12 @@ const LATENESS_MAX: Span = Span::from_millis(100);
 /// The largest lateness of recent calls.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lateness {
-    /// When the mission asked to be called; `None` once it has been called.
+    /// The time at which the mission asked to be called; `None` once it has been called.
     due: Option<Timestamp<Server>>,
-    /// When the next call is due that only measures the lateness.
+    /// The next call that only measures the lateness.
     probe: Timestamp<Server>,
     since: Timestamp<Server>,
-    /// The largest lateness since `since`, and the largest one of the period before.
+    /// The largest lateness since `since`, and that of the previous period.
     largest: [Span; 2],
 }
 

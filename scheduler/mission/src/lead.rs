@@ -1,51 +1,51 @@
-//! How far ahead the start lies, and why.
+//! The time until the start, and its components.
 
 use serde::{Deserialize, Serialize};
 use urrcp::Span;
 
 use super::act::timing::Pace;
 
-/// Least time kept free between the end of all leases and the start, and on top of what preparing needs: a loaded machine
-/// wakes the scheduler tens of milliseconds late.
+/// Minimum time between the end of all leases and the start, also added to the preparation time: a loaded machine wakes the scheduler
+/// tens of milliseconds late.
 pub const LEAD_MARGIN_MIN: Span = Span::from_millis(50);
-/// Least pending lease: a few renewals must fit into it on the scheduler's millisecond timer.
+/// Minimum pending lease: a few renewals must fit into it on the scheduler's millisecond timer.
 const LEASE_MIN: Span = Span::from_millis(240);
-/// Longer round trips count as this one: a lead and a lease that follow every delay make a show wait for one bad link.
-/// Preparing and leases still leave room for two and more times as much.
+/// Longer round trips are treated like this one. If a lead and a lease followed every delay, a show would wait for one bad link. The
+/// preparation time and the leases still leave room for at least twice as much.
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
 /// A robot whose round trips are longer is refused: it could keep none of the leases.
 pub(crate) const ROUND_TRIP_LONGEST: Span = Span::from_millis(3_000);
-/// The longest pending lease that an act is given, and the longest margin behind it. What round trips need is at most 3 s; the rest
-/// is how early and how late robots may start by their clocks.
+/// The longest pending lease of an act, and the longest margin after it. Round trips need at most 3 s; the rest is for early and late
+/// starts because of clocks.
 pub(crate) const LEASE_MAX: Span = Span::from_millis(10_000);
-/// Bytes a second that any link and robot is trusted to take in, also on a host whose cores are all busy.
+/// Bytes per second that any link and robot is assumed to receive, even on a host whose cores are all busy.
 const BYTES_A_SECOND: i64 = 10_000_000;
-/// Time to encode, send, check and answer one request, in addition to the time of its bytes.
+/// Time to encode, send, check and answer one request, in addition to the transfer time of its bytes.
 const EACH_REQUEST: Span = Span::from_micros(500);
 
-/// The parts of the lead time: requests travel and are answered (`prepare`), then the decision is due; from then on the
-/// pending leases can run out (`lease`) before the start, and `margin` is left.
+/// The components of the lead time. Requests are sent and answered (`prepare`), then the decision is due. After that, the pending leases
+/// can end (`lease`) before the start, and `margin` remains.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LeadTime {
-    /// From the sending timestamp to the decision.
+    /// Time from the sending timestamp to the decision.
     #[serde(rename = "prepare_ms")]
     pub prepare: Span,
-    /// The pending lease: a robot that hears nothing for so long drops its script.
+    /// The pending lease: a robot that receives nothing for this long drops its script.
     #[serde(rename = "lease_ms")]
     pub lease: Span,
-    /// Between the end of the leases and the start.
+    /// Time between the end of the leases and the start.
     #[serde(rename = "margin_ms")]
     pub margin: Span,
 }
 
 impl LeadTime {
-    /// A renewal may take up to this part of a lease to arrive without anyone noticing.
+    /// The number of renewals per lease. A renewal may take up to one such part of a lease to arrive without being noticed.
     pub(crate) const RENEWALS_A_LEASE: i64 = 3;
 
-    /// What this fleet needs.
+    /// The lead time that this fleet needs.
     ///
-    /// `round_trip` is the longest that links keep to nearly always, `requests` and `bytes` what has to be sent in all,
-    /// `lease` the pending lease that requests carry.
+    /// `round_trip` is the longest that links nearly always keep, `requests` and `bytes` are the total to send, `lease` is the pending
+    /// lease that requests carry.
     #[must_use]
     pub(crate) fn needed(round_trip: Span, requests: usize, bytes: usize, pace: &Pace, lease: Span) -> Self {
         let requests = i64::try_from(requests).unwrap_or(i64::MAX);
@@ -65,20 +65,20 @@ impl LeadTime {
         LEASE_MIN.max(counted(round_trip) * (2 * Self::RENEWALS_A_LEASE))
     }
 
-    /// From the sending timestamp to the start.
+    /// Time from the sending timestamp to the start.
     #[must_use]
     pub fn total(&self) -> Span {
         self.prepare + self.lease + self.margin
     }
 
-    /// The same start further away: any extra time extends the *prepare* phase.
+    /// The lead time for a later start. Additional time extends the *prepare* phase.
     #[must_use]
     pub fn stretched_to(self, total: Span) -> Self {
         Self { prepare: self.prepare + (total - self.total()).max(Span::ZERO), ..self }
     }
 }
 
-/// A round trip as far as it counts.
+/// A round trip, limited to the maximum that is considered.
 pub(crate) fn counted(round_trip: Span) -> Span {
     round_trip.min(ROUND_TRIP_MAX)
 }

@@ -1,4 +1,4 @@
-//! When a robot that cannot be reached comes to rest by its own leases.
+//! The time at which an unreachable robot comes to rest by its own leases.
 
 use urrcp::{Server, Span, Timestamp};
 
@@ -7,9 +7,8 @@ use super::robot_state::RobotState;
 use super::script::{Ending, ScriptState};
 
 impl Act {
-    /// What a robot has left of a script when its act is closed, and when that ends by its own lease if nothing is heard any
-    /// more: while it waits by the pending one, else by the running one. `None` where nothing is left, `Some(None)` where it
-    /// goes on without a lease.
+    /// The end of a robot's remaining script by its own lease when its act is closed, if the robot receives nothing more: by the pending
+    /// lease while it waits, otherwise by the running one. `None` if nothing remains, `Some(None)` if it continues without a lease.
     pub(super) fn left_behind(
         &self,
         member: &Member,
@@ -28,7 +27,7 @@ impl Act {
         if nothing || !(plays || robot.stop_was_sent()) {
             return None;
         }
-        // What was sent last may have travelled as long as anything did.
+        // The last message may have travelled for the longest measured time.
         let delay = robot.clock.reading().map_or(Span::ZERO, |clock| clock.delay_max);
         let silent_since = robot.last_sent? + delay;
         let pending_ends = member.pending_lease(script, timing.lead.lease).map(|lease| silent_since + lease);
@@ -40,7 +39,7 @@ impl Act {
                 pending_ends.filter(|_| waits).map_or(running_ends, |pending| running_ends.max(pending))
             }),
         };
-        // One that has run out already has run out by now.
+        // A lease that has already ended ends now.
         Some(ends.map(|at| at.max(now)))
     }
 }

@@ -1,7 +1,7 @@
 //! Room in the queues of devices, across all acts in order of their start.
 //!
-//! A device holds as many scripts as its queue has places. Whatever frees one lets the next script in order of start
-//! follow, of whichever act.
+//! A device holds as many scripts as its queue has places. When a place becomes free, the next script in order of start follows, of any
+//! act.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use super::act::Act;
 use super::robot_state::RobotState;
 use super::script::{Script, ScriptRef};
 
-/// The scripts that may be sent to a robot now, in order of start. `acts` stand in order of their start.
+/// The scripts that may be sent to a robot now, in order of start. `acts` are in order of their start.
 pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<ScriptRef> {
     let mut room = room_of(acts, robot, state);
     let mut sendable = Vec::new();
@@ -31,7 +31,7 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
                 }
                 let Some(room) = room.get_mut(&script.plan.device) else { break };
                 if waits || *room == 0 || !act.is_open() || !act.lets_follow(place, index) {
-                    // Nothing overtakes a script that waits.
+                    // No script overtakes a waiting one.
                     *room = 0;
                     break;
                 }
@@ -43,17 +43,17 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
     sendable
 }
 
-/// Whether a script is sent later, when the drift of its robot's clock is known. It can wait because its device holds two others,
-/// which a lease would end anyway without this machine.
+/// Whether a script is sent later, when the drift of its robot's clock is known. It can wait because its device holds two others, which a
+/// lease would end anyway without this machine.
 fn waits_for_its_clock(ahead: &[&Script]) -> bool {
     let [.., _, last] = ahead else { return false };
     last.duration() >= LONG_ENOUGH && last.longest_lease().is_some_and(|lease| lease <= last.duration())
 }
 
-/// While a script of this length plays, the next one is surely sent.
+/// While a script of this length plays, the next one is certainly sent.
 const LONG_ENOUGH: Span = Span::from_millis(5_000);
 
-/// Places that are free on each device for which there is anything to send.
+/// The number of free places on each device with scripts to send.
 fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a DeviceId, usize> {
     let mut room = HashMap::new();
     let members = || acts.iter().filter_map(|act| act.member(robot));
@@ -69,8 +69,8 @@ fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a
     room
 }
 
-/// Whether every device of an act has room for its first script behind all that acts before it have there or still have to
-/// send.
+/// Whether every device of an act has room for its first script after all scripts of earlier acts that it holds or that are still to be
+/// sent.
 pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
     let (before, act) = (&acts[..index], &acts[index]);
     act.present().all(|member| {

@@ -4,8 +4,8 @@
 //! real fleet (`downbeat-runtime`), a dry run (`downbeat-rehearsal`) and the fault simulation. Each act is a machine of its own
 //! (`act/`): the mission passes it events, and performs the actions that it returns. `docs/mission.md` draws both.
 //!
-//! Events of one instant are handled in the order in which the driver hands them over; timers of that instant come last,
-//! so that an answer that arrives just in time counts.
+//! Events of one instant are handled in the order in which the driver passes them. Timers of that instant come last, so an answer that
+//! arrives just in time is accepted.
 
 #![warn(clippy::too_many_lines)]
 
@@ -91,34 +91,34 @@ pub use requests::may_be_for_a_stop;
 use robot_state::RobotState;
 pub use robot_state::{Rest, Standing, Totals};
 
-/// Where the mission stands. Timers of each phase are in its file.
+/// Phase of the mission. The timers of each phase are in its file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// Links, availability, initialization blocks, clocks, sensors.
     Greeting { deadline: Timestamp<Server> },
     /// Acts wait, are prepared, start and play.
     Performing,
-    /// Cancels are out; confirmations are awaited.
+    /// Cancels are sent; their confirmations are pending.
     Stopping { deadline: Timestamp<Server>, resend: Timestamp<Server>, by: StoppedBy },
     /// The report is ready.
     Ended,
 }
 
-/// Who began a stop.
+/// Trigger of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StoppedBy {
     Operator,
     Failure,
 }
 
-/// Durable records on their way to the disk.
+/// Durable records that are being written to disk.
 #[derive(Debug, Default)]
 struct Recording {
-    /// Durable records so far.
+    /// Number of durable records so far.
     count: u64,
-    /// Those that an act waits for, or that measure the disk: which record, which act, and since when.
+    /// Records that an act waits for, or that measure the disk: the record number, the act, and the time of the request.
     awaited: VecDeque<(u64, Option<u32>, Timestamp<Server>)>,
-    /// How long the slowest of the last ones took; `None` before the first.
+    /// Duration of the slowest of the last writes; `None` before the first.
     longest: Option<Span>,
 }
 
@@ -128,38 +128,38 @@ pub struct Mission {
     choreography: Arc<Choreography>,
     options: MissionOptions,
     robots: Vec<RobotState>,
-    /// The index of each robot of the first act, in the order of its plan.
+    /// The index of each robot of the first act, in the order of the act's plan.
     first_robots: Vec<Option<usize>>,
-    /// For each robot: the first script of each device, from the first act on, and the largest speed of the device in that act.
+    /// For each robot: the first script of each device from the first act on, and the device's largest speed in that act.
     first_uses: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     phase: Phase,
     /// In order of their start; the last one may still wait.
     acts: Vec<Act>,
     acts_begun: u32,
-    /// How many of them repeat an act that was withdrawn.
+    /// The number of those acts that repeat a withdrawn act.
     acts_repeated: u32,
-    /// Another act would have followed if `acts_max` had let it.
+    /// Whether `acts_max` prevented a further act.
     bounded: bool,
-    /// The act that a failure policy wants next.
+    /// The next act that a failure policy requests.
     detour: Option<usize>,
-    /// After a stop the mission goes on with this act.
+    /// The act with which the mission continues after a stop.
     then: Option<usize>,
     /// The act that is planned after a stop.
     transfer: transfer::Transfer,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
-    /// The act with the start that the operator fixes has been lined up.
+    /// Whether the act whose start the operator fixed has been queued.
     start_was_fixed: bool,
-    /// The delay of this machine that acts allow for, as for a slower link: at least twice the delay of the last withdrawn act.
+    /// The allowance for delays of this machine, treated like a slower link: at least twice the delay of the last withdrawn act.
     hold_up: Span,
     /// How late this machine calls the mission.
     lateness: lateness::Lateness,
     next_round: Option<Timestamp<Server>>,
-    /// Rounds that this machine was too late for.
+    /// Number of rounds that this machine started too late.
     rounds_held_up: u64,
-    /// When it is next looked whether a robot has been silent for too long.
+    /// Next check whether a robot has been silent for too long.
     next_silence: Option<Timestamp<Server>>,
-    /// When it is next looked whether a robot has not said which one it is.
+    /// Next check whether a robot has not identified itself.
     next_name: Option<Timestamp<Server>>,
     /// When stops were last sent.
     stopped_at: Option<Timestamp<Server>>,
@@ -168,30 +168,30 @@ pub struct Mission {
     /// Messages that must not be sent before an act is committed or withdrawn.
     deferred: Vec<(usize, Message)>,
     recording: Recording,
-    /// What became of each act of the scenario.
+    /// The fate of each act of the scenario.
     fates: Vec<ActCourse>,
     /// Whether robots may have moved in a mission that is withdrawn. Its acts are not in `fates`.
     moved_before: bool,
-    /// Acts in a row without a robot left to play them.
+    /// Number of consecutive acts without a robot left to play them.
     skipped: usize,
-    /// Until when clocks are sampled further, and when next.
+    /// The end of additional clock sampling, and the time of the next sample.
     sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
     preflight: Option<Preflight>,
     ntp: Option<NtpState>,
     outcome: Option<Outcome>,
-    /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
+    /// The reason of the stop, if neither the outcome nor a failure of a robot states it.
     because: Option<String>,
-    /// How often the journal was removed or replaced while this process wrote it.
+    /// How often the journal was removed or replaced while this process was writing it.
     journal_written_again: u64,
-    /// Which operator has stopped it, where that is another than who began it.
+    /// The operator who stopped the mission, if another operator started it.
     said_stop: Option<String>,
-    /// Something failed on the way, whatever follows.
+    /// The first failure on the way, regardless of what follows.
     flawed: Option<Outcome>,
     /// Set by the first act whose starts were too far apart or whose steps were too late.
     flaw_of_times: Option<Outcome>,
     reports: VecDeque<ActReport>,
     reports_omitted: usize,
-    /// When the message arrived that is being handled.
+    /// Arrival time of the message that is being handled.
     arrived: Timestamp<Server>,
     actions: Vec<Action>,
 }
@@ -200,7 +200,7 @@ impl Mission {
     /// A mission of this choreography, beginning now.
     ///
     /// # Errors
-    /// A robot of the choreography that has no participant.
+    /// Fails if a robot of the choreography has no participant.
     pub fn new(
         choreography: impl Into<Arc<Choreography>>,
         participants: Vec<Participant>,
@@ -288,15 +288,15 @@ impl Mission {
         Self::new(Choreography::of_plan(plan), participants, options, now)
     }
 
-    /// Takes an event that happened at `now`. [`Mission::advance`] has to follow at the same instant, once no further event of
-    /// that instant waits: what follows from the event may be decided there.
+    /// Takes an event that happened at `now`. [`Mission::advance`] must follow at the same instant, once no further event of that instant
+    /// is pending. It may decide the consequences of the event.
     #[must_use]
     pub fn handle(&mut self, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.happened(now, now, event)
     }
 
-    /// Takes at `now` an event that happened at `at`: a message may have waited on this machine. What is decided and sent
-    /// depends on what time it is, what is measured on when it came. As after [`Mission::handle`], [`Mission::advance`] has to follow.
+    /// Takes at `now` an event that happened at `at`, because a message may have waited on this machine. Decisions and sends depend on
+    /// `now`, measurements on `at`. As after [`Mission::handle`], [`Mission::advance`] must follow.
     #[must_use]
     pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.arrived = at;
@@ -326,8 +326,8 @@ impl Mission {
         std::mem::take(&mut self.actions)
     }
 
-    /// Does what is due at `now`, and what follows from the events before it. To be called after every [`Mission::handle`], and
-    /// when [`Mission::next_wakeup`] has come.
+    /// Performs everything that is due at `now`, and handles the consequences of earlier events. Must be called
+    /// after every [`Mission::handle`], and at [`Mission::next_wakeup`].
     #[must_use]
     pub fn advance(&mut self, now: Timestamp<Server>) -> Vec<Action> {
         self.lateness.called(now);
@@ -390,29 +390,29 @@ impl Mission {
         &self.robots[robot].id
     }
 
-    /// What it plays.
+    /// The choreography that the mission plays.
     #[must_use]
     pub fn choreography(&self) -> &Choreography {
         &self.choreography
     }
 
-    /// How it ended; `None` before. [`crate::report::Report::of`] tells what really happened.
+    /// The final outcome; `None` before the end. [`crate::report::Report::of`] reports what really happened.
     #[must_use]
     pub fn outcome(&self) -> Option<&Outcome> {
         self.outcome.as_ref().filter(|_| self.phase == Phase::Ended)
     }
 
-    /// How often the journal was removed or replaced while this process wrote it.
+    /// How often the journal was removed or replaced while this process was writing it.
     pub(crate) const fn journal_written_again(&self) -> u64 {
         self.journal_written_again
     }
 
-    /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
+    /// The reason of the stop, if neither the outcome nor a failure of a robot states it.
     pub(crate) fn because(&self) -> Option<&str> {
         self.because.as_deref()
     }
 
-    /// The outcome of the way home. `None` if no way home was requested.
+    /// The outcome of the move to the default positions. `None` if no way home was requested.
     pub(crate) const fn home(&self) -> Option<&TransferReport> {
         self.transfer.home.as_ref()
     }
@@ -421,7 +421,7 @@ impl Mission {
         self.transfer.approach.as_ref()
     }
 
-    /// How many acts were to begin at most, where another would have followed.
+    /// The maximum number of acts, if it prevented a further act.
     pub(crate) fn bound_reached(&self) -> Option<u32> {
         self.options.acts_max.filter(|_| self.bounded)
     }
@@ -431,7 +431,7 @@ impl Mission {
         self.options.acts_max.get_or_insert(acts);
     }
 
-    /// The operator leaves now, without waiting for anything.
+    /// Closes the mission at once, without waiting for anything: the operator leaves.
     pub(crate) fn leave(&mut self, now: Timestamp<Server>) {
         self.close_all(now);
     }
@@ -440,13 +440,13 @@ impl Mission {
         &self.robots
     }
 
-    /// The ids of its robots, in order.
+    /// The ids of the mission's robots, in order.
     pub fn robot_ids(&self) -> impl ExactSizeIterator<Item = &RobotId> {
         self.robots.iter().map(|robot| &robot.id)
     }
 
-    /// For each robot: the devices that another process has moved and that have not been sent a stop. A mission that only stops
-    /// robots first asks which robot it has reached.
+    /// For each robot: the devices that another process has moved and that have not been sent a stop. A mission that only stops robots
+    /// first asks which robot answers on the link.
     pub fn moved_by_another(&self) -> impl Iterator<Item = BTreeSet<DeviceId>> {
         let devices = |robot: &RobotState| {
             if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }
@@ -454,13 +454,13 @@ impl Mission {
         self.robots.iter().map(devices)
     }
 
-    /// The reports of the acts that were sent, in order, and how many earlier ones are no longer kept.
+    /// The reports of the acts that were sent, in order, and the number of earlier reports that are no longer kept.
     #[must_use]
     pub const fn act_reports(&self) -> (&VecDeque<ActReport>, usize) {
         (&self.reports, self.reports_omitted)
     }
 
-    /// Every act of the scenario and what became of it, in order.
+    /// The fate of every act of the scenario, in order.
     #[must_use]
     pub fn fates(&self) -> &[ActCourse] {
         &self.fates
@@ -476,7 +476,7 @@ impl Mission {
         &self.options
     }
 
-    /// Robots that follow NTP go on agreeing with each other whatever this machine's clock does; people are told.
+    /// Reports a loss of NTP. Robots that follow NTP stay in sync with each other, whatever the clock of this machine does.
     fn server_time(&mut self, state: NtpState) {
         let before = self.ntp.replace(state).and_then(|before| before.lost_since);
         match (before, state.lost_since) {
@@ -502,7 +502,7 @@ impl Mission {
     }
 }
 
-/// The reason of a refusal, or a stand-in where the robot gave none.
+/// The reason of a refusal, or a default error if the robot gave none.
 fn error_of_status(error: Option<&ControlError>) -> ControlError {
     let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
     error.cloned().unwrap_or_else(without)
@@ -510,7 +510,7 @@ fn error_of_status(error: Option<&ControlError>) -> ControlError {
 
 /// A robot of the choreography has no participant.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("robot `{robot}` of the plan takes no part in the mission")]
+#[error("robot `{robot}` of the plan is not part of the mission")]
 pub struct MissingParticipant {
     /// The robot's id.
     pub robot: RobotId,

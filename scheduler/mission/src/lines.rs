@@ -12,7 +12,7 @@ use super::record::{ENDED_ACT, EndedAct};
 /// The line of a record of any type, with its time.
 ///
 /// # Errors
-/// It cannot be written as JSON.
+/// If it cannot be written as JSON.
 pub fn dated_line(at: Timestamp<Server>, record: &impl Serialize) -> io::Result<Vec<u8>> {
     #[derive(Serialize)]
     struct Dated<'a, T> {
@@ -26,7 +26,7 @@ pub fn dated_line(at: Timestamp<Server>, record: &impl Serialize) -> io::Result<
 /// A line: the checksum, then the JSON.
 ///
 /// # Errors
-/// It cannot be written as JSON.
+/// If it cannot be written as JSON.
 pub fn line(json: &impl Serialize) -> io::Result<Vec<u8>> {
     let json = serde_json::to_vec(json)?;
     let mut bytes = format!("{:08x} ", crc32fast::hash(&json)).into_bytes();
@@ -35,13 +35,13 @@ pub fn line(json: &impl Serialize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Length of the whole lines at the beginning, in bytes.
+/// Length of the complete lines at the beginning, in bytes.
 pub fn whole_length(bytes: &[u8]) -> usize {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n');
     lines.take_while(|line| sound(line).is_some()).map(<[u8]>::len).sum()
 }
 
-/// The JSON value of a whole line; `None` if the line is not whole.
+/// The JSON value of a complete line; `None` if the line is incomplete.
 pub fn whole(line: &[u8]) -> Option<Value> {
     serde_json::from_slice(sound(line)?).ok()
 }

@@ -1,5 +1,5 @@
-//! When devices begin to move, as sensors show it while a mission plays (`run --verify-motion`): which readings are asked for around
-//! the first movement of each device in an act, and what they say.
+//! The starts of motions, as sensors show them while a mission plays (`run --verify-motion`): which readings are requested around the
+//! first movement of each device in an act, and their evaluation.
 
 use std::collections::VecDeque;
 
@@ -13,15 +13,15 @@ use urrcp::{
 use super::act::Act;
 use super::robot_state::RobotState;
 
-/// A device is watched from so long before its movement, if the act is committed by then.
+/// A device is watched from this long before its movement, if the act is committed by then.
 const BEFORE: Span = Span::from_millis(80);
-/// A device is watched for so long after its movement should have begun, unless it is told to do something else before.
+/// A device is watched for this long after the planned start of its movement, unless it receives another command before.
 const AFTER: Span = Span::from_millis(400);
-/// Between two questions to one sensor.
+/// Interval between two questions to one sensor.
 const EVERY: Span = Span::from_millis(4);
-/// An answer that takes longer is not waited for.
+/// The maximum time to wait for an answer.
 const ANSWERED: Span = Span::from_millis(250);
-/// Of the standard errors of an onset, so many make its uncertainty: 95 % of a normal distribution.
+/// The uncertainty of an onset in standard errors: 95 % of a normal distribution.
 const STANDARD_ERRORS: f64 = 2.0;
 
 /// The first movement of one device in an act, and what its sensor shows around it.
@@ -36,66 +36,66 @@ pub(crate) struct Watched {
     visible: f64,
     range: Option<(f64, f64)>,
     movement: Movement,
-    /// What is compensated: the motion should begin so long after the command.
+    /// The compensated latency: the planned time from the command to the motion.
     latency: Span,
-    /// As it was measured.
+    /// The measured lag.
     lag: Option<Lag>,
     readings: Vec<(Timestamp<Server>, Timestamp<Server>, f64)>,
-    /// When it was last asked, and whether the answer is awaited.
+    /// The time of the last question, and whether its answer is pending.
     asked: Option<(Timestamp<Server>, bool)>,
 }
 
-/// What a device is told to do at first.
+/// The first command of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Movement {
-    /// When, from the start of the act.
+    /// The time of the movement from the start of the act.
     due: Span,
-    /// How long it takes; zero is a step.
+    /// The duration of the movement; zero for a step.
     lasts: Span,
-    /// `None`: where it is then.
+    /// The start position; `None` for the current position at that time.
     from: Option<f64>,
     to: f64,
-    /// When it is told something else.
+    /// The time of the next command.
     until: Option<Span>,
 }
 
-/// When a device began to move.
+/// The start of a device's motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionReport {
-    /// Its robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Which device.
+    /// Id of the device.
     pub device: DeviceId,
-    /// When it should have begun, by the scheduler's clock: its command and the latency that is compensated.
+    /// The planned start of the motion by the scheduler's clock: its command plus the compensated latency.
     pub planned: Timestamp<Server>,
-    /// Begin minus plan; `None` where the readings do not tell it.
+    /// Actual minus planned start; `None` if the readings do not show it.
     #[serde(rename = "error_ms")]
     pub error: Option<Span>,
-    /// Of the begin.
+    /// The uncertainty of the start.
     #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Span>,
-    /// How many readings there are.
+    /// The number of readings.
     pub readings: usize,
-    /// Why the readings do not tell it.
+    /// The reason why the readings do not show it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unclear: Option<String>,
 }
 
-/// How far apart motions began, relative to their plans.
+/// The spread of motions, relative to their plans.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionSpread {
-    /// Latest minus earliest.
+    /// The latest minus the earliest error.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
-    /// Of the spread: of the two together.
+    /// The uncertainty of the spread: the sum of both.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
-    /// How many motions are compared.
+    /// The number of compared motions.
     pub motions: usize,
 }
 
 impl MotionSpread {
-    /// `None` of fewer than two motions whose begin is known.
+    /// The spread; `None` for fewer than two motions with a known start.
     #[must_use]
     pub fn of(motions: &[MotionReport]) -> Option<Self> {
         let known = || motions.iter().filter_map(|motion| motion.error.zip(motion.uncertainty));
@@ -107,7 +107,7 @@ impl MotionSpread {
 }
 
 impl Watched {
-    /// Of each device of an act with a sensor that shows its position.
+    /// For each device of an act with a sensor that shows its position.
     pub(crate) fn of(act: &Act, robots: &[RobotState]) -> Vec<Self> {
         let mut all = Vec::new();
         for member in act.members() {
@@ -156,7 +156,7 @@ impl Watched {
         &self.sensor
     }
 
-    /// When it is to be asked next, in an act that starts then; `None`: not any more.
+    /// The next question in an act with this start; `None` after the last one.
     pub(crate) fn due(&self, start: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let due = start + self.movement.due;
         let next = match self.asked {
@@ -173,7 +173,7 @@ impl Watched {
         self.asked = Some((now, true));
     }
 
-    /// Takes an answer. One that was no longer awaited belongs to an earlier question, of which it cannot be known when it was asked.
+    /// Takes an answer. An answer that was not pending belongs to an earlier question, whose time is unknown.
     pub(crate) fn answered(&mut self, arrived: Timestamp<Server>, value: Option<f64>) {
         let Some((asked, true)) = self.asked else { return };
         self.asked = Some((asked, false));
@@ -193,7 +193,7 @@ impl Watched {
         let readable = Readable { range: self.range, visible: self.visible };
         let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), movement, samples };
         let found = downbeat_onset::onset(&trial, readable, self.lag);
-        // One motion alone hardly tells a late begin from a slow one.
+        // A single motion is not enough to distinguish a late start from a slow one.
         let without_lag = match self.lag {
             Some(_) => found,
             None => downbeat_onset::onset(
@@ -230,7 +230,7 @@ fn range_of(sensor: &Device) -> Option<(f64, f64)> {
     }
 }
 
-/// The first change of position that the steps of a device ask for. What it does before its first step depends on where it is.
+/// The first change of position in the steps of a device. The behavior of the device before its first step depends on its position.
 fn first_movement(steps: &[(Span, &Step)], linear: bool) -> Option<Movement> {
     let steps: Vec<(Span, f64)> = (steps.iter())
         .filter(|(_, step)| step.setpoint.control_type == ControlType::Position)
@@ -248,7 +248,7 @@ fn first_movement(steps: &[(Span, &Step)], linear: bool) -> Option<Movement> {
                 Movement { due: ends, lasts: Span::ZERO, from: Some(from), to, until: next }
             })
         }
-        // A single value that is set, and held.
+        // A single value that is set and held.
         None if !linear => {
             Some(Movement { due: *first, lasts: Span::ZERO, from: None, to: steps[0].1, until: None })
         }
@@ -304,7 +304,7 @@ mod tests {
         assert_eq!(spread.motions, 2);
     }
 
-    /// A sensor that shows a ramp of a second, which begins 100 ms after the start of its act.
+    /// A sensor that shows a ramp of one second, which begins 100 ms after the start of its act.
     fn watched() -> Watched {
         Watched {
             robot: 0,
@@ -371,7 +371,7 @@ mod tests {
             let mut watched = watched();
             watched.sensor_delay = Span::from_millis(delay);
             let due = start + watched.movement.due;
-            // It begins to follow after 60 ms: 40 a second, as it is told to.
+            // It begins to follow after 60 ms, at the commanded 40 per second.
             let shown = |millis: i64| 5.0 + 0.04 * (millis - 60).max(0) as f64;
             watched.readings = (-20..100)
                 .map(|k| (due + Span::from_millis(4 * k), due + Span::from_millis(4 * k), shown(4 * k)))

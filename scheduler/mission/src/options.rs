@@ -1,4 +1,4 @@
-//! Who takes part in a mission, and what the operator chose.
+//! The participants of a mission, and the choices of the operator.
 
 use std::sync::Arc;
 
@@ -10,35 +10,35 @@ use super::transfer::PlanTransfer;
 use crate::session::Session;
 use crate::zone::Zone;
 
-/// A robot that takes part, by its index in the mission from here on.
+/// A robot that takes part. From here on, it is identified by its index in the mission.
 #[derive(Clone, Debug)]
 pub struct Participant {
     /// Its id in the fleet file.
     pub id: RobotId,
-    /// Its static description, if the fleet file gives one, with the id by which it has to call itself.
+    /// Its static description, if the fleet file gives one, with the id by which it must identify itself.
     pub block: Option<InitializationBlock>,
-    /// What the fleet file says of it.
+    /// Its settings in the fleet file.
     pub settings: MissionSettings,
     /// Whether the robot runs in the process of the mission. It ends with that process, so no earlier one can still move it.
     pub in_process: bool,
 }
 
 impl Participant {
-    /// A robot of which nothing but this is known, and that wakes up for a start on time.
+    /// A robot of which only this is known, and that wakes up in time for a start.
     #[must_use]
     pub fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
         let settings = MissionSettings { wake_up: Span::ZERO, ..MissionSettings::default() };
         Self { id, block, settings, in_process: false }
     }
 
-    /// What the robot has to call itself.
+    /// The id with which the robot must identify itself.
     #[must_use]
     pub fn own_id(&self) -> &RobotId {
         self.block.as_ref().map_or(&self.id, |block| &block.id)
     }
 }
 
-/// Whether steps 1 to 4 of the protocol are played.
+/// Whether steps 1 to 4 of the protocol are performed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
@@ -49,22 +49,22 @@ pub enum Greeting {
     Skip,
 }
 
-/// What becomes of a robot that is not there when the mission begins.
+/// The treatment of a robot that is missing when the mission begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Join {
-    /// Nothing starts without it.
+    /// The mission does not start without it.
     #[default]
     Refuse,
-    /// The others begin, and it joins at the first act that begins after it has come.
+    /// The others begin, and it joins at the first act that begins after its arrival.
     NextAct,
 }
 
-/// What the operator chose.
+/// The choices of the operator.
 #[derive(Clone, Debug)]
 pub struct MissionOptions {
-    /// Steps 1 to 4, or not.
+    /// Whether to perform steps 1 to 4.
     pub greeting: Greeting,
     /// Overrides the scenario's lead time.
     pub lead: Option<Span>,
@@ -72,66 +72,68 @@ pub struct MissionOptions {
     pub patience: Span,
     /// Uncertainty of the server's own clock against NTP.
     pub server_uncertainty: Span,
-    /// On whose behalf robots are driven. Without one a robot cannot tell this scheduler from another.
+    /// The session for which robots are driven. Without one, a robot cannot distinguish this scheduler from another.
     pub session: Option<Session>,
     /// The starts at fixed times.
     pub fixed: FixedStarts,
-    /// With which act to begin, by its index.
+    /// The index of the first act.
     pub first_act: usize,
-    /// No further act begins once so many have, those included that waited in vain; the mission then comes to its end as
-    /// after its last act. The first act always begins. `None`: no bound.
+    /// The maximum number of acts, including those that waited without success. After them, the mission ends as after its last act. The
+    /// first act always begins. `None`: no limit.
     pub acts_max: Option<u32>,
-    /// What becomes of robots that are not there at first.
+    /// The treatment of robots that are missing at first.
     pub join: Join,
-    /// Takes robots that belong to other sessions, where they let it: they have proven who they are, and this operator has the role.
+    /// Whether to take over robots that belong to other sessions, if these permit it: the robots have proven their identity, and this
+    /// operator has the role.
     pub seize: bool,
-    /// Reads the sensors that show positions around the first movement of each device in an act, and tells when motions began.
+    /// Whether to read the sensors that show positions around the first movement of each device in an act, and report when motions began.
     pub verify_motion: bool,
-    /// Ends once the fleet is checked.
+    /// Whether to end once the fleet is checked.
     pub preflight_only: bool,
-    /// The time zone of the times of day for which acts wait.
+    /// The time zone of the times of day that acts wait for.
     pub zone: Zone,
-    /// Plans acts after a stop. Without it, each robot goes to its default positions on its own, and the act after a failure
-    /// begins only if its robots have come to rest at their first positions.
+    /// Plans acts after a stop. Without it, each robot moves to its default positions on its own, and the act after a failure begins only
+    /// if its robots have come to rest at their first positions.
     pub transfer: Option<Arc<dyn PlanTransfer>>,
-    /// Checks after every event what must hold of the mission, and panics where it does not. By default, only programs that are not optimized do.
+    /// Whether to check the invariants of the mission after every event, and panic if one is violated. By default, only unoptimized
+    /// programs check them.
     pub check_invariants: bool,
 }
 
 /// The starts at fixed times: by the operator, or by acts that wait for a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FixedStarts {
-    /// `None`: the operator fixes no start.
+    /// The start that the operator fixes; `None` if the operator fixes none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<FixedStart>,
-    /// By how much a start may be later than fixed if it would otherwise not take place.
+    /// The permitted delay of a start that would otherwise not take place.
     #[serde(rename = "within_ms", default)]
     pub within: Span,
 }
 
-/// The first start of an act, as the operator fixes it.
+/// The first start of an act, fixed by the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FixedStart {
     /// The index of the act.
     pub act: usize,
-    /// When it starts.
+    /// The time of the start.
     pub at: Timestamp<Server>,
 }
 
 impl MissionOptions {
-    /// The session as robots know it, with its key. It must not be shown.
+    /// The session id as sent to robots, with its key. It must not be displayed.
     #[must_use]
     pub fn session_on_the_wire(&self) -> Option<SessionId> {
         self.session.as_ref().map(|session| session.on_the_wire().clone())
     }
 
-    /// The session as people know it.
+    /// The session's name for users.
     #[must_use]
     pub fn session_name(&self) -> Option<&SessionId> {
         self.session.as_ref().map(Session::name)
     }
 
-    /// With what the names of this session's requests begin.
+    /// The prefix of the request ids of this session.
     pub(crate) fn names_begin(&self) -> String {
         self.session_name().map(|name| format!("{name}/")).unwrap_or_default()
     }

@@ -1,4 +1,4 @@
-//! How a mission ended.
+//! The outcome of a mission.
 
 use std::fmt;
 
@@ -7,46 +7,46 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::LeadTime;
 
-/// How a mission ended.
+/// The outcome of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Outcome {
-    /// All robots started together and came to their end.
+    /// All robots started together and finished.
     Done,
-    /// The others came to their end; robots that failed were left out, as `on_failure` says.
+    /// The other robots finished. Robots that failed were left out, according to `on_failure`.
     DoneWithout,
-    /// It came to its end, and acts were left out on the way: what they waited for did not come.
+    /// It finished, and acts were left out on the way because their condition was not met.
     DoneSkipping {
         /// The names of these acts.
         acts: Vec<String>,
     },
-    /// It was played to its end, but starts were further apart, or further from their plan, than the scenario tolerates, or clocks
-    /// drifted by more than that while it played.
+    /// It was played to its end, but starts were further apart, or further off the plan, than the scenario tolerates, or clocks drifted
+    /// by more than that while it played.
     OutOfTolerance {
-        /// How far apart the starts of an act were, or how far one was from its plan, by the robots' own clocks.
+        /// The spread of the starts of an act, or the largest start error, by the robots' own clocks.
         #[serde(rename = "spread_ms")]
         spread: Span,
-        /// The scenario's start_tolerance.
+        /// The scenario's `start_tolerance`.
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
     /// It was played to its end, but steps were later than the scenario tolerates.
     StepsLate {
-        /// How late the latest step was, by its robot's own clock.
+        /// The largest lateness of a step, by its robot's own clock.
         #[serde(rename = "late_ms")]
         late: Span,
-        /// The scenario's start_tolerance.
+        /// The scenario's `start_tolerance`.
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
-    /// It was played to its end, as far as is known: some robots cannot say what they did.
+    /// It was played to its end, as far as known. Some robots cannot report what they did.
     Unknown,
     /// The fleet is checked and nothing was sent.
     Ready,
-    /// The fleet is checked, and would not start.
+    /// The fleet is checked, and must not start.
     NotReady,
-    /// None started.
+    /// No robot started.
     NotStarted,
     /// It started, then a robot failed, and all were stopped.
     Failed,
@@ -54,46 +54,46 @@ pub enum Outcome {
     Stopped,
     /// The operator left without waiting for the stop to be confirmed.
     Abandoned,
-    /// The lead time asked for is too short; nothing was sent.
+    /// The requested lead time is too short; nothing was sent.
     LeadTooShort {
-        /// What was asked for.
+        /// The requested lead time.
         #[serde(rename = "lead_ms")]
         lead: Span,
-        /// What this fleet needs.
+        /// The lead time that this fleet needs.
         needed: LeadTime,
         /// The earliest start that would have been safe.
         safe_start: Timestamp<Server>,
     },
-    /// The start asked for has passed, or is too soon; nothing was sent.
+    /// The requested start has passed, or is too soon; nothing was sent.
     StartTooSoon {
-        /// What was asked for.
+        /// The requested start.
         start: Timestamp<Server>,
         /// The earliest start that would have been safe.
         safe_start: Timestamp<Server>,
     },
-    /// The pending lease asked for is too short; nothing was sent.
+    /// The requested pending lease is too short; nothing was sent.
     LeaseTooShort {
-        /// What was asked for.
+        /// The requested lease.
         #[serde(rename = "lease_ms")]
         lease: Span,
-        /// What the measured delays need.
+        /// The lease that the measured delays need.
         #[serde(rename = "needed_ms")]
         needed: Span,
     },
-    /// The journal cannot be written, or its disk stands still: nothing more may be promised, and all were stopped.
+    /// The journal cannot be written, or its disk has stalled. No further promise is possible, and all robots were stopped.
     JournalLost {
-        /// Why, for people.
+        /// The reason, for users.
         reason: String,
     },
-    /// The scheduler itself was held up over the decision; none started.
+    /// The scheduler itself was delayed before the decision; no robot started.
     DecisionLate {
-        /// By how much.
+        /// The delay.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// The scheduler itself or its disk was held up over the commitment; none started.
+    /// The scheduler itself or its disk was delayed before the commitment; no robot started.
     CommitmentLate {
-        /// By how much, at least.
+        /// The minimum delay.
         #[serde(rename = "by_ms")]
         by: Span,
     },
@@ -113,12 +113,12 @@ impl Outcome {
         )
     }
 
-    /// What held the scheduler up, for people, if that is why an act was withdrawn.
+    /// The cause of the scheduler's delay, for users, if an act was withdrawn for that reason.
     pub(crate) fn hold_up(&self) -> Option<String> {
         let (what, late) = match self {
-            Self::DecisionLate { by } => ("this machine was held up, the decision", (*by, "")),
+            Self::DecisionLate { by } => ("this machine was delayed, and the decision", (*by, "")),
             Self::CommitmentLate { by } => {
-                ("this machine or its disk was held up, the commitment", (*by, " or more"))
+                ("this machine or its disk was delayed, and the commitment", (*by, " or more"))
             }
             _ => return None,
         };
@@ -129,7 +129,7 @@ impl Outcome {
     }
 }
 
-const LESS_TO_DO: &str = "give this machine less to do meanwhile";
+const LESS_TO_DO: &str = "reduce the load on this machine during missions";
 
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -142,24 +142,24 @@ impl fmt::Display for Outcome {
             }
             Self::OutOfTolerance { spread, tolerance } => write!(
                 f,
-                "played to its end, but out of tolerance: robots were {spread} apart or off their plan, start_tolerance is {tolerance}"
+                "played to the end, but out of tolerance: robots were {spread} apart or off their plan; start_tolerance is {tolerance}"
             ),
             Self::StepsLate { late, tolerance } => write!(
                 f,
-                "played to its end, but steps were up to {late} late, start_tolerance is {tolerance}"
+                "played to the end, but steps were up to {late} late; start_tolerance is {tolerance}"
             ),
             Self::Unknown => {
-                f.write_str("played to its end as far as is known: some robots do not say what they did")
+                f.write_str("played to the end as far as known: some robots do not report their progress")
             }
             Self::Ready => f.write_str("ready, nothing was sent"),
             Self::NotReady => f.write_str("not ready, nothing was sent"),
             Self::NotStarted => f.write_str("not started"),
             Self::Failed => f.write_str("failed and stopped"),
             Self::Stopped => f.write_str("stopped by the operator"),
-            Self::Abandoned => f.write_str("the operator left before the stop was confirmed"),
+            Self::Abandoned => f.write_str("the operator exited before the stop was confirmed"),
             Self::LeadTooShort { lead, needed, safe_start } => write!(
                 f,
-                "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); the earliest safe start was {safe_start}",
+                "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} lease, {} margin); the earliest safe start was {safe_start}",
                 needed.total(),
                 needed.prepare,
                 needed.lease,
@@ -167,11 +167,11 @@ impl fmt::Display for Outcome {
             ),
             Self::StartTooSoon { start, safe_start } => write!(
                 f,
-                "not sent: a start at {start} has passed or is too soon, the earliest safe start was {safe_start}"
+                "not sent: the start at {start} has passed or is too soon; the earliest safe start was {safe_start}"
             ),
             Self::LeaseTooShort { lease, needed } => write!(
                 f,
-                "not sent: a pending stop_condition of {lease} is too short, the measured delays need {needed}"
+                "not sent: a pending stop_condition of {lease} is too short; the measured delays require {needed}"
             ),
             Self::JournalLost { reason } => write!(f, "stopped: {reason}"),
             Self::DecisionLate { .. } | Self::CommitmentLate { .. } => {
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn a_delay_that_is_none_is_not_told_as_zero() {
         let told = |by| Outcome::CommitmentLate { by }.to_string();
-        let begin = "not started: this machine or its disk was held up, the commitment came ";
+        let begin = "not started: this machine or its disk was delayed, and the commitment came ";
         assert_eq!(told(Span::ZERO), format!("{begin}too late; {LESS_TO_DO}"));
         assert_eq!(told(Span::from_millis(3)), format!("{begin}3 ms or more too late; {LESS_TO_DO}"));
         assert_eq!(Outcome::Failed.hold_up(), None);

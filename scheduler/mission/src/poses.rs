@@ -26,10 +26,10 @@ pub(super) struct Expected {
 /// A device that a stop has left adrift may slow down for some time. The mission asks for its position again until it no longer
 /// changes, for this long at most.
 const SLOWS_MAX: Span = Span::from_millis(4_000);
-/// From the second question on, the least time between two of them.
+/// Minimum time between two questions, from the second question on.
 const ASK_AGAIN: Span = Span::from_millis(100);
-/// The same of positions that a sensor reads: in less time, the readings of a device that still moves may differ by less than the error
-/// of its sensor.
+/// The same for positions that a sensor reads. Within less time, the readings of a device that still moves may differ by less than the
+/// error of its sensor.
 const READ_AGAIN: Span = Span::from_millis(1_000);
 
 /// Maximum number of sensors per robot that are read only for display.
@@ -62,7 +62,7 @@ impl RobotState {
         self.takes_inquiries() || described().is_some()
     }
 
-    /// Whether two statements of a device's position may be of the same position.
+    /// Whether two reported positions of a device may be the same position.
     fn is_same_position(&self, device: &DeviceId, one: f64, other: f64) -> bool {
         let is_read = self.positions.iter().any(|(read, _)| read == device);
         let error = self.error_of(device).filter(|_| is_read).unwrap_or_default();
@@ -154,9 +154,9 @@ impl Mission {
         }
     }
 
-    /// Asks members of an act for the positions of their devices if the greeting has not checked them, and again as long as a device
-    /// slows down. An act with a fixed start has to be sent by `send_by`. Returns the time by which answers are due, if answers are
-    /// still expected. A robot that joined late and does not answer by then is absent again.
+    /// Asks members of an act for the positions of their devices if the greeting has not checked them, and again while a device slows
+    /// down. An act with a fixed start must be sent by `send_by`. Returns the time by which answers are due, if answers are still
+    /// expected. A robot that joined late and does not answer by then is absent again.
     pub(super) fn await_positions(
         &mut self,
         now: Timestamp<Server>,
@@ -208,8 +208,8 @@ impl Mission {
         due
     }
 
-    /// The next question to a robot that has answered, and when to ask it. `None` once every adrift device is where the previous
-    /// answer had it. If the next answer would come after `send_by`, it is enough that both answers had the device where the act
+    /// The next question to a robot that has answered, and when to ask it. `None` once every adrift device has kept the position of the
+    /// previous answer. If the next answer would come after `send_by`, it is enough that both answers had the device where the act
     /// expects it: noise may be larger than the error that the device declares.
     fn asked_again(
         &self,
@@ -256,8 +256,8 @@ impl Mission {
         Some((at, PositionsAsked { at, before: stated, ..asked }))
     }
 
-    /// Members that were asked and would have to jump at their first step. A robot that does not answer is included only if no
-    /// check of its devices applies to this act.
+    /// Members that were asked and would have to jump at their first step. A robot that does not answer is included only if no check of
+    /// its devices applies to this act.
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {
@@ -278,7 +278,7 @@ impl Mission {
         jumping.chain(unplaced.iter().filter_map(|robot| self.hides_its_pose(act, *robot))).collect()
     }
 
-    /// The failure of a robot that has not stated the positions of devices that no check covers: one of them may well jump.
+    /// The failure of a robot that has not reported the positions of devices that no check covers. One of them may jump.
     fn hides_its_pose(&self, act: &Act, robot: usize) -> Option<(usize, FailureKind)> {
         let state = &self.robots[robot];
         let hides = state.owes_positions()
@@ -342,7 +342,8 @@ impl Mission {
             .collect()
     }
 
-    /// Where an act ahead has to begin: where the last command has left a device, unless its sensor shows that it is elsewhere.
+    /// The start positions of an act in the future: where the last command has left a device, unless its sensor shows that it is
+    /// elsewhere.
     pub(super) fn positions_to_leave(&self, index: usize) -> BTreeMap<DeviceId, f64> {
         let robot = &self.robots[index];
         let mut positions = robot.commanded.clone();
@@ -425,7 +426,7 @@ pub(super) fn first_uses(
     uses
 }
 
-/// Devices with sensors whose readings are only shown.
+/// Devices with sensors whose readings are only displayed.
 fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[DeviceId]) -> Vec<DeviceId> {
     let sensors = block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
     let others = sensors.map(|device| &device.id).filter(|id| {

@@ -1,4 +1,4 @@
-//! The checks before a mission as one table: a row a robot, a column a check.
+//! The checks before a mission as one table: one row per robot, one column per check.
 
 use std::collections::BTreeMap;
 
@@ -14,33 +14,33 @@ use super::seize::Ownership;
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission};
 
-/// What is checked.
+/// A check before a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Check {
-    /// It is reached.
+    /// It is reachable.
     Link,
-    /// It is the robot that is meant.
+    /// It is the right robot.
     Identity,
-    /// It speaks this version of URRCP.
+    /// It uses this version of URRCP.
     Version,
     /// It describes itself as the fleet file does, and the plan fits it.
     Description,
     /// Its clock agrees with the fleet's.
     Clock,
-    /// Its devices stand where the first keyframes expect them.
+    /// Its devices are where the first keyframes expect them.
     Position,
-    /// What it drives is there.
+    /// Its hardware is available.
     Hardware,
     /// It belongs to no other session and its queues are free.
     Free,
-    /// Its sensors read what the fleet file requires.
+    /// Its sensors read values that the fleet file permits.
     Sensors,
 }
 
 impl Check {
-    /// All, in the order of the columns.
+    /// All checks, in the order of the columns.
     pub const ALL: [Self; 9] = [
         Self::Link,
         Self::Identity,
@@ -70,68 +70,68 @@ impl Check {
     }
 }
 
-/// What a check said.
+/// Result of a check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "verdict", content = "detail", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Verdict {
-    /// Well, and what was seen.
+    /// Passed, with the observed value.
     Pass(String),
-    /// Not as one would expect, and no reason to stay.
+    /// Unexpected, but no reason not to start.
     Warning(String),
-    /// A reason to stay.
+    /// A reason not to start.
     Failure(String),
-    /// Nothing to check it by.
+    /// The check had no data.
     NotChecked,
 }
 
 /// A robot's row.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PreflightRow {
-    /// Which robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// In the order of [`Check::ALL`].
+    /// The results, in the order of [`Check::ALL`].
     pub checks: Vec<(Check, Verdict)>,
-    /// Its clock's offset, robot minus server, where it is known. Machines read it of the robot itself.
+    /// Its clock's offset, robot minus server, if known. In JSON, machines find it in the data of the robot.
     #[serde(skip)]
     pub clock_offset: Option<Span>,
     /// The positions of devices of the first act: the commanded position, or else the reading of the sensor.
     #[serde(skip)]
     pub positions: BTreeMap<DeviceId, f64>,
-    /// What its sensors read, and where its devices stand.
+    /// The readings of its sensors, and the positions of its devices.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<DeviceReading>,
 }
 
-/// What a sensor, or a device that can tell where it stands, read.
+/// The reading of a sensor, or of a device that can report its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceReading {
-    /// Which device.
+    /// Id of the device.
     pub device: DeviceId,
-    /// In its unit; `None` where it gave no reading.
+    /// The reading in the device's unit; `None` if it gave none.
     pub reading: Option<f64>,
-    /// Why it gave none, as the robot says it.
+    /// The reason why it gave none, in the robot's words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
     /// Its unit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// What it has to read, for people.
+    /// The required reading, for users.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub expected: Option<String>,
 }
 
-/// The whole table.
+/// The complete table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Preflight {
     /// Whether robots were asked at all.
     pub greeting: Greeting,
-    /// A row a robot.
+    /// One row per robot.
     pub rows: Vec<PreflightRow>,
-    /// How far apart the motions of the first act may begin, by what is known so far.
+    /// The predicted spread of the motions at the start of the first act, as far as known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub skew: Option<SkewBudget>,
-    /// The movements that failures may cause. A failure in any other act only stops robots where they are.
+    /// The movements that failures may cause. A failure in any other act only stops robots in place.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub after_failures: Vec<AfterFailure>,
 }
@@ -184,7 +184,7 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
     }
 }
 
-/// Everything that was read: what the fleet file requires, then where devices stand, then what is only shown.
+/// All readings: those that the fleet file requires, then the positions of devices, then those that are only displayed.
 fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
     let robot = &mission.robots[index];
     let unit = |device: &DeviceId| {
@@ -207,7 +207,7 @@ fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
     required.chain(stands).chain(shown).collect()
 }
 
-/// A certificate that ends sooner than this is told of: time enough to make a new one and take it to the robot.
+/// A certificate that expires sooner than this causes a warning: enough time to create a new one and copy it to the robot.
 const EXPIRES_SOON: Span = Span::from_millis(30 * DAY_MS);
 const DAY_MS: i64 = 24 * 3_600 * 1_000;
 
@@ -217,7 +217,7 @@ fn identity(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
         Some(left) => {
             let days = left.as_nanos() / 1_000_000 / DAY_MS;
             Verdict::Warning(format!(
-                "its certificate counts for {} more: `downbeat keys renew {}` makes a new one",
+                "its certificate expires in {}: `downbeat keys renew {}` makes a new one",
                 counted(usize::try_from(days).unwrap_or_default(), "day"),
                 robot.own_id
             ))
@@ -267,7 +267,7 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         }
         Check::Free => match greeted && mission.options.session.is_some() && robot.is_up() {
             true if robot.ownership == Ownership::Seized => {
-                Verdict::Warning("ours, taken from another session".to_owned())
+                Verdict::Warning("ours, taken over from another session".to_owned())
             }
             true => Verdict::Pass("ours".to_owned()),
             false => Verdict::NotChecked,
@@ -298,7 +298,7 @@ fn positions(mission: &Mission, index: usize) -> Verdict {
             others => format!(" and of {}", counted(others, "other")),
         };
         return Verdict::Warning(format!(
-            "the position of `{first}`{others} is unknown: the act begins wherever the device is"
+            "the position of `{first}`{others} is unknown: the act starts wherever the device is"
         ));
     }
     match robot.known_positions().count() {
@@ -308,7 +308,8 @@ fn positions(mission: &Mission, index: usize) -> Verdict {
 }
 
 /// The warning about a robot that ignores `pending_until`.
-pub const NOT_STRICT: &str = "it does not declare `pending_until`: a message that takes too long may start a script that was not decided";
+pub const NOT_STRICT: &str =
+    "it does not declare `pending_until`: a delayed message may start a script whose start was not decided";
 
 fn description(robot: &RobotState) -> Verdict {
     match &robot.latency_differs {
@@ -328,12 +329,12 @@ fn clock(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
     }
 }
 
-/// In milliseconds, as exactly as people want to know it.
+/// Formats a time in milliseconds, with the precision that users need.
 fn ms(span: Span) -> String {
     format!("{:.2}", Millis::from_span(span).get())
 }
 
-/// Where a failure stands in the table.
+/// The column of a failure in the table.
 fn column(kind: &FailureKind) -> Check {
     match kind {
         FailureKind::LinkDown { .. }

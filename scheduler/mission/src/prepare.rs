@@ -1,4 +1,4 @@
-//! When an act is sent, and with which lead: what the mission knows beyond the act itself.
+//! When an act is sent, and with which lead: the knowledge of the mission beyond the act itself.
 
 use urrcp::{Command, ControlRequest, Message, Millis, RobotId, Server, Span, Timestamp, encode};
 
@@ -10,26 +10,25 @@ use super::robot_state::{Link, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission, Outcome, ledger};
 
-/// An act that follows another is sent so long before it has to be, at most.
+/// The longest time before its latest sending time at which an act that follows another is sent.
 const AHEAD: Span = Span::from_millis(2_000);
-/// The longest pending lease of an act that is sent that early: while others play, a link that freezes for a moment does no
-/// harm to it.
+/// The longest pending lease of an act that is sent that early. It then survives a link that freezes for a moment while other acts play.
 const LEASE_AHEAD_MAX: Span = Span::from_millis(2_000);
 
-/// Before it is looked again whether the clocks of robots that still play allow what comes next.
+/// Interval between checks of whether the clocks of robots that still play allow the next act.
 const LOOK_AGAIN: Span = Span::from_millis(100);
 
-/// A shorter delay of a slow machine is not allowed for.
+/// Shorter delays of a slow machine are not compensated.
 const HOLD_UP_LEAST: Span = Span::from_millis(5);
 
 /// Additional time to accept an act if no round trip of a robot's link is known, as with `handshake: skip`. The first answer of a
 /// robot may be slow.
 const UNMEASURED: Span = Span::from_millis(500);
 
-/// The time that a robot has to answer before an act is promised, in addition to three round trips.
+/// Additional time to answer before an act is promised, on top of three round trips.
 const ANSWERED_WITHIN: Span = Span::from_millis(200);
 
-/// What an act needs before it can start.
+/// Requirements of an act before it can start.
 struct Need {
     lead: LeadTime,
     pace: Pace,
@@ -48,7 +47,7 @@ impl Mission {
         }
         let fits = || ledger::fits(&self.acts, index, &self.robots) && !self.is_too_tight_behind(now, index);
         if !act.is_alone() && !fits() {
-            // Looked at again whenever something ends.
+            // Checked again whenever something ends.
             return self.acts[index].look_again_at(Some(now + AHEAD));
         }
         let unknown = self.unknown_clocks(act);
@@ -99,8 +98,8 @@ impl Mission {
         self.send_act(now, index, need);
     }
 
-    /// Leaves out robots that joined late, whatever the policy, because the others could begin without them. Any other robot
-    /// that would jump has failed.
+    /// Leaves out robots that joined late, whatever the policy, because the others could begin without them. Any other robot that would
+    /// jump fails.
     fn refuse_jumps(&mut self, now: Timestamp<Server>, index: usize, jumping: Vec<(usize, FailureKind)>) {
         let (joined, failing): (Vec<_>, Vec<_>) =
             jumping.into_iter().partition(|(robot, _)| self.robots[*robot].joined_late);
@@ -117,7 +116,7 @@ impl Mission {
         }
     }
 
-    /// Refuses robots, unless one of them still has its part in an act ahead.
+    /// Fails these robots, unless one of them still has a part in an earlier act. In that case, checks again later.
     fn refuse_or_look_again(
         &mut self,
         now: Timestamp<Server>,
@@ -130,7 +129,7 @@ impl Mission {
         self.fail_all(now, failing);
     }
 
-    /// The robots for which the act would need a longer lease than is given: no robot makes all others wait without bound.
+    /// The robots for which the act would need a longer lease than permitted. No robot may make all others wait without bound.
     fn too_slow(&self, act: &Act, skew: Option<&SkewBudget>) -> Vec<(usize, FailureKind)> {
         let longest = lead::LEASE_MAX;
         let prescribed = act.written().plan.stop_condition.pending;
@@ -152,8 +151,8 @@ impl Mission {
         slow.map(|(_, robot, kind)| (robot, kind)).collect()
     }
 
-    /// When the answers will be there without which a link that was slow for once cannot be told from one that is slow: waiting for
-    /// them takes less than they may take off the lead.
+    /// When the answers are due that distinguish a link that was slow once from a slow link. Waiting for them costs less time than they
+    /// may save in the lead.
     fn links_known_at(&self, act: &Act) -> Option<Timestamp<Server>> {
         let members = act.present().map(|member| &self.robots[member.robot]);
         let unknown = members.filter(|robot| robot.is_up() && !robot.clock.tells_outliers());
@@ -162,13 +161,13 @@ impl Mission {
             .max()
     }
 
-    /// Whether a robot still has its part in an act ahead: that it fits, whatever comes next.
+    /// Whether a robot still has a part in an earlier act. The robot fits that act, whatever comes next.
     fn plays_before(&self, index: usize, robot: usize) -> bool {
         self.acts[..index].iter().any(|act| act.has_something_on(robot))
     }
 
-    /// Whether a robot would lose its lease of an act that it still plays or holds if it heard nothing for so long. That may be so by
-    /// as much as its clock is off: it may even have to begin what the others have ended.
+    /// Whether a robot would lose its lease of an act that it still plays or holds, if it received nothing for `silence`. Its clock error
+    /// can cause this: it may even have to begin a script that the others have already ended.
     fn leaves_alone(&self, index: usize, silence: Span) -> bool {
         let (before, act) = (&self.acts[..index], &self.acts[index]);
         let both = |other: &&Act| act.present().any(|member| other.has_something_on(member.robot));
@@ -176,7 +175,7 @@ impl Mission {
         leases.min().is_some_and(|lease| lease < silence)
     }
 
-    /// What is promised has to be on the disk first: one that stands still is not waited for.
+    /// Waits for the disk, because a promise must be stored first. A disk that has stalled beyond the patience ends the mission.
     fn await_disk(&mut self, now: Timestamp<Server>, index: usize) {
         let (within, since) = (self.options.patience, self.acts[index].since());
         if now < since + within {
@@ -192,13 +191,13 @@ impl Mission {
         SkewBudget::of(act.present(), &self.robots, act.written().plan.start_tolerance, now)
     }
 
-    /// What may be said now of the starts of an act that is sent now.
+    /// The expected skew of the starts, if the act is sent now.
     fn skew_ahead(&self, act: &Act, now: Timestamp<Server>, start: Timestamp<Server>) -> Option<SkewBudget> {
         let tolerance = act.written().plan.start_tolerance;
         SkewBudget::ahead(act.present(), &self.robots, tolerance, (now, start))
     }
 
-    /// Members whose clock has not been measured, as after a resumption, where it has to be.
+    /// Members whose clock must be measured and has not been, as after a resumption.
     fn unknown_clocks(&self, act: &Act) -> Vec<usize> {
         let full = self.options.greeting == Greeting::Full;
         let unknown = |robot: &usize| {
@@ -220,14 +219,14 @@ impl Mission {
             return self.acts[index].look_again_at(Some(since + within));
         }
         let silent = |robot| {
-            let awaited = "answer to the question for its times".to_owned();
+            let awaited = "answer to the request for its times".to_owned();
             (robot, FailureKind::Silent { awaited, within })
         };
         self.fail_all(now, unknown.into_iter().map(silent).collect());
     }
 
-    /// Members whose clock was measured only on an earlier link, and the instant by which each has to answer on its new link. A
-    /// robot that does not identify itself by then is treated like one without a link.
+    /// Members whose clock was measured only on an earlier link, and the instant by which each must answer on its new link. A robot that
+    /// does not identify itself by then is treated like one without a link.
     fn unmeasured_on_new_links(&self, now: Timestamp<Server>, act: &Act) -> Vec<(usize, Timestamp<Server>)> {
         let unmeasured = |robot: usize| {
             let state = &self.robots[robot];
@@ -241,7 +240,7 @@ impl Mission {
     }
 
     /// Tries to reach members without a link, because one of them may be back with another clock. If an attempt is still pending, returns
-    /// the time by which the attempts have to end. The act is promised even to a robot that cannot be reached: it may be back in time.
+    /// the deadline of the attempts. The act is promised even to a robot that cannot be reached: it may be back in time.
     fn await_links(&mut self, now: Timestamp<Server>, index: usize, lead: Span) -> Option<Timestamp<Server>> {
         let act = &mut self.acts[index];
         let failed = |robot: usize| match &self.robots[robot].link {
@@ -286,7 +285,7 @@ impl Mission {
         self.acts[index].look_again_at(due);
     }
 
-    /// Refused for a lead or a lease that is too short. Before anything has moved nothing is sent at all.
+    /// Ends the mission because a lead or a lease is too short. If nothing has moved yet, nothing is sent at all.
     fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
         if self.robots.iter().all(RobotState::holds_nothing) {
             self.refuse(outcome)
@@ -348,7 +347,7 @@ impl Mission {
         self.check_start(now, act, &needed)?;
         let spare = act.target().map_or(Span::ZERO, |target| target - now - needed.total());
         let longer = match measured.leases {
-            // The other half is for the answers.
+            // The other half is reserved for the answers.
             Leases::Shortened if prescribed.is_none() => lease.max((lease + spare / 2).min(LEASE_AHEAD_MAX)),
             _ => lease,
         };
@@ -383,7 +382,7 @@ impl Mission {
         }
     }
 
-    /// The robot of an act whose link takes longest.
+    /// The robot of an act with the slowest link, and its round trip.
     fn slowest(&self, act: &Act) -> Option<(RobotId, Span)> {
         let robots = act.present().map(|member| &self.robots[member.robot]);
         let slowest = robots.max_by_key(|robot| robot.round_trip());
@@ -394,14 +393,14 @@ impl Mission {
         self.options.lead.or(act.written().plan.lead).filter(|_| act.target().is_none())
     }
 
-    /// What the operator asked for is kept or refused, never silently played later.
+    /// The operator's start or lead is kept or refused, never silently delayed.
     fn check_start(&self, now: Timestamp<Server>, act: &Act, needed: &LeadTime) -> Result<(), Outcome> {
         let safe_start = now + needed.total();
         let wanted = self.wanted_lead(act).filter(|_| self.hold_up == Span::ZERO);
         if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
             return Err(Outcome::LeadTooShort { lead, needed: *needed, safe_start });
         }
-        // It begins when the act before it has ended, however early it was meant to.
+        // The act begins after the end of the previous act, even if it was planned earlier.
         let safe_start = act.target().map_or(safe_start, |target| safe_start.max(target));
         let is_late = |start: &Timestamp<Server>| *start + self.options.fixed.within < safe_start;
         match act.must_start_at().filter(is_late) {
@@ -411,7 +410,7 @@ impl Mission {
     }
 
     fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: Need) {
-        // Later than any stop: those take back what was sent before them.
+        // Later than any stop, because a stop takes back everything sent before it.
         let now = self.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
         let act = &self.acts[index];
         let target = act.target();
@@ -442,8 +441,8 @@ impl Mission {
         self.quicken_rounds(now, lease);
     }
 
-    /// A robot whose time is measured has the scripts of an act that plays by an older measurement: what follows at once
-    /// must not overlap them by the difference.
+    /// The largest slip of a robot with a measured clock that still has scripts of an act with an older measurement. The next act must
+    /// not overlap them by the difference.
     fn slip(&self, act: &Act, now: Timestamp<Server>) -> Span {
         let earlier = |member: &Member| {
             let robot = &self.robots[member.robot];
@@ -464,7 +463,7 @@ pub(super) fn answers_within(robot: &RobotState) -> Span {
     lead::counted(robot.round_trip()) * 3 + ANSWERED_WITHIN
 }
 
-/// How much has to travel, measured on the real encoding of the largest script.
+/// The number of bytes to send, based on the real encoding of the largest script.
 fn request_bytes(act: &Act, now: Timestamp<Server>) -> usize {
     let scripts = || act.present().flat_map(|member| member.scripts());
     let Some(largest) = scripts().max_by_key(|script| script.plan.script.steps().len()) else { return 0 };
@@ -494,12 +493,12 @@ mod tests {
             request_bytes(&Act::new(played(&[scripts]), 0, 0, &robots, at(0), None), at(0))
         };
         let one = bytes(&[("a", 0, 400)]);
-        // Two steps of about a hundred bytes, and the rest of a request.
+        // Two steps of about a hundred bytes, and the remaining request.
         assert!((300..1_000).contains(&one), "{one}");
         assert_eq!(bytes(&[("a", 0, 400), ("b", 0, 400)]), 2 * one);
     }
 
-    /// A mission that has begun so many acts of a robot that was last sent times which are 7 ms ahead.
+    /// A mission with `acts` acts of one robot. The times last sent to the robot are 7 ms ahead.
     fn plays(acts: u32, clock: ClockMode, ahead: Span) -> Mission {
         let choreography = played(&[&[("a", 0, 400)]]);
         let participants = vec![Participant::new(RobotId::new("r0").unwrap(), None)];

@@ -4,7 +4,7 @@ use urrcp::{ControlResponse, DeviceId, RequestId, Status};
 
 use super::robot_state::Reading;
 
-/// Of one robot.
+/// The readings of one robot.
 #[derive(Debug, Default)]
 pub(crate) struct OwedReadings(Vec<Owed>);
 
@@ -12,11 +12,11 @@ pub(crate) struct OwedReadings(Vec<Owed>);
 struct Owed {
     id: RequestId,
     device: DeviceId,
-    /// `None`: its answer is no longer awaited. Without names, an answer that comes nevertheless must not count for a later question.
+    /// The purpose; `None` if the answer is no longer awaited. Without ids, a late answer must not be assigned to a later question.
     what: Option<Reading>,
 }
 
-/// Maximum number of readings that a robot owes. The oldest readings of what an act waits for are then discarded.
+/// Maximum number of readings that a robot owes. Beyond it, the readings for conditions of acts are discarded.
 const OWED_MAX: usize = 1_024;
 
 impl OwedReadings {
@@ -24,7 +24,7 @@ impl OwedReadings {
         self.0.push(Owed { id, device, what: Some(what) });
     }
 
-    /// Makes room for another one.
+    /// Makes room for another reading.
     pub(crate) fn make_room(&mut self) {
         if self.0.len() >= OWED_MAX {
             self.0.retain(|owed| !matches!(owed.what, None | Some(Reading::Wait(_))));
@@ -35,7 +35,7 @@ impl OwedReadings {
         self.0.len()
     }
 
-    /// Takes the reading that a response answers: the one with its name, or else the oldest one of its device.
+    /// Takes the reading that a response answers: the one with its id, or else the oldest one of its device.
     pub(crate) fn take_answered(&mut self, response: &ControlResponse) -> Option<Reading> {
         let answers = matches!(response.status, Status::Provide | Status::Failed);
         let is_meant = |owed: &Owed| match &response.request_id {
@@ -46,19 +46,19 @@ impl OwedReadings {
         self.0.remove(place).what
     }
 
-    /// Those whose answers are awaited.
+    /// The readings whose answers are awaited.
     pub(crate) fn awaited(&self) -> impl Iterator<Item = &Reading> {
         self.0.iter().filter_map(|owed| owed.what.as_ref())
     }
 
-    /// Awaits these no longer.
+    /// Stops awaiting these readings.
     pub(crate) fn forget(&mut self, is_forgotten: impl Fn(&Reading) -> bool) {
         for owed in &mut self.0 {
             owed.what.take_if(|what| is_forgotten(what));
         }
     }
 
-    /// The link on which they were requested is gone, and their answers with it.
+    /// Discards all readings, because the link on which they were requested is gone, and their answers with it.
     pub(crate) fn clear(&mut self) {
         self.0.clear();
     }

@@ -1,4 +1,4 @@
-//! What a mission writes down: enough to know after a crash what was promised to whom.
+//! The records of a mission: enough to know after a crash which scripts were promised to which robot.
 
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
@@ -13,13 +13,13 @@ use super::{ActFate, ActReport, Failure, Outcome, Rest};
 pub enum Record {
     /// The mission has begun.
     Begun,
-    /// The fleet is checked: acts begin, or wait.
+    /// The fleet is checked. Acts begin, or wait.
     Checked,
-    /// The operator lets an act begin that waited for that.
+    /// The operator permits a waiting act to begin.
     Go {
-        /// Which act.
+        /// Name of the act.
         act: String,
-        /// Who has said so, where that is another operator than who began the mission.
+        /// The operator who sent it, if another operator started the mission.
         #[serde(skip_serializing_if = "Option::is_none")]
         by: Option<String>,
     },
@@ -29,15 +29,15 @@ pub enum Record {
     Decided {
         /// The number of the act.
         number: u32,
-        /// Robots that do not know requests by their names.
+        /// Robots that do not know requests by their ids.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
-        /// A robot that goes silent without a word later than so long before the start may be noticed too late.
+        /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
         #[serde(rename = "doubt_ms")]
         doubt: Span,
     },
-    /// From now on leases may be carried over the start. Leases that were shortened end long before another process can read
-    /// this, so it may be written before every robot has said that it holds its scripts.
+    /// From now on, leases may be extended beyond the start. Shortened leases end long before another process can read this record. It
+    /// may therefore be written before every robot has confirmed that it holds its scripts.
     Committed {
         /// The number of the act.
         number: u32,
@@ -51,7 +51,7 @@ pub enum Record {
     Translated {
         /// The request's id.
         request_id: RequestId,
-        /// The offset that is added to its timestamp.
+        /// The offset added to its timestamp.
         #[serde(rename = "shift_ms")]
         shift: Span,
     },
@@ -62,13 +62,13 @@ pub enum Record {
         /// The robot's id.
         robot: RobotId,
     },
-    /// Stops have been sent: they go out first and are recorded afterwards.
+    /// Stops have been sent: they are sent first and recorded afterwards.
     Stopping {
         /// The outcome that the mission will have.
         outcome: Outcome,
         /// How robots come to rest.
         rest: Rest,
-        /// Who has said so, where that is another operator than who began the mission.
+        /// The operator who requested it, if another operator started the mission.
         #[serde(skip_serializing_if = "Option::is_none")]
         by: Option<String>,
     },
@@ -79,12 +79,12 @@ pub enum Record {
     },
     /// An act is over.
     ActEnded {
-        /// What became of it.
+        /// The report of the act.
         report: Box<ActReport>,
-        /// What of it keeps the mission from being called done.
+        /// Flaws that rule out the outcome `done`.
         #[serde(flatten)]
         flaws: ActFlaws,
-        /// For the course of the mission.
+        /// The act's entry in the course of the mission.
         #[serde(flatten)]
         over: ActOver,
         /// Whether it was withdrawn before anything moved, to be prepared again.
@@ -101,8 +101,8 @@ pub enum Record {
 }
 
 impl Record {
-    /// Whether it has to be on the disk, as a power failure leaves it: what is promised and committed, and that a mission is
-    /// being stopped or has ended.
+    /// Whether it must be on disk to survive a power failure. This holds for promises and commitments, and for the stop and the end of a
+    /// mission.
     #[must_use]
     pub const fn is_durable(&self) -> bool {
         match self {
@@ -125,7 +125,7 @@ impl Record {
     }
 }
 
-/// The beginning of the JSON of [`Record::ActEnded`], behind the time of its line.
+/// The beginning of the JSON of [`Record::ActEnded`], after the time of its line.
 pub(super) const ENDED_ACT: &[u8] = br#","record":"act_ended","#;
 
 /// The fields of [`Record::ActEnded`], with as much of its report as `Report` reads.
@@ -140,37 +140,37 @@ pub(super) struct EndedAct<Report> {
     pub(super) again: bool,
 }
 
-/// An act of the scenario is over, so that another process can tell what became of it.
+/// The fate of an ended act of the scenario, for another process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActOver {
     /// Its index in the choreography.
     pub act: usize,
-    /// What became of it.
+    /// The fate of the act.
     #[serde(flatten)]
     pub fate: ActFate,
 }
 
-/// What keeps a mission from being called done: another process that takes it up has not seen it.
+/// Flaws that rule out the outcome `done`. Another process that takes over the mission has not observed them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ActFlaws {
-    /// Robots that had a part in it, of which nobody knows what they did of a script.
+    /// Robots with a part in it for which the fate of a script is unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unaccounted: Vec<RobotId>,
-    /// Starts were further apart, or from their plan, than the scenario allows.
+    /// Set if starts were further apart, or further off the plan, than the scenario allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub out_of_tolerance: Option<OutOfTolerance>,
-    /// Steps were later than the scenario allows.
+    /// Set if steps were later than the scenario allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_late: Option<StepsLate>,
 }
 
-/// Starts that were further apart, or from their plan, than allowed.
+/// Starts that were further apart, or further off the plan, than allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutOfTolerance {
-    /// By how much.
+    /// The actual spread.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
-    /// What is allowed.
+    /// The allowed spread.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,
 }
@@ -178,7 +178,7 @@ pub struct OutOfTolerance {
 /// Steps that were later than allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StepsLate {
-    /// How late the latest of them was.
+    /// The largest lateness.
     #[serde(rename = "late_ms")]
     pub late: Span,
     /// The lateness that the scenario allows.
@@ -186,7 +186,7 @@ pub struct StepsLate {
     pub tolerance: Span,
 }
 
-/// What is promised to the robots of an act.
+/// The promise to the robots of an act.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
     /// The number of the act in the mission.
@@ -195,7 +195,7 @@ pub struct Promise {
     pub act: usize,
     /// The sending timestamp.
     pub timestamp: Timestamp<Server>,
-    /// When the first cue starts.
+    /// The start of the first cue.
     pub start: Timestamp<Server>,
     /// The pending lease.
     #[serde(rename = "lease_ms")]
@@ -203,29 +203,29 @@ pub struct Promise {
     /// How often the act was withdrawn before this attempt.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub prepared_again: u32,
-    /// To whom what.
+    /// The promised scripts of all robots.
     pub scripts: Vec<PromisedScript>,
 }
 
-/// One script that a robot was or will be sent.
+/// A script that was or will be sent to a robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PromisedScript {
-    /// Which robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Which of its devices.
+    /// Id of the device.
     pub device: DeviceId,
     /// The request's id.
     pub request_id: RequestId,
-    /// What it was bound to.
+    /// The hash of the content to which the id was bound.
     pub content_hash: ContentHash,
-    /// What was added to the timestamp for this robot's clock.
+    /// The offset added to the timestamp for this robot's clock.
     #[serde(rename = "shift_ms")]
     pub shift: Span,
-    /// From the act's start.
+    /// The start relative to the act's start.
     pub start: Millis,
-    /// How long it plays.
+    /// The playing time.
     #[serde(rename = "duration_ms")]
     pub duration: Span,
-    /// The running lease; `None`: it goes on without a link.
+    /// The running lease; `None` if it continues without a link.
     pub running: Option<Millis>,
 }

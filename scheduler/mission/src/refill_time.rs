@@ -1,7 +1,7 @@
-//! Whether each script that has no room at first can be sent in time, on the links as they were measured.
+//! Checks whether each script that initially has no room can be sent in time, on the links as measured.
 //!
-//! A script that comes late is refused by its robot, in mid-show. `check` finds what no link could do; what the links of
-//! today cannot do is found here, before anything has moved.
+//! A robot refuses a script that comes late, in mid-show. `check` finds scripts that no link could deliver. Scripts that the current
+//! links cannot deliver are found here, before anything has moved.
 
 use downbeat_plan::{Refill, RefillKind, Wait, refills_behind, refills_of_robots};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
@@ -12,7 +12,7 @@ use super::robot_state::RobotState;
 use super::{ClockMode, Mission};
 
 impl Mission {
-    /// Refuses robots whose devices cannot be sent one of their scripts in time.
+    /// Refuses robots to whose devices a script cannot be sent in time.
     pub(super) fn check_refills(&mut self, now: Timestamp<Server>) {
         let queue = |robot: &RobotId, device: &DeviceId| self.queue(robot, device);
         let later = |refill: &Refill| refill.kind == RefillKind::Later;
@@ -29,8 +29,8 @@ impl Mission {
         }
     }
 
-    /// Whether one of the later scripts of an act could not be sent in time if it followed the one that still plays: the greeting
-    /// took the devices for empty, because the act waits for a time, and that has passed.
+    /// Whether one of the later scripts of an act could not be sent in time if it followed the act that still plays. The greeting
+    /// considered the devices empty, because the act waits for a time, and that has passed.
     pub(super) fn is_too_tight_behind(&self, now: Timestamp<Server>, index: usize) -> bool {
         let act = &self.acts[index];
         let before = index.checked_sub(1).map(|before| &self.acts[before]);
@@ -48,7 +48,7 @@ impl Mission {
         })
     }
 
-    /// How many scripts a device holds, as its robot has said.
+    /// The number of scripts that a device holds, as its robot has reported.
     fn queue(&self, robot: &RobotId, device: &DeviceId) -> Option<u32> {
         let state = self.robots.iter().find(|state| state.id == *robot)?;
         Some(state.block.as_ref()?.device(device.as_str())?.script_queue)
@@ -59,11 +59,10 @@ impl Mission {
     }
 }
 
-/// How long it takes at least until a robot holds a script for which it has room: the end of the one before is reported and
-/// the next one sent, or, where the robot does not report by itself, its end is awaited, as late as its clock may be, and asked
-/// for.
+/// The minimum time until a robot holds a script for which it has room: the end of the previous script is reported and the next one sent.
+/// If the robot does not report by itself, its end is awaited, as late as its clock may be, and requested.
 fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
-    // A few exchanges seldom meet the longest, the less so the more they differ: of a script that comes late nothing is played.
+    // A few exchanges rarely include the longest one, the less so the more they differ. Nothing of a late script is played.
     let round_trip = robot.round_trip();
     let shortest = robot.clock_at(now).map_or(round_trip, |reading| reading.delay_min);
     let round_trip = round_trip + (round_trip / 4).max(round_trip - shortest);
@@ -74,7 +73,7 @@ fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
     }
 }
 
-/// How much later than planned a script may end, by the robot's own clock.
+/// The maximum delay of a script's end, by the robot's own clock.
 fn late(robot: &RobotState, now: Timestamp<Server>) -> Span {
     let late = robot.clock_at(now).map(|reading| match robot.settings.clock {
         ClockMode::Ntp => reading.uncertainty - reading.offset,
@@ -113,7 +112,8 @@ mod tests {
         assert!((ms(50)..=ms(52)).contains(&measured), "{measured}");
     }
 
-    /// Two robots with two scripts each, ten milliseconds apart, and devices that hold so many; the links take so long both ways.
+    /// Two robots with two scripts each, ten milliseconds apart. Their devices hold `queue` scripts, and their links have these round
+    /// trips.
     fn greeted(queue: usize, round_trips: [Span; 2]) -> Mission {
         let scripts: &[bench::Planned] = &[("a", 0, 400), ("a", 410, 400)];
         let mut choreography = bench::choreography(&[scripts; 2]);
@@ -187,7 +187,7 @@ mod tests {
             (Wait::Instant(at(600_000)), ms(40), false),
             (Wait::Done, ms(40), false),
         ] {
-            // Each act fits by itself. Behind the other one its second script has room 20 ms before its start.
+            // Each act fits by itself. After the other one, its second script has room 20 ms before its start.
             let mut mission = greeted(2, [round_trip; 2]);
             let mut choreography = downbeat_plan::Choreography::clone(&mission.choreography);
             choreography.acts.push(choreography.acts[0].clone());

@@ -1,4 +1,4 @@
-//! What goes to the robots and to the journal, and what comes back: requests by their names, answers to their scripts.
+//! Messages to the robots and records for the journal, and the responses: requests by their ids, answers by their scripts.
 
 use std::cmp::Reverse;
 
@@ -11,9 +11,9 @@ use super::robot_state::{SentStop, Stop};
 use super::script::{Script, ScriptRef, ScriptState};
 use super::{Action, ClockMode, Mission, Phase, StoppedBy, ledger};
 
-/// What a durable record is expected to take at least.
+/// The minimum duration assumed for a durable record.
 const RECORDING: Span = Span::from_millis(30);
-/// A slower disk is not waited for: the commitment comes too late then.
+/// The maximum duration allowed for a durable record. With a slower disk, the commitment is too late.
 const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
@@ -45,7 +45,7 @@ impl Mission {
     fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
         let acts = &self.acts;
         let (reports, stopped) = (self.robots[robot].reports(), self.robots[robot].stop_was_sent());
-        // What a stop ends says OK as well: of a script it is the end only once that can have come.
+        // A stop also produces an OK. It is the end of a script only once the script can have ended.
         let meant = |script: &ScriptRef| {
             !stopped || response.status != Status::Ok || {
                 let act = acts.iter().find(|act| act.number() == script.act);
@@ -62,7 +62,7 @@ impl Mission {
             self.ask_how_far_it_came(now, robot);
             return self.stop_progress(now);
         }
-        // Without a name, a refusal may be of a reading or of a script.
+        // Without an id, a refusal may belong to a reading or to a script.
         let may_be_a_reading = unnamed.is_none() || response.status == Status::Provide;
         if may_be_a_reading && self.reading_taken(now, robot, response) {
             return self.goes_on(now);
@@ -77,7 +77,7 @@ impl Mission {
         };
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         if stopped && response.status == Status::Ok && names_nothing(response) {
-            // Its own end or that of the stop: nobody can know.
+            // It is unknown whether the script or the stop has ended.
             act.lose_sight_of(script);
             return self.goes_on(now);
         }
@@ -91,8 +91,9 @@ impl Mission {
         }
     }
 
-    /// A robot that belongs to another session by now refuses the stop: it is told once. What the operator says is repeated, as the
-    /// robot may become free; a mission that has failed leaves it to the other session, so that nothing stops it behind that.
+    /// Handles a robot that refuses the stop because it now belongs to another session. This is reported once. The operator's stop is
+    /// repeated, because the robot may become free. A mission that has failed leaves the robot to the other session, so that no later
+    /// stop affects that session.
     fn stop_refused(&mut self, robot: usize) {
         let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
         if let Stop::Sent(sent) = &mut self.robots[robot].stop {
@@ -115,11 +116,11 @@ impl Mission {
         for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
             self.send_script(now, script);
         }
-        // Room for what is out is room that an act behind may have waited for.
+        // An act in the future may have waited for this room.
         self.acts.iter_mut().for_each(|act| act.look_again_at(None));
     }
 
-    /// Whether the robot of a script may be sent it now.
+    /// Whether a script may be sent to its robot now.
     pub(super) fn may_send(&self, script: ScriptRef) -> bool {
         let act = self.acts.iter().find(|act| act.number() == script.act);
         act.is_some_and(|act| self.robots[act.robot_of(script)].may_be_sent_scripts())
@@ -146,10 +147,10 @@ impl Mission {
         state.requests.extend(request.request_id.clone().map(|id| (id, script)));
         self.send(now, robot, Message::ControlRequest(request));
         if keeps_limit {
-            // A robot that has it already keeps the limit of the earlier request, and only an inquiry extends that.
+            // A robot that already has it keeps the limit of the earlier request, and only an inquiry extends that.
             self.inquire(now, robot);
         }
-        // Under its lease it may begin before the next round that the scripts before it ask for.
+        // Its lease may require a round before the one for the earlier scripts.
         self.quicken_rounds(now, lease);
     }
 
@@ -159,8 +160,8 @@ impl Mission {
         }
     }
 
-    /// Sends a message. While an act of the robot approaches its start, it goes behind a question that carries the lease;
-    /// between the critical instant and the commitment it waits.
+    /// Sends a message. While an act of the robot approaches its start, the message follows a question that carries the lease. Between
+    /// the critical instant and the commitment, it waits.
     pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, mut message: Message) {
         let waits = |act: &Act| act.hushes(robot, now) && !act.lets_through(robot, now);
         if self.acts.iter().any(waits) {
@@ -169,12 +170,12 @@ impl Mission {
         if self.acts.iter().any(|act| act.approaches(robot)) {
             self.inquire_now(now, robot);
         }
-        // As late as here: the act of a script that had to wait may have been committed meanwhile.
+        // Set only here, because the act of a script that had to wait may have been committed meanwhile.
         self.limit(now, robot, &mut message);
         self.post(now, robot, message);
     }
 
-    /// Gives a script the limit that it has if it is sent now. Only an inquiry extends it, so a robot without inquiries gets none.
+    /// Sets the limit of a script that is sent now. Only an inquiry extends it, so a robot without inquiries gets none.
     fn limit(&self, now: Timestamp<Server>, robot: usize, message: &mut Message) {
         let Message::ControlRequest(request) = message else { return };
         let state = &self.robots[robot];
@@ -185,7 +186,7 @@ impl Mission {
         request.pending_until = act.and_then(|act| act.pending_until(*script, ahead));
     }
 
-    /// Sends what had to wait.
+    /// Sends the deferred messages.
     pub(super) fn send_deferred(&mut self, now: Timestamp<Server>) {
         for (robot, message) in std::mem::take(&mut self.deferred) {
             let is_script =
@@ -216,7 +217,7 @@ impl Mission {
         self.actions.push(Action::Record(record));
     }
 
-    /// Writes down what an act waits for.
+    /// Writes a record that an act waits for.
     pub(super) fn record_for(&mut self, now: Timestamp<Server>, act: u32, record: Record) {
         let durable = record.is_durable();
         self.record(record);
@@ -225,7 +226,7 @@ impl Mission {
         }
     }
 
-    /// The first thing that is written down tells how long the disk takes, before anything depends on it.
+    /// Writes the first record, which measures the disk before anything depends on it.
     pub(super) fn measure_disk(&mut self, now: Timestamp<Server>) {
         if self.recording.count == 0 && matches!(self.phase, Phase::Greeting { .. } | Phase::Performing) {
             self.record(Record::Begun);
@@ -233,20 +234,20 @@ impl Mission {
         }
     }
 
-    /// Whether it is known how long the disk takes.
+    /// Whether the duration of a record is known.
     pub(super) const fn disk_is_known(&self) -> bool {
         self.recording.longest.is_some()
     }
 
-    /// So many durable records are on the disk.
+    /// Handles the report that the first `count` durable records are on disk.
     pub(super) fn recorded(&mut self, now: Timestamp<Server>, count: u64) {
         while let Some(&(_, number, asked)) =
             self.recording.awaited.front().filter(|(record, ..)| *record <= count)
         {
             self.recording.awaited.pop_front();
-            // Slowly forgotten, so that one slow moment does not delay the rest of the show.
+            // The maximum decays slowly, so that one slow moment does not delay the rest of the show.
             let before = self.recording.longest.unwrap_or_default() * 3 / 4;
-            // What was held up on this machine says nothing of the disk.
+            // Delays on this machine are not delays of the disk.
             self.recording.longest = Some((self.arrived - asked).max(before));
             let Some(number) = number else {
                 self.acts.iter_mut().for_each(|act| act.look_again_at(None));
@@ -259,31 +260,31 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// How long a durable record may take.
+    /// The time allowed for a durable record.
     pub(super) fn recording_time(&self) -> Span {
         (self.recording.longest.unwrap_or_default() * 2).max(RECORDING).min(RECORDING_MAX)
     }
 }
 
-/// Whether a robot says what becomes of its scripts, or only answers what it is sent.
+/// Whether a robot reports the fates of its scripts, or only answers requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Says {
     ByItself,
     Answers,
 }
 
-/// Whether an answer says neither which request it is for nor what came of it.
+/// Whether an answer contains neither the id of its request nor a result.
 const fn names_nothing(response: &ControlResponse) -> bool {
     response.request_id.is_none() && may_be_for_a_stop(response)
 }
 
-/// Whether an `OK` may be the answer to a stop. The end of a script states its last value, and a stop sets none.
+/// Whether an `OK` may be the answer to a stop. The end of a script contains its last value, and a stop sets none.
 #[must_use]
 pub const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
     matches!((&response.status_value, response.steps_done), (StatusValue::Null, None | Some(0)))
 }
 
-/// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.
+/// The script to which an answer without an id belongs. The answers of a device come in the order of its scripts.
 pub(super) fn open_without_name(
     acts: &[Act],
     (robot, says): (usize, Says),
@@ -305,20 +306,20 @@ pub(super) fn open_without_name(
         }
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
         Status::Provide => false,
-        // What it has accepted fails without a word.
+        // A script that it has accepted fails without a report.
         _ if says == Says::Answers => *state == ScriptState::Sent,
         _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
     };
-    // To a request that came again it repeats its last answer.
+    // It repeats its last answer to a repeated request.
     let repeats =
         |script: &Script| is_start && *script.state() == ScriptState::Running && script.came_again();
     let mut open = all().filter(|(.., script)| fits(script, script.state()) || repeats(script));
-    // What it was sent earlier may be lost, as after a restart: what it begins or ends now is what is due now.
+    // Earlier scripts may be lost, as after a restart. A script that begins or ends now is the one that is due now.
     let off = |(act, at, script): &(&Act, ScriptRef, &Script)| {
         (*script.state() != ScriptState::Running && !is_start, act.off_its_time(*at, response))
     };
-    // A script under a short lease is lost before one that precedes it under a longer lease. Of two under equal leases, the earlier
-    // one may have begun.
+    // A script under a short lease is lost before an earlier one under a longer lease. Of two under equal leases, the earlier one may
+    // have begun.
     let lease = |(act, script, _): &(&Act, ScriptRef, &Script)| {
         let lease = act.shortest_lease_of(*script);
         (lease.is_none(), lease, Reverse((script.act, script.script)))
@@ -326,7 +327,8 @@ pub(super) fn open_without_name(
     let ran_out = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::LinkLost);
     let found = match response.status {
         Status::Started => open.min_by_key(off),
-        // Of two that would end at the same instant, the one that has begun last: the other has ended before it, unheard.
+        // Of two that would end at the same instant, the one that has begun last: the other has ended before it, without a received
+        // report.
         Status::Ok => open.reduce(|found, other| if off(&other) <= off(&found) { other } else { found }),
         Status::Failed if ran_out => open.min_by_key(lease),
         _ => open.next(),
@@ -334,7 +336,7 @@ pub(super) fn open_without_name(
     found.map(|(_, script, _)| script)
 }
 
-/// The scripts of an act on a robot's device, in order of time, and where they stand.
+/// The scripts of an act on a robot's device, in order of time, with their references.
 fn of_device<'a>(
     act: &'a Act,
     robot: usize,

@@ -1,17 +1,18 @@
-//! Judges what a scenario requires (`require`) by the figures of its trials. What no figure is known for is neither met nor not met.
+//! Judges the requirements of a scenario (`require`) by the figures of its trials. A requirement without a figure is neither met nor
+//! unmet.
 
 use downbeat_plan::{Ceiling, Choreography, Floor, Requirements, Share};
 use serde::Serialize;
 use urrcp::Span;
 
-/// What is known of a scenario; `None` where nothing is.
+/// The figures of a scenario; `None` if unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// Trials that were played. `None` for a single dry run, whose only spread may stand in `spread_max`.
+    /// Number of trials that were played. `None` for a single dry run, whose only spread may be in `spread_max`.
     pub trials: Option<u64>,
-    /// True spread of starts that half of the trials do not exceed.
+    /// The true spread of starts that half of the trials do not exceed.
     pub spread_p50: Option<Span>,
-    /// The same of 99 in 100 trials.
+    /// The same for 99 of 100 trials.
     pub spread_p99: Option<Span>,
     /// The largest true spread of starts.
     pub spread_max: Option<Span>,
@@ -23,22 +24,22 @@ pub struct Figures {
     pub closest: Option<f64>,
 }
 
-/// A requirement and what became of it.
+/// A requirement with its result.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Judged {
     /// Its key under `require`.
     pub requirement: &'static str,
-    /// On which side of the value: `below`, `at most`, `above` or `at least`.
+    /// The kind of the bound: `below`, `at most`, `above` or `at least`.
     pub bound: &'static str,
     /// The bound, in `unit`.
     pub value: f64,
     /// `ms`, `m`, or `%` of the trials.
     pub unit: &'static str,
-    /// The figure in the same unit; `None` where it is not known.
+    /// The figure in the same unit; `None` if unknown.
     pub found: Option<f64>,
     /// Whether it is satisfied.
     pub result: Judgement,
-    /// What limits the result, for people.
+    /// A limitation of the result, for users.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
@@ -50,9 +51,9 @@ pub struct Judged {
 pub enum Judgement {
     /// The figure is within the bound.
     Met,
-    /// It is not.
+    /// The figure is outside the bound.
     NotMet,
-    /// There is no figure.
+    /// The figure is unknown.
     NotKnown,
 }
 
@@ -61,7 +62,7 @@ impl Judgement {
         if holds { Self::Met } else { Self::NotMet }
     }
 
-    /// For people.
+    /// The text for users.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -72,7 +73,8 @@ impl Judgement {
     }
 }
 
-/// The closest approach as far as it answers what is required: not where a body whose place is not known might come closer.
+/// The closest approach, if it answers the requirement. `None` if it meets the requirement, but a body with an unknown place might come
+/// closer.
 #[must_use]
 pub fn closest_of(choreography: &Choreography) -> Option<f64> {
     let (_, closest) = choreography.closest()?;
@@ -103,7 +105,7 @@ pub fn judge(requirements: &Requirements, figures: &Figures) -> Vec<Judged> {
     spreads.chain(shares).chain(closest).collect()
 }
 
-/// Whether one is known not to be satisfied.
+/// Whether a requirement is known to be unmet.
 #[must_use]
 pub fn any_unmet(judged: &[Judged]) -> bool {
     judged.iter().any(|judged| judged.result == Judgement::NotMet)
@@ -113,9 +115,9 @@ fn of_spread(requirement: &'static str, bound: Ceiling, found: Option<Span>, tri
     let note = match (found, trials) {
         (None, None) if requirement != "spread_max" => Some(NEEDS_TRIALS.to_owned()),
         (None, _) => Some("not every robot started, so there is no spread".to_owned()),
-        (Some(_), None) => Some("of one run; --trials plays more".to_owned()),
+        (Some(_), None) => Some("from one run; --trials plays more".to_owned()),
         (Some(_), Some(trials)) if requirement == "spread_p99" && trials < 100 => {
-            Some(format!("of {trials} trials this is the largest; the 99th percentile takes 100 or more"))
+            Some(format!("largest of {trials} trials; the 99th percentile requires at least 100"))
         }
         (Some(_), Some(_)) => None,
     };
@@ -130,7 +132,7 @@ fn of_spread(requirement: &'static str, bound: Ceiling, found: Option<Span>, tri
     }
 }
 
-const NEEDS_TRIALS: &str = "one run does not show it: play several with --trials";
+const NEEDS_TRIALS: &str = "cannot be determined from one run; play several with --trials";
 
 fn of_share(requirement: &'static str, bound: Floor<Share>, found: Option<(u64, u64)>) -> Judged {
     let found = found.filter(|(_, trials)| *trials > 0);
@@ -151,14 +153,13 @@ fn of_share(requirement: &'static str, bound: Floor<Share>, found: Option<(u64, 
     }
 }
 
-/// The rule of three: where none of n trials fails, the share of failures is below 3/n with 95 % confidence (Hanley and
-/// Lippman-Hand, JAMA 1983).
+/// The rule of three: if none of n trials fails, the share of failures is below 3/n with 95 % confidence (Hanley and Lippman-Hand, JAMA
+/// 1983).
 fn too_few(bound: Share, trials: u64) -> Option<String> {
     let failing = u64::from(1_000_000_000 - bound.billionths());
     let needed = 3_000_000_000_u64.div_ceil(failing.max(1));
-    (failing > 0 && trials < needed).then(|| {
-        format!("none of {trials} trials failed; {needed} are needed to say so with 95 % confidence")
-    })
+    (failing > 0 && trials < needed)
+        .then(|| format!("none of {trials} trials failed; {needed} are required for 95 % confidence"))
 }
 
 #[expect(clippy::cast_precision_loss, reason = "shown to people; the comparison is exact")]
@@ -167,7 +168,8 @@ fn percent(count: u64, all: u64) -> f64 {
 }
 
 fn of_closest(bound: Floor<f64>, found: Option<f64>) -> Judged {
-    let unknown = "the fleet file does not say where all bodies are and how large, or robots were left out";
+    let unknown =
+        "the fleet file does not define the position and the size of every body, or robots were left out";
     Judged {
         requirement: "closest",
         bound: bound.word(),

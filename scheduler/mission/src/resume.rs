@@ -1,4 +1,4 @@
-//! Taking up what another process promised before it died: to finish it, or to withdraw it.
+//! Takes over the promises of another process that died: to finish them, or to withdraw them.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -12,13 +12,13 @@ use super::record::{ActOver, Promise};
 use super::robot_state::{Rest, Standing, Stop};
 use super::{ActReport, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase, ledger};
 
-/// A promise does not fit the choreography as it is now.
+/// A promise does not fit the current choreography.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{what}: the scenario or the fleet has changed since; restore the files, or withdraw the mission with `downbeat stop`"
+    "{what}: the scenario or the fleet has changed; restore the files, or withdraw the mission with `downbeat stop`"
 )]
 pub struct Changed {
-    /// What does not fit.
+    /// The difference.
     pub what: String,
 }
 
@@ -27,7 +27,7 @@ impl Mission {
     /// that had ended before.
     ///
     /// # Errors
-    /// [`Changed`] where what was promised is not what the choreography says.
+    /// [`Changed`] if a promise does not match the choreography.
     pub fn resume(
         choreography: impl Into<Arc<Choreography>>,
         participants: Vec<Participant>,
@@ -64,7 +64,7 @@ impl Mission {
         }
         mission.note_as_sent(now);
         if mission.acts.is_empty() {
-            return Err(Changed { what: "no act was decided and has not ended".to_owned() });
+            return Err(Changed { what: "no decided act is left to play".to_owned() });
         }
         mission.phase = Phase::Performing;
         mission.stop_those_left_out(kept, now);
@@ -102,7 +102,7 @@ impl Mission {
         self.start_was_fixed |= self.reports_omitted > 0;
     }
 
-    /// The operator fixes the first start of an act only.
+    /// Notes that the act has begun: the operator fixes only its first start.
     fn note_begun(&mut self, act: Option<usize>) {
         self.start_was_fixed |= act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
     }
@@ -111,7 +111,7 @@ impl Mission {
         self.robots.iter().enumerate().map(|(index, robot)| (robot.id.clone(), index)).collect()
     }
 
-    /// The robots of an act that were not among its members were absent, and may join.
+    /// Marks the robots of an act that were not among its members as absent. They may join.
     fn note_late_joiners(
         &mut self,
         act: usize,
@@ -137,7 +137,7 @@ impl Mission {
         }
     }
 
-    /// Stops robots that were left out and have not confirmed their stop: the previous process may have died before it sent one.
+    /// Stops robots that were left out and have not confirmed their stop, because the previous process may have died before it sent one.
     fn stop_those_left_out(&mut self, kept: &Kept, now: Timestamp<Server>) {
         let left = kept.left();
         for robot in 0..self.robots.len() {
@@ -166,7 +166,7 @@ impl Mission {
         }
     }
 
-    /// What another process has left on a robot, if anything.
+    /// Notes the remains of another process on a robot, if any.
     fn holds_still(&mut self, robot: usize, left: &Left, now: Timestamp<Server>) {
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         let robot = &mut self.robots[robot];
@@ -180,8 +180,8 @@ impl Mission {
         }
     }
 
-    /// A mission that only withdraws what another process left on its robots. `scenario` is the name of the scenario that the
-    /// other process played. An outcome that contradicts `left.moved` is corrected. The reason is for people.
+    /// A mission that only withdraws the remains of another process on its robots. `scenario` is the name of the scenario that the other
+    /// process played. An outcome that contradicts `left.moved` is corrected. The reason is for users.
     #[must_use]
     pub fn withdraw(
         scenario: String,
@@ -195,7 +195,7 @@ impl Mission {
         let choreography = Choreography { scenario, acts: Vec::new(), requirements: Requirements::default() };
         // The way home cannot be planned without the acts, so each robot goes home on its own.
         let options = MissionOptions { transfer: None, ..options };
-        // No robot is asked for: there is none to miss.
+        // The choreography requires no robot, so none can be missing.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         for robot in 0..mission.robots.len() {
             if let Some(own_id) = left.own_ids.get(&mission.robots[robot].id) {
@@ -210,13 +210,13 @@ impl Mission {
         mission
     }
 
-    /// Sends nothing: what the robots have is asked once their links stand.
+    /// Marks scripts as sent without sending them. The robots are asked about them once they are connected.
     fn note_as_sent(&mut self, now: Timestamp<Server>) {
         for act in &mut self.acts {
             act.note_as_sent_until(now);
         }
         for robot in 0..self.robots.len() {
-            // What was beyond a device's queue is sent once there is room; if it was sent already, its name tells.
+            // Scripts beyond a device's queue are sent once there is room. If one was already sent, its id shows that.
             for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
                 let act = self.acts.iter_mut().find(|act| act.number() == script.act);
                 act.into_iter().for_each(|act| act.sent(now, script));
@@ -247,7 +247,7 @@ impl Mission {
         let members = act.members().iter().map(|member| member.robot);
         self.note_late_joiners(promise.act, members, &self.indices());
         self.note_begun(Some(promise.act));
-        // This process does not know the round trips of the links, so its instants differ from those of the other one.
+        // This process does not know the round trips of the links, so its instants differ from those of the other process.
         if !act.is_committed() {
             act.decided().into_iter().for_each(|decided| self.tell(decided));
         }

@@ -1,4 +1,4 @@
-//! What the mission knows of one robot: its link, its clock, what it was asked, and its stop.
+//! The mission's state of one robot: its link, its clock, its questions, and its stop.
 
 mod invariants;
 
@@ -26,11 +26,10 @@ use crate::clock::{ClockEstimate, ClockReading};
 pub(crate) enum Link {
     /// A first connection is being made.
     Connecting,
-    /// It stands, and the robot behind it has not said yet which one it is: nothing but that question is sent, and stops.
-    /// `unheard` as below.
+    /// It is connected, but the robot has not identified itself yet. Only that question and stops are sent. `unheard` as below.
     Unnamed { since: Timestamp<Server>, unheard: Option<Lost> },
-    /// It stands, and the robot behind it is the one that is meant. `unheard` is how it was lost before, until
-    /// something is heard on it again: a link that is taken and closed again and again is as good as none.
+    /// It is connected to the right robot. `unheard` is the previous loss, until something is received on the new link. A link that is
+    /// accepted and closed again and again is equivalent to none.
     Up { unheard: Option<Lost> },
     /// It broke, or could not be made.
     Lost(Lost),
@@ -41,13 +40,13 @@ pub(crate) enum Link {
 pub(crate) struct Lost {
     pub(crate) reason: String,
     pub(crate) loss: Loss,
-    /// When it broke for the first time since the robot was last heard.
+    /// The time of the first break since the last message from the robot.
     pub(crate) since: Timestamp<Server>,
-    /// When the link broke, or when the last attempt to connect failed.
+    /// The time at which the link broke, or the last attempt to connect failed.
     pub(crate) failed: Timestamp<Server>,
-    /// A new connection is being made.
+    /// Whether a new connection is being made.
     pub(crate) connecting: bool,
-    /// When the robot is given up; `None`: not yet.
+    /// The time at which the robot is given up; `None`: not scheduled.
     pub(crate) give_up: Option<Timestamp<Server>>,
 }
 
@@ -58,33 +57,34 @@ pub(crate) struct Lost {
 pub enum Standing {
     /// It takes part.
     In,
-    /// Not there when the mission began; may join at the next act.
+    /// It was not available when the mission began. It may join at the next act.
     Absent,
-    /// It failed, and the others went on or were stopped.
+    /// It failed, and the others continued or were stopped.
     Out,
 }
 
-/// What became of the stop of a robot.
+/// State of a robot's stop.
 #[derive(Clone, Debug, Default)]
 pub(crate) enum Stop {
-    /// None was sent.
+    /// No stop was sent.
     #[default]
     None,
-    /// Sent; these have not been confirmed.
+    /// A stop was sent, and some devices have not confirmed it.
     Sent(SentStop),
-    /// Every device that was sent anything is known to be at rest.
+    /// Every device to which anything was sent is known to be at rest.
     Confirmed(Rest),
 }
 
-/// A stop on its way.
+/// A stop that was sent.
 #[derive(Clone, Debug)]
 pub(crate) struct SentStop {
     pub(crate) at: Timestamp<Server>,
     pub(crate) rest: Rest,
     pub(crate) unconfirmed: HashMap<RequestId, DeviceId>,
-    /// Why the robot has refused it, where it belongs to another session: it holds nothing of this one any more.
+    /// The reason of the robot's refusal, if it belongs to another session. It no longer holds anything of this session.
     pub(crate) taken_over: Option<ControlError>,
-    /// It is not sent again: nobody but this mission, which has lost the robot to another session, wants it to rest.
+    /// Whether the stop is no longer repeated, because this mission has lost the robot to another session and only this mission wants it
+    /// to rest.
     pub(crate) given_up: bool,
 }
 
@@ -92,27 +92,27 @@ pub(crate) struct SentStop {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rest {
-    /// Where it is: it slows down, and nothing begins to move.
+    /// In place: it slows down, and nothing begins to move.
     #[default]
     InPlace,
     /// In its default state, to which it moves.
     Home,
 }
 
-/// What a reading is for.
+/// Purpose of a reading.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Reading {
     /// A requirement of the fleet file, by its index.
     Requirement(usize),
-    /// Where a device stands before the first act.
+    /// The position of a device before the first act.
     Position(DeviceId),
-    /// Only to be shown before a mission.
+    /// Only displayed before a mission.
     Shown(DeviceId),
-    /// An act waits for it: the act's number.
+    /// An act waits for it: the number of the act.
     Wait(u32),
-    /// The scenario reads it: the act's number, and which of its readings.
+    /// The scenario reads it: the number of the act, and the index of the reading.
     Planned(u32, usize),
-    /// It shows when a device begins to move: the act's number, and which of the devices that it watches.
+    /// It detects when a device begins to move: the number of the act, and the index among its watched devices.
     Motion(u32, usize),
 }
 
@@ -123,7 +123,7 @@ pub struct Totals {
     pub scripts: usize,
     /// Scripts sent.
     pub sent: usize,
-    /// Scripts accepted.
+    /// Scripts accepted, including those that have begun without an acceptance.
     pub accepted: usize,
     /// Scripts refused, or ended early.
     pub failed: usize,
@@ -143,7 +143,7 @@ pub struct Totals {
     pub unaccounted: usize,
     /// Requests sent again.
     pub retries: u32,
-    /// How often the link was re-established.
+    /// Number of times the link was re-established.
     pub reconnects: u32,
 }
 
@@ -151,7 +151,7 @@ impl Totals {
     pub(crate) fn add(&mut self, script: &Script, error: Option<Span>) {
         self.scripts += 1;
         self.sent += usize::from(!script.is_planned());
-        // What has begun was accepted, even if that answer was lost.
+        // A script that has begun was accepted, even if the acceptance was lost.
         self.accepted += usize::from(script.was_accepted() || script.has_begun());
         self.failed += usize::from(matches!(script.state(), ScriptState::Ended(Ending::Failed(_))));
         self.started += usize::from(script.has_started());
@@ -164,20 +164,20 @@ impl Totals {
     }
 }
 
-/// Questions for a robot's times, and whether it answers them.
+/// Questions for a robot's times, and their answers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Questions {
-    /// When those were sent that have not been answered, the oldest first.
+    /// The sending times of the unanswered questions, oldest first.
     open: VecDeque<Timestamp<Server>>,
-    /// When the newest one was sent that has been answered.
+    /// The sending time of the newest answered question.
     answered: Option<Timestamp<Server>>,
-    /// Between that one and the one answered before it others were asked, and never answered.
+    /// Whether earlier questions remain unanswered, asked between the newest answered question and the one answered before it.
     passed_over: bool,
-    /// When the newest one was sent of those that are not owed any more and may have been heard.
+    /// The sending time of the newest question whose answer is no longer expected, but which may have been received.
     forgiven: Option<Timestamp<Server>>,
 }
 
-/// Questions that are remembered; more are open only on a link that carries nothing.
+/// The maximum number of remembered questions; more are open only on a link that carries nothing.
 const OPEN_MAX: usize = 64;
 
 impl Questions {
@@ -187,7 +187,7 @@ impl Questions {
         }
     }
 
-    /// Whether this is an answer to a question that was asked.
+    /// Takes the answer to the question that was sent at `sent`.
     pub(crate) fn answer(&mut self, sent: Timestamp<Server>) {
         if self.answered.is_none_or(|answered| answered < sent) {
             let forgiven = self.forgiven.filter(|forgiven| self.answered < Some(*forgiven));
@@ -197,32 +197,32 @@ impl Questions {
         self.open.retain(|open| *open > sent);
     }
 
-    /// When the newest question was sent that it has answered: it has surely heard what was sent then.
+    /// The sending time of the newest answered question. The robot has certainly received everything sent at that time.
     pub(crate) const fn answered(&self) -> Option<Timestamp<Server>> {
         self.answered
     }
 
-    /// Whether others were asked before the newest question that was answered, of which nobody knows if they reached it.
+    /// Whether questions before the newest answered one were asked that may not have reached the robot.
     pub(crate) const fn passed_over(&self) -> bool {
         self.passed_over
     }
 
-    /// When the newest question was sent.
+    /// The sending time of the newest question.
     pub(crate) fn last_asked(&self) -> Option<Timestamp<Server>> {
         self.answered.max(self.last_unanswered())
     }
 
-    /// When the oldest question was sent that it has not answered.
+    /// The sending time of the oldest unanswered question.
     pub(crate) fn unanswered(&self) -> Option<Timestamp<Server>> {
         self.open.front().copied()
     }
 
-    /// When the newest question was sent that has not been answered.
+    /// The sending time of the newest unanswered question.
     pub(crate) fn last_unanswered(&self) -> Option<Timestamp<Server>> {
         self.open.back().copied()
     }
 
-    /// This machine itself was held up, or the link is new: what was open says nothing about the robot.
+    /// Discards the open questions: this machine itself was delayed, or the link is new. They indicate nothing about the robot.
     pub(crate) fn forgive(&mut self) {
         self.forgiven = self.forgiven.max(self.last_unanswered());
         self.open.clear();
@@ -233,89 +233,89 @@ impl Questions {
 #[derive(Debug)]
 pub(crate) struct RobotState {
     pub(crate) id: RobotId,
-    /// What it has to call itself.
+    /// The id with which the robot must identify itself.
     pub(crate) own_id: RobotId,
-    /// It has proven who it is, and so does this mission to it.
+    /// Whether the robot has proven its identity, and this mission its own to the robot.
     pub(crate) proven: bool,
-    /// Until when its certificate counts, if it has shown one.
+    /// The expiry of the robot's certificate, if it has presented one.
     pub(crate) certified_until: Option<Timestamp<Server>>,
-    /// To whom it belongs, while robots are greeted.
+    /// The robot's owner, during the greeting.
     pub(crate) ownership: Ownership,
     pub(crate) link: Link,
-    /// When its newest link was made, if an earlier one had broken.
+    /// The time at which the newest link was made, if an earlier one had broken.
     relinked_at: Option<Timestamp<Server>>,
-    /// Attempts to reach it since it was last heard.
+    /// Number of attempts to reach it since the last message from it.
     attempts: u32,
     pub(crate) standing: Standing,
     /// Whether it joined after the mission had begun.
     pub(crate) joined_late: bool,
     /// Whether its devices may no longer be where the greeting found them, because it joined late or is on a new link.
     pub(crate) unplaced: bool,
-    /// Devices that a stop has left at positions that the next act that moves them may not expect.
+    /// Devices that a stop has left at positions that the next act with them may not expect.
     pub(crate) adrift: BTreeSet<DeviceId>,
-    /// The last question for positions of an act on this link.
+    /// The last question about positions before an act on this link.
     pub(crate) positions_asked: Option<PositionsAsked>,
-    /// It was not there when an act was sent in which it has a part.
+    /// Whether it was missing when an act in which it has a part was sent.
     pub(crate) has_missed_an_act: bool,
     pub(crate) block: Option<InitializationBlock>,
-    /// The robot has given its own block in this mission.
+    /// Whether the robot has sent its own block in this mission.
     pub(crate) introduced: bool,
-    /// What it declares of latencies, where that is not what was compensated.
+    /// The latencies that it declares, if they differ from the compensated ones.
     pub(crate) latency_differs: Option<LatencyDiffers>,
-    /// What the fleet file says of it.
+    /// The robot's settings in the fleet file.
     pub(crate) settings: MissionSettings,
     pub(crate) in_process: bool,
-    /// What was last added to a timestamp so that it is right by its own clock.
+    /// The offset last added to a timestamp to convert it to the robot's clock.
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
     pub(crate) questions: Questions,
-    /// When the operator was last told what it says of itself.
+    /// The time of the last report to the operator about the robot's own status.
     pub(crate) told_at: Option<Timestamp<Server>>,
-    /// When something last came from it.
+    /// The time of the last message from it.
     heard_at: Option<Timestamp<Server>>,
-    /// When a question last reached it that it has answered, by its own clock.
+    /// The time by its own clock at which it received the newest question that it has answered.
     reached_at: Option<Timestamp<Robot>>,
-    /// Of `settings.require`, in its order.
+    /// For `settings.require`, in the same order.
     pub(crate) readings: Vec<Option<f64>>,
-    /// Where devices stood before the first act.
+    /// The positions of devices before the first act.
     pub(crate) positions: Vec<(DeviceId, f64)>,
-    /// The commanded positions of devices before the first act, as the robot states them.
+    /// The commanded positions of devices before the first act, as reported by the robot.
     pub(crate) commanded: BTreeMap<DeviceId, f64>,
-    /// Number of pending answers that state them.
+    /// Number of pending answers about them.
     pub(crate) positions_owed: usize,
-    /// What its other sensors read, which nothing depends on.
+    /// Readings of its other sensors, on which nothing depends.
     pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
-    /// Why a device gave no reading, as the robot says it.
+    /// Why a device gave no reading, in the robot's words.
     pub(crate) unread: BTreeMap<DeviceId, String>,
     pub(crate) reads: OwedReadings,
-    /// The requests that it was sent, by their names.
+    /// The requests sent to it, by their ids.
     pub(crate) requests: HashMap<RequestId, ScriptRef>,
-    /// Devices that this mission has sent anything that moves.
+    /// Devices to which this mission has sent anything that moves them.
     pub(crate) touched: BTreeSet<DeviceId>,
-    /// It has confirmed its stop, and was sent nothing that moves since.
+    /// Whether it has confirmed its stop and has since been sent nothing that moves.
     pub(crate) at_rest: bool,
     pub(crate) stop: Stop,
     /// Whether the mission has reported that the robot has confirmed its stop.
     pub(crate) rest_reported: bool,
     /// Set once the robot has lost a script that another process may still run: the end of its lease, `None` without a lease.
     pub(crate) elsewhere: Option<Option<Timestamp<Server>>>,
-    /// When what it still held at the end of an act ends by its own leases; `None` where it has none.
+    /// For the requests that it still held at the end of an act: the end of their own leases; `None` for a request without a lease.
     pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
-    /// When it was last sent anything but a question.
+    /// The time of the last message other than a question.
     spoken_at: Option<Timestamp<Server>>,
     pub(crate) failures: Failures,
-    /// The questions that its answers may answer.
+    /// The open questions to which its answers may belong.
     pub(crate) exchanges: Exchanges,
     pub(crate) totals: Totals,
-    /// Nobody knows what it did of a script of an act that has ended.
+    /// Whether the fate of a script of an ended act is unknown.
     pub(crate) was_lost_sight_of: bool,
 }
 
-/// The pause before the second attempt to reach a robot again, doubled with every attempt; the first comes at once.
+/// The pause before the second attempt to reconnect to a robot, doubled with every attempt. The first attempt is immediate.
 const RETRY_AFTER: Span = Span::from_millis(10);
 const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
-/// What is overtaken by a question may come so long after it was sent.
+/// The longest time for which a message that a question overtakes may be under way.
 const UNDER_WAY: Span = Span::from_millis(1_000);
 
 /// A question for the positions of a robot's devices before an act.
@@ -323,7 +323,7 @@ const UNDER_WAY: Span = Span::from_millis(1_000);
 pub(crate) struct PositionsAsked {
     pub(crate) act: u32,
     pub(crate) at: Timestamp<Server>,
-    /// When the act asked first.
+    /// The time at which the act first asked.
     pub(crate) since: Timestamp<Server>,
     /// The positions of adrift devices in the previous answer.
     pub(crate) before: BTreeMap<DeviceId, f64>,
@@ -380,7 +380,7 @@ impl RobotState {
         }
     }
 
-    /// At the end of the mission: why a robot that was not there at first took no part. `None` for all other robots.
+    /// The reason, at the end of the mission, why a robot that was missing at first took no part. `None` for all other robots.
     pub(crate) fn why_it_never_joined(&self) -> Option<String> {
         match self.standing {
             Standing::Absent if self.has_failed() => None,
@@ -389,13 +389,13 @@ impl RobotState {
                 None => "it has not answered".to_owned(),
             }),
             Standing::In if self.has_missed_an_act && self.totals.sent == 0 => {
-                Some("its acts had begun when it came".to_owned())
+                Some("its acts had already started when it joined".to_owned())
             }
             Standing::In | Standing::Out => None,
         }
     }
 
-    /// The pause before the next attempt to reach it, which is counted.
+    /// Counts an attempt to reconnect, and returns the pause before it.
     pub(crate) fn next_attempt(&mut self) -> Span {
         let attempts = self.attempts;
         self.attempts = attempts.saturating_add(1);
@@ -405,7 +405,7 @@ impl RobotState {
         }
     }
 
-    /// Something came from it. `true`: for the first time since its link was lost.
+    /// Notes that a message came from it. Returns whether it is the first since its link was lost.
     pub(crate) fn heard(&mut self, now: Timestamp<Server>) -> bool {
         self.attempts = 0;
         self.heard_at = Some(now);
@@ -415,14 +415,14 @@ impl RobotState {
         }
     }
 
-    /// A question reached it at that time by its own clock. Returns when the one before did, unless that was later.
+    /// Notes that a question reached it at `at` by its own clock. Returns the previous such time, unless that was later.
     pub(crate) fn reached(&mut self, at: Timestamp<Robot>) -> Option<Timestamp<Robot>> {
         let before = self.reached_at;
         self.reached_at = before.max(Some(at));
         before.filter(|before| *before < at)
     }
 
-    /// Something is sent to it.
+    /// Notes that a message is sent to it.
     pub(crate) fn is_sent(&mut self, now: Timestamp<Server>, message: &Message) {
         self.last_sent = Some(now);
         if let Message::ControlRequest(_) = message {
@@ -430,7 +430,7 @@ impl RobotState {
         }
     }
 
-    /// Whether anything but questions may have reached it between two instants by its own clock.
+    /// Whether a message other than a question may have reached it between two instants by its own clock.
     pub(crate) fn was_spoken_to(
         &self,
         now: Timestamp<Server>,
@@ -440,12 +440,12 @@ impl RobotState {
         self.spoken_at.is_some_and(|spoken| spoken + UNDER_WAY >= before && spoken <= at)
     }
 
-    /// Its clock was set: times by it from before and after do not compare.
+    /// Notes that its clock was set. Times by its clock from before and after cannot be compared.
     pub(crate) fn clock_was_set(&mut self) {
         self.reached_at = None;
     }
 
-    /// A link to its address stands. Which robot answers there it has to say first.
+    /// Notes a connection to its address. The robot that answers must first identify itself.
     pub(crate) fn connected(&mut self, now: Timestamp<Server>) {
         let unheard = self.lost_mut().cloned();
         self.relinked_at = unheard.as_ref().map(|_| now);
@@ -456,33 +456,33 @@ impl RobotState {
         self.positions_asked = None;
     }
 
-    /// When its link was made, if its clock was measured on an earlier link and it has not answered on this one yet. It may be a
-    /// new process with another clock.
+    /// The time at which its link was made, if its clock was measured on an earlier link and it has not answered on this one yet. It may
+    /// be a new process with another clock.
     pub(crate) fn unmeasured_since(&self) -> Option<Timestamp<Server>> {
         let stands = matches!(self.link, Link::Unnamed { .. } | Link::Up { .. });
         let answered = self.questions.answered();
         self.relinked_at.filter(|at| stands && self.clock.samples() > 0 && answered < Some(*at))
     }
 
-    /// Whether scripts have to wait until it has answered: its clock is not known, or was measured on an earlier link.
+    /// Whether scripts have to wait until it answers, because its clock is unknown or was measured on an earlier link.
     pub(crate) fn owes_its_times(&self) -> bool {
         let unknown = self.clock.samples() == 0 && self.settings.clock == ClockMode::Measured;
         unknown || self.unmeasured_since().is_some()
     }
 
-    /// Whether it may be sent scripts: no stop was sent to it, and it does not owe its times.
+    /// Whether scripts may be sent to it: no stop was sent, and it does not owe its times.
     pub(crate) fn may_be_sent_scripts(&self) -> bool {
         !self.stop_was_sent() && !self.owes_its_times()
     }
 
-    /// It is the one that is meant, or it is not asked. `false`: that was known of this link.
+    /// Notes that the right robot answers, or that its identity is not checked. Returns `false` if that was already known for this link.
     pub(crate) fn named(&mut self) -> bool {
         let Link::Unnamed { unheard, .. } = &mut self.link else { return false };
         self.link = Link::Up { unheard: unheard.take() };
         true
     }
 
-    /// A link stands on which it has not said yet which robot it is, since then.
+    /// The time at which the current link was made, if the robot has not identified itself on it yet.
     pub(crate) const fn unnamed_since(&self) -> Option<Timestamp<Server>> {
         match self.link {
             Link::Unnamed { since, .. } => Some(since),
@@ -490,7 +490,7 @@ impl RobotState {
         }
     }
 
-    /// The same on the first link of this process: one that was lost before is given up in its own time.
+    /// The same, but only on the first link of this process. A link that was lost before has its own deadline.
     pub(crate) const fn owes_its_name_since(&self) -> Option<Timestamp<Server>> {
         match self.link {
             Link::Unnamed { since, unheard: None } => Some(since),
@@ -502,21 +502,20 @@ impl RobotState {
         matches!(self.link, Link::Up { .. })
     }
 
-    /// When it has been silent for so long that it has failed: it owes an answer, and this time has passed since anything came
-    /// from it.
+    /// The time at which its silence becomes a failure: it owes an answer, and `bound` has elapsed since the last message from it.
     pub(crate) fn silent_at(&self, bound: Span) -> Option<Timestamp<Server>> {
         let asked = self.questions.unanswered().or(self.owes_its_name_since())?;
-        // After this machine was held up, a question must have had its time.
+        // After a delay of this machine, a question must have had its time.
         let answerable = asked + bound * 2 / 3;
         Some(self.heard_at.map_or(asked + bound, |heard| (heard + bound).max(answerable)))
     }
 
-    /// Why its link broke, unless it has been heard since.
+    /// The cause of the link's loss, unless a message from the robot has arrived since.
     pub(crate) fn broken(&self) -> Option<&str> {
         self.lost().map(|lost| lost.reason.as_str())
     }
 
-    /// How its link was lost, unless it has been heard since.
+    /// The loss of the link, unless a message from the robot has arrived since.
     pub(crate) const fn lost(&self) -> Option<&Lost> {
         match &self.link {
             Link::Lost(lost) => Some(lost),
@@ -525,7 +524,7 @@ impl RobotState {
         }
     }
 
-    /// The same, to be given up or not.
+    /// The same, mutable: to give the link up or not.
     pub(crate) const fn lost_mut(&mut self) -> Option<&mut Lost> {
         match &mut self.link {
             Link::Lost(lost) => Some(lost),
@@ -534,7 +533,7 @@ impl RobotState {
         }
     }
 
-    /// Whether it is certain that no process of it runs any more.
+    /// Whether it is certain that no process of the robot runs any longer.
     pub(crate) const fn is_gone(&self) -> bool {
         matches!(&self.link, Link::Lost(Lost { loss: Loss::Refused, .. }))
     }
@@ -543,28 +542,28 @@ impl RobotState {
         !self.failures.is_empty()
     }
 
-    /// Whether it belongs to another session and is to be taken from that.
+    /// Whether it belongs to another session and is to be taken over from that.
     pub(crate) const fn is_of_another(&self) -> bool {
         matches!(self.ownership, Ownership::OfAnother(_))
     }
 
-    /// Its clock at an instant.
+    /// The reading of its clock at an instant.
     pub(crate) fn clock_at(&self, at: Timestamp<Server>) -> Option<ClockReading> {
         self.clock.reading_at(at)
     }
 
-    /// The round trip that its link keeps to nearly always.
+    /// The round trip that its link nearly always keeps.
     pub(crate) const fn round_trip(&self) -> Span {
         self.clock.delay_high()
     }
 
-    /// The server's time at which it sent something, as far as its clock is known, and not later than now.
+    /// The server time at which the robot sent something, as far as its clock is known, and at most `now`.
     pub(crate) fn said_at(&self, now: Timestamp<Server>, timestamp: Timestamp<Robot>) -> Timestamp<Server> {
         let offset = self.clock_at(now).map_or(Span::ZERO, |reading| reading.offset);
         (timestamp - offset).assume_clock::<Server>().min(now)
     }
 
-    /// Whether it says when scripts start and end.
+    /// Whether it reports the start and end of scripts.
     pub(crate) fn reports(&self) -> bool {
         self.block.as_ref().is_some_and(|block| block.reports)
     }
@@ -574,23 +573,23 @@ impl RobotState {
         self.block.as_ref().is_some_and(|block| block.inquiry)
     }
 
-    /// Whether the robot itself drops a script that was not decided, however long a message to it was delayed.
+    /// Whether the robot itself drops an undecided script, however long a message to it is delayed.
     pub(crate) fn drops_undecided(&self) -> bool {
         self.block.as_ref().is_some_and(|block| block.inquiry && block.pending_until)
     }
 
-    /// Whether what became of a script can be learned from it.
+    /// Whether the robot can report the fate of a script.
     pub(crate) fn tells_fates(&self) -> bool {
         self.reports() || self.takes_inquiries()
     }
 
-    /// How many scripts one of its devices holds.
+    /// The number of scripts that a device holds.
     pub(crate) fn queue_of(&self, device: &DeviceId) -> usize {
         let device = self.block.as_ref().and_then(|block| block.device(device.as_str()));
         device.map_or(1, |device| device.script_queue as usize)
     }
 
-    /// Its stop is over. A robot that was left out stays stopped.
+    /// Ends its stop. A robot that was left out stays stopped.
     pub(crate) fn plays_again(&mut self) {
         if self.standing != Standing::Out {
             (self.stop, self.at_rest) = (Stop::None, true);
@@ -602,25 +601,25 @@ impl RobotState {
         !matches!(self.stop, Stop::None)
     }
 
-    /// Whether a stop is on its way that has not been confirmed and is not given up.
+    /// Whether a stop is pending: sent, not confirmed, and not given up.
     pub(crate) const fn awaits_stop(&self) -> bool {
         matches!(self.stop, Stop::Sent(SentStop { given_up: false, .. }))
     }
 
-    /// Whether it has refused its stop because it belongs to another session, and is left to that.
+    /// Whether it has refused its stop because it belongs to another session, and is left to that session.
     pub(crate) const fn is_left_to_others(&self) -> bool {
         matches!(self.stop, Stop::Sent(SentStop { given_up: true, .. }))
     }
 
-    /// What it said could not be read.
+    /// Whether one of its messages could not be read.
     pub(crate) fn is_garbled(&self) -> bool {
         self.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }))
     }
 
-    /// Whether it was stopped to come to rest in another way than this.
+    /// Whether it was stopped with another kind of rest than this.
     pub(crate) fn stops_otherwise(&self, rest: Rest) -> bool {
         match &self.stop {
-            // It came to rest by an earlier stop.
+            // An earlier stop brought it to rest.
             Stop::None => rest == Rest::Home && !self.touched.is_empty(),
             Stop::Sent(sent) => sent.rest != rest,
             Stop::Confirmed(confirmed) => *confirmed != rest,
@@ -644,7 +643,7 @@ impl RobotState {
         !self.is_settled() && !self.is_gone() && !rests
     }
 
-    /// It was sent nothing that moves, at least since it has confirmed a stop.
+    /// Whether it was sent nothing that moves, at least since it confirmed a stop.
     pub(crate) fn holds_nothing(&self) -> bool {
         self.touched.is_empty() || self.at_rest
     }
@@ -655,8 +654,8 @@ impl RobotState {
         self.elsewhere = Some(before.zip(until).map(|(before, until)| before.max(until)));
     }
 
-    /// Takes the answer to a stop request, if it is one. An answer without a name is one only if no script of its device
-    /// can be meant: `open_on` tells whether one is open. A process that only withdraws a mission knows no scripts.
+    /// Takes the answer to a stop request, if it is one. An answer without an id is one only if it cannot belong to a script of its
+    /// device: `open_on` returns whether one is open. A process that only withdraws a mission knows no scripts.
     pub(crate) fn stop_answered(
         &mut self,
         now: Timestamp<Server>,
@@ -665,7 +664,7 @@ impl RobotState {
     ) -> bool {
         let said_at = self.said_at(now, response.timestamp);
         let Stop::Sent(sent) = &mut self.stop else { return false };
-        // An acceptance says that something will be done, and without a name perhaps that a script will.
+        // An acceptance confirms only a future action, and without an id possibly that of a script.
         let confirms = response.status == Status::Ok;
         let id = match &response.request_id {
             Some(id) if !sent.unconfirmed.contains_key(id) => return false,

@@ -1,8 +1,8 @@
-//! Questions to robots: what keeps leases, measures clocks and tells who has gone silent.
+//! Questions to robots. They renew leases, measure clocks and detect robots that have gone silent.
 //!
-//! All robots are asked at least once a second, and three times a lease. While an act approaches its start it asks its
-//! members itself (`act/approaching.rs`); nothing else is then sent to them without a question ahead of it that carries
-//! the lease, and between the critical instant and the commitment nothing at all but stops.
+//! All robots are asked at least once per second, and three times per lease. While an act approaches its start, it asks its members
+//! itself (`act/approaching.rs`). Any other message to them then follows a question that carries the lease. Between the critical instant
+//! and the commitment, only stops are sent.
 
 use urrcp::{
     AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Robot, Server, Span, Status, Timestamp,
@@ -17,21 +17,21 @@ use super::seize::Ownership;
 use super::{Greeting, Mission, Phase, Progress, error_of_status};
 use crate::clock::ClockSample;
 
-/// Between two rounds where no lease asks for more.
+/// Interval between two rounds if no lease requires a shorter one.
 const KEEP_ALIVE: Span = Span::from_millis(1_000);
-/// A robot that owes an answer for so long has failed, where no lease of its own sets a bound.
+/// The maximum time for which a robot may owe an answer, if it has no lease that limits it.
 pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
-/// Between two words to the operator of what a robot says of itself.
+/// The minimum interval between two reports to the operator about a robot's own status.
 const TOLD_INTERVAL: Span = Span::from_millis(900);
-/// A round that comes so late was held up on this machine, and says nothing about the robots.
+/// A round that is late by more than this was delayed on this machine, and indicates nothing about the robots.
 pub(super) const HELD_UP: Span = Span::from_millis(100);
-/// From one look for silent robots to the next, at least.
+/// The minimum interval between two checks for silent robots.
 const LOOK_AGAIN: Span = Span::from_millis(1);
-/// The same for each robot of the fleet: 10 ms for 10,000.
+/// The same per robot of the fleet: 10 ms for 10,000.
 const LOOK_A_ROBOT: Span = Span::from_micros(1);
 
 impl Mission {
-    /// Asks all robots when the next round is due; a little later where that would disturb robots that start.
+    /// Asks all robots when the next round is due. Slightly delayed if the round would disturb robots that start.
     pub(super) fn renew_if_due(&mut self, now: Timestamp<Server>) {
         if now < *self.next_round.get_or_insert(now + KEEP_ALIVE) {
             return;
@@ -53,21 +53,21 @@ impl Mission {
                 (false, _) if self.is_asked_anyway(lately, robot) => {}
                 (false, _) if self.robots[robot].standing == Standing::Absent => self.ask_absent(now, robot),
                 (false, _) => self.ask(now, robot),
-                // A robot that was left out has not confirmed yet.
+                // A robot that was left out has not confirmed its stop yet.
                 (true, true) => self.repeat_stop(now, robot),
                 (true, false) => {}
             }
         }
     }
 
-    /// Requests the availability of a robot that is to join, until the robot is available.
+    /// Requests the availability of a robot that is to join, until it is available.
     fn ask_absent(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].is_up() && self.options.greeting == Greeting::Full {
             self.ask_availability(now, robot);
         }
     }
 
-    /// An act that approaches its start asks it itself: a link that carries little is not asked twice.
+    /// Whether an act that approaches its start asks the robot itself. To save bandwidth, the robot is not asked twice.
     fn is_asked_anyway(&self, lately: Timestamp<Server>, robot: usize) -> bool {
         let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
         asked && self.acts.iter().any(|act| act.approaches(robot))
@@ -78,13 +78,13 @@ impl Mission {
         interval_for(self.acts.iter().filter_map(Act::shortest_lease).min())
     }
 
-    /// Something is sent under this lease: the next round comes in time for it.
+    /// Schedules the next round in time for a message that is sent under this lease.
     pub(super) fn quicken_rounds(&mut self, now: Timestamp<Server>, lease: Option<Span>) {
         let next = now + interval_for(lease);
         self.next_round = Some(self.next_round.map_or(next, |at| at.min(next)));
     }
 
-    /// This machine was held up: robots that could not answer meanwhile are not silent.
+    /// Detects a delay of this machine. Robots that could not answer meanwhile are not silent.
     pub(super) fn notice_hold_up(&mut self, now: Timestamp<Server>) {
         if self.next_round.is_some_and(|due| now > due + HELD_UP) {
             self.rounds_held_up += 1;
@@ -93,7 +93,7 @@ impl Mission {
         }
     }
 
-    /// Asks a robot for its times, which renews all leases. While an act approaches its start, about its scripts as well.
+    /// Asks a robot for its times, which renews all leases. While an act approaches its start, also asks about its scripts.
     pub(super) fn ask(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.acts.iter().any(|act| act.approaches(robot)) {
             return self.inquire(now, robot);
@@ -103,14 +103,14 @@ impl Mission {
         }
     }
 
-    /// Asks a robot what became of all its scripts, and lets it shorten their leases as far as acts approach their start.
+    /// Asks a robot about all its scripts, and makes it shorten their leases as far as acts approach their start.
     pub(super) fn inquire(&mut self, now: Timestamp<Server>, robot: usize) {
         if !self.acts.iter().any(|act| act.hushes(robot, now)) {
             self.inquire_now(now, robot);
         }
     }
 
-    /// The same ahead of a message that cannot wait.
+    /// The same before an urgent message.
     pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: usize) {
         let ahead = self.robots[robot].clock_at(now).map(|reading| reading.offset);
         let named = self.acts.iter().flat_map(|act| {
@@ -146,8 +146,8 @@ impl Mission {
         }
     }
 
-    /// Asks for the robot's times and claims it for the session, which also renews all leases. Takes it from another session where
-    /// it is to be taken.
+    /// Asks for the robot's times and claims it for the session, which also renews all leases. Takes it over from another session if that
+    /// was requested.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].questions.asked(now);
         self.robots[robot].exchanges.asked(now, 1);
@@ -166,7 +166,7 @@ impl Mission {
         state.clock.add(sample);
         state.questions.answer(sample.sent);
         let answered = owed && !state.owes_its_times();
-        // A process that takes a mission up does not know by which clock the robot was sent what it has.
+        // A process that takes over a mission does not know by which clock the robot's scripts were sent.
         if state.clock.steps() > steps || state.clock.samples() == 1 {
             self.clock_is_new(now, robot);
         }
@@ -182,7 +182,7 @@ impl Mission {
         }
     }
 
-    /// A robot whose clock was set since it was sent an act may start long before the others.
+    /// Handles a new clock. A robot whose clock was set since an act was sent to it may start long before the others.
     fn clock_is_new(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].clock_was_set();
         // An act may have waited for it.
@@ -203,8 +203,8 @@ impl Mission {
         }
     }
 
-    /// A question reached a robot that takes no inquiries, at that time by its clock. After a longer silence than its lease
-    /// it has dropped its scripts, and does not say so when it is asked.
+    /// Notes that a question reached a robot that takes no inquiries, at `at` by its clock. After a silence longer than its lease, it has
+    /// dropped its scripts, and does not report that when asked.
     pub(super) fn question_reached(&mut self, now: Timestamp<Server>, robot: usize, at: Timestamp<Robot>) {
         let Some(before) = self.robots[robot].reached(at) else { return };
         if self.robots[robot].takes_inquiries() {
@@ -219,7 +219,7 @@ impl Mission {
         }
     }
 
-    /// A robot says what became of its scripts.
+    /// Takes a robot's report about its scripts.
     pub(super) fn inquiry_answered(
         &mut self,
         now: Timestamp<Server>,
@@ -234,7 +234,7 @@ impl Mission {
         };
         let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
         let asked_at = sample.sent;
-        // No sample: the robot may belong to another session, and a robot with many devices answers several times at once.
+        // No sample: the robot may belong to another session, and a robot with many devices sends several answers at once.
         if matches!(self.phase, Phase::Greeting { .. }) {
             return self.positions_stated(now, robot, &response.devices);
         }
@@ -265,8 +265,8 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// A process that took the mission up knows a robot's link by one exchange at first, which may have been slow for once: it asks
-    /// again at each answer until such an outlier can be told.
+    /// Asks again at each answer until outliers can be distinguished. A process that took over the mission initially knows a robot's link
+    /// by one exchange, which may have been slow once.
     pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         let known = state.clock.tells_outliers() || state.stop_was_sent();
@@ -275,7 +275,7 @@ impl Mission {
         }
     }
 
-    /// Tells the operator what a robot says of itself, now and then.
+    /// Reports a robot's own status to the operator from time to time.
     fn tell_heard(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &mut self.robots[robot];
         if state.told_at.is_some_and(|told| now < told + TOLD_INTERVAL) {
@@ -285,7 +285,7 @@ impl Mission {
         self.tell_steps(robot);
     }
 
-    /// Tells the operator what a robot has said of its steps and its clock.
+    /// Reports a robot's steps and clock to the operator.
     pub(super) fn tell_steps(&mut self, robot: usize) {
         let state = &self.robots[robot];
         let (id, clock_offset) = (state.id.clone(), state.clock.reading().map(|reading| reading.offset));
@@ -307,7 +307,7 @@ impl Mission {
         Some(lease.unwrap_or(SILENCE_MAX) + state.round_trip())
     }
 
-    /// When the first robot will have been silent for too long, or another lease counts with its next script.
+    /// The time at which the first robot will have been silent for too long, or another lease applies with its next script.
     fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let due = |robot: usize| {
             let silent = self.robots[robot].silent_at(self.silence_bound(now, robot)?)?;
@@ -318,7 +318,7 @@ impl Mission {
         (0..self.robots.len()).filter_map(due).min()
     }
 
-    /// A robot that owes an answer for its running lease is a failure, whatever its link looks like.
+    /// Fails robots that owe an answer for longer than their running lease, whatever the state of their link.
     pub(super) fn notice_silence(&mut self, now: Timestamp<Server>) {
         if self.next_silence.is_none_or(|due| now < due) {
             return;
@@ -333,18 +333,18 @@ impl Mission {
         if !silent.is_empty() {
             self.fail_all(now, silent);
         }
-        // Each look asks for every robot: a large fleet whose scripts begin one after another is looked at more rarely.
+        // Each check inspects every robot. A large fleet whose scripts begin one after another is checked less often.
         let robots = i64::try_from(self.robots.len()).unwrap_or(i64::MAX);
         let pause = LOOK_AGAIN.max(LOOK_A_ROBOT * robots);
         self.next_silence = self.silence_due(now).map(|due| due.max(now + pause));
     }
 }
 
-/// The names of scripts that one question carries, in bytes. A robot takes at most 64 KiB from a connection that has not named its
-/// session yet, as a new one after an interruption.
+/// Maximum length of the request ids in one question, in bytes. A robot accepts at most 64 KiB from a connection that has not named its
+/// session yet, such as a new one after an interruption.
 const NAMES_BYTES: usize = 32 * 1024;
 
-/// The same names in as many groups as their length requires.
+/// Splits the same ids into as many groups as their length requires.
 fn in_parts(named: Vec<NamedScripts>) -> Vec<NamedScripts> {
     let mut parts = Vec::with_capacity(named.len());
     for NamedScripts { lease, until, requests } in named {
@@ -365,7 +365,7 @@ fn in_parts(named: Vec<NamedScripts>) -> Vec<NamedScripts> {
     parts
 }
 
-/// A third of a lease, within what is sensible.
+/// A third of a lease, within reasonable limits.
 fn interval_for(lease: Option<Span>) -> Span {
     let interval = lease.map(|lease| lease / LeadTime::RENEWALS_A_LEASE);
     interval.unwrap_or(KEEP_ALIVE).min(KEEP_ALIVE).max(Span::from_millis(1))

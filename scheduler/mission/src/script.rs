@@ -1,4 +1,4 @@
-//! One script of one device on its way: planned, sent, held, running, ended, or unknown.
+//! One script of one device and its state: planned, sent, held, running, ended, or unknown.
 
 mod invariants;
 
@@ -21,20 +21,20 @@ pub(crate) struct ScriptRef {
     pub(crate) script: usize,
 }
 
-/// Where a script stands, as far as the scheduler knows.
+/// State of a script, as far as the scheduler knows it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ScriptState {
     /// Not sent.
     Planned,
-    /// Its request is on its way; the robot has not answered.
+    /// Its request was sent; the robot has not answered.
     Sent,
-    /// The robot holds it; its start lies ahead.
+    /// The robot holds it; its start is in the future.
     Held,
     /// It has begun.
     Running,
-    /// The robot said how it ended.
+    /// The robot has reported its end.
     Ended(Ending),
-    /// It was sent, its time has passed, and no message said what became of it.
+    /// It was sent, its time has passed, and no message reported its fate.
     Unknown,
 }
 
@@ -47,10 +47,9 @@ pub(crate) enum Ending {
     Failed(ControlError),
 }
 
-/// What an answer says that was not known before.
+/// The new information in an answer.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum News {
-    /// Nothing.
     None,
     /// The robot holds it.
     Accepted,
@@ -62,26 +61,26 @@ pub(crate) enum News {
     Failed(ControlError),
     /// The robot never received it.
     NeverReceived,
-    /// The robot says of it what cannot be true.
+    /// The robot's statement about it is impossible.
     Discredited,
-    /// Nobody can tell any more what became of it.
+    /// Its fate can no longer be learned.
     Lapsed,
 }
 
-/// One script and what is known of it.
+/// A script with its plan and its state.
 #[derive(Clone, Debug)]
 pub(crate) struct Script {
     pub(crate) plan: DeviceScript,
     state: ScriptState,
     request_id: Option<RequestId>,
-    /// The name of its first request, which the journal knows.
+    /// The id of its first request, which is in the journal.
     promised_id: Option<RequestId>,
-    /// How often its robot had no room for it.
+    /// The number of times that its robot had no room for it.
     refusals: u32,
     content_hash: ContentHash,
-    /// The offset that is added to the timestamp of its request, if it differs from the offset of its act.
+    /// The offset added to the timestamp of its request, if it differs from the offset of its act.
     shift: Option<Span>,
-    /// Another process may have sent it with an offset that its journal has lost.
+    /// Whether another process may have sent it with an offset that its journal has lost.
     shift_is_lost: bool,
     /// Planned time from the start of the act until the script has started.
     starts: Span,
@@ -92,21 +91,21 @@ pub(crate) struct Script {
     steps_done: u32,
     late_steps: u32,
     late_max: Option<Span>,
-    /// The robot said that it began, though nothing else of that is believed.
+    /// Whether the robot reported that it began, although no other report about it is credible.
     began: bool,
-    /// The robot said of it what cannot be true.
+    /// Whether the robot made an impossible statement about it.
     discredited: bool,
-    /// What the robot last said of its steps, and when by its clock.
+    /// The latest report of executed steps, with its time by the robot's clock.
     steps_said: Option<(Timestamp<Robot>, u32)>,
-    /// By the robot's clock: when it first said that it holds it.
+    /// The time of the first report that the robot holds it, by the robot's clock.
     accepted_at: Option<Timestamp<Robot>>,
-    /// When the question was sent that it last answered with "held".
+    /// The sending time of the latest question that was answered with "held".
     held_at: Option<Timestamp<Server>>,
-    /// When the newest inquiry was sent whose answer reports on it.
+    /// The sending time of the newest inquiry whose answer reports on it.
     reported_at: Option<Timestamp<Server>>,
     sent_at: Option<Timestamp<Server>>,
     first_sent_at: Option<Timestamp<Server>>,
-    /// Another process may have sent it before this one took over, and its robot has not said.
+    /// Whether another process may have sent it before this one took over, without a report from its robot.
     perhaps_sent: bool,
     /// Whether the robot no longer knows it, although it had accepted it.
     lost: bool,
@@ -175,33 +174,33 @@ impl Script {
         self.shift
     }
 
-    /// When its request was sent for the first time.
+    /// The time at which its request was sent for the first time.
     pub(crate) const fn first_sent_at(&self) -> Option<Timestamp<Server>> {
         self.first_sent_at
     }
 
-    /// Its request was sent more than once, as far as is known.
+    /// Whether its request was sent more than once, as far as known.
     pub(crate) fn came_again(&self) -> bool {
         self.perhaps_sent || self.first_sent_at != self.sent_at
     }
 
-    /// Planned time from the start of the act until the script has started. A device that holds begins a script at its start, and
-    /// starts it with the first value.
+    /// Planned time from the start of the act until the script has started. On a device that holds its value, a script begins at its
+    /// start, and has started with the first value.
     pub(crate) const fn starts(&self) -> Span {
         self.starts
     }
 
-    /// From its start to its last step.
+    /// Time from its start to its last step.
     pub(crate) const fn duration(&self) -> Span {
         self.duration
     }
 
-    /// The shortest of the leases under which it plays.
+    /// The shortest lease under which it plays.
     pub(crate) const fn shortest_lease(&self) -> Option<Span> {
         self.running.shortest
     }
 
-    /// The longest of the leases under which it plays; `None`: at times it plays without one.
+    /// The longest lease under which it plays; `None` if it plays without a lease at times.
     pub(crate) const fn longest_lease(&self) -> Option<Span> {
         self.running.longest
     }
@@ -231,12 +230,12 @@ impl Script {
         self.late_max.filter(|_| self.late_steps > 0)
     }
 
-    /// By the robot's clock: when it first said that it holds it.
+    /// The time of the first report that the robot holds it, by the robot's clock.
     pub(crate) const fn accepted_at(&self) -> Option<Timestamp<Robot>> {
         self.accepted_at
     }
 
-    /// When the question was sent that it last answered with "held".
+    /// The sending time of the latest question that was answered with "held".
     pub(crate) const fn held_at(&self) -> Option<Timestamp<Server>> {
         self.held_at
     }
@@ -249,27 +248,27 @@ impl Script {
         matches!(self.state, ScriptState::Planned)
     }
 
-    /// The robot has it, or may have it.
+    /// Whether the robot has it, or may have it.
     pub(crate) const fn is_out(&self) -> bool {
         matches!(self.state, ScriptState::Sent | ScriptState::Held | ScriptState::Running)
     }
 
-    /// Sent, or perhaps sent by another process, and no message said what became of it.
+    /// Whether it was sent, perhaps by another process, and no message reported its fate.
     pub(crate) const fn is_unaccounted(&self) -> bool {
         self.is_out()
             || matches!(self.state, ScriptState::Unknown)
             || (self.is_planned() && self.perhaps_sent)
     }
 
-    /// Another process may have sent it, and its robot has not said a word of it to this one.
+    /// Whether another process may have sent it, without any report from its robot to this one.
     pub(crate) const fn is_unheard_since_taken_up(&self) -> bool {
         self.perhaps_sent
             && !self.accepted
             && matches!(self.state, ScriptState::Planned | ScriptState::Sent | ScriptState::Unknown)
     }
 
-    /// A robot that knows nothing of it refuses it as too late. Another process may have sent it in time, and the robot have
-    /// played it before it forgot.
+    /// Whether the robot may have played it, although it refuses it as too late. Another process may have sent it in time, and the robot
+    /// may have forgotten it since.
     pub(super) fn may_have_been_played(&self, response: &ControlResponse) -> bool {
         let late = || error_of(response).code == ErrorCode::Late;
         let untold = matches!(self.state, ScriptState::Sent | ScriptState::Unknown);
@@ -280,7 +279,7 @@ impl Script {
         matches!(self.state, ScriptState::Ended(Ending::Completed))
     }
 
-    /// The robot said that it began.
+    /// Whether the robot has reported that it began.
     pub(crate) const fn has_begun(&self) -> bool {
         self.has_started() || matches!(self.state, ScriptState::Running)
     }
@@ -295,13 +294,13 @@ impl Script {
         self.promised_id = id;
     }
 
-    /// Whether an answer bears an earlier name of the script. The robot has refused that name for good, and a request that arrives twice
-    /// is refused twice.
+    /// Whether an answer contains an earlier id of the script. The robot has refused that id permanently, and refuses a duplicate request
+    /// again.
     pub(super) fn had_another_name(&self, response: &ControlResponse) -> bool {
         response.request_id.is_some() && response.request_id != self.request_id
     }
 
-    /// This process takes over from another one, which may have sent it.
+    /// Notes that this process takes over from another one, which may have sent it.
     pub(super) const fn taken_up(&mut self) {
         self.perhaps_sent = true;
     }
@@ -312,25 +311,25 @@ impl Script {
         self.first_sent_at.get_or_insert(now);
     }
 
-    /// It was sent, or another process may have sent it.
+    /// Whether it was sent, or another process may have sent it.
     pub(super) const fn was_ever_sent(&self) -> bool {
         self.first_sent_at.is_some() || self.perhaps_sent
     }
 
-    /// Whether it was sent for the first time at an instant or later.
+    /// Whether it was sent for the first time at or after an instant.
     pub(super) fn was_sent_since(&self, since: Timestamp<Server>) -> bool {
         self.first_sent_at.is_some_and(|at| at >= since)
     }
 
-    /// Its time has passed on a robot that does not report: it is taken to have ended, how is unknown.
+    /// Marks its fate as unknown: its time has passed on a robot that does not report. It is considered ended.
     pub(super) fn lapse(&mut self) {
         if self.is_out() {
             self.state = ScriptState::Unknown;
         }
     }
 
-    /// A refusal because the queue was still full: it is sent again, under another name, since the robot remembers what
-    /// it answered to this one. A process that died may have sent it under that other name, too.
+    /// Handles a refusal because the queue was still full. It is sent again with another id, because the robot remembers its answer to
+    /// this one. A process that died may have used that other id, too.
     pub(super) fn refused_for_now(&mut self) {
         self.state = ScriptState::Planned;
         self.refusals += 1;
@@ -338,23 +337,23 @@ impl Script {
         self.request_id = again.and_then(Result::ok);
     }
 
-    /// How many steps it has.
+    /// The number of its steps.
     pub(crate) fn steps_planned(&self) -> u32 {
         u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX)
     }
 
-    /// What the robot last said of its steps, and when by its clock.
+    /// The latest report of executed steps, with its time by the robot's clock.
     pub(crate) const fn steps_said(&self) -> Option<(Timestamp<Robot>, u32)> {
         self.steps_said
     }
 
-    /// The robot said so many steps, which can be.
+    /// Takes a possible number of executed steps that the robot reported.
     pub(super) fn said(&mut self, told: &Told) {
         self.steps_said = self.steps_said.max(told.steps());
     }
 
-    /// The robot said of it what cannot be true: nothing that it says of it counts any more, and when it began is unknown, since of
-    /// two words nobody can tell which is true.
+    /// Takes an impossible statement of the robot. All further statements about it are ignored. Its start becomes unknown, because either
+    /// of two contradictory statements may be true.
     pub(super) fn discredit(&mut self, claim: &Claim, told: &Told) {
         self.began |= told.says_that_it_moved() || self.started_at.is_some();
         if !self.is_final() {
@@ -368,7 +367,7 @@ impl Script {
         matches!(self.state, ScriptState::Ended(_))
     }
 
-    /// Takes an answer, in whatever order answers come.
+    /// Takes an answer. Answers may arrive in any order.
     pub(super) fn answered(&mut self, response: &ControlResponse) -> News {
         if self.discredited {
             return News::None;
@@ -388,7 +387,7 @@ impl Script {
         }
     }
 
-    /// Takes what a robot reported at `said_at`, when it was asked at `asked_at`.
+    /// Takes a robot's report of `said_at`, answering the question of `asked_at`.
     pub(super) fn reported(
         &mut self,
         report: &RequestReport,
@@ -423,8 +422,8 @@ impl Script {
         }
     }
 
-    /// The robot does not know the request: it never came, or it is lost. An answer from before it came says nothing, and
-    /// what was asked at the very instant at which it was sent may have gone ahead of it.
+    /// Handles a request that the robot does not know: it never arrived, or it is lost. An answer from before its arrival means nothing,
+    /// and a question sent at the same instant may have overtaken it.
     fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
         match self.state {
             ScriptState::Sent if self.sent_at.is_none_or(|sent| sent < asked_at) => News::NeverReceived,
@@ -437,12 +436,12 @@ impl Script {
         }
     }
 
-    /// The robot does not know it any more. What it did of it before nobody can tell.
+    /// Notes that the robot no longer knows it. It is unknown how much of it the robot played.
     pub(super) fn lose(&mut self) -> News {
         self.state = ScriptState::Unknown;
         self.lost |= self.accepted || self.perhaps_sent;
         let message = if self.accepted {
-            "the robot has lost the script, as after a restart"
+            "the robot has lost the script, for example by a restart"
         } else {
             "the robot does not have the script, and its start has passed"
         };
@@ -482,7 +481,7 @@ impl Script {
         News::Completed
     }
 
-    /// It has failed, and it is unknown whether it had begun.
+    /// Notes that it has failed, and that it is unknown whether it had begun.
     pub(super) fn failed_untold(&mut self, error: ControlError) -> News {
         match std::mem::replace(&mut self.state, ScriptState::Unknown) {
             ScriptState::Unknown => News::None,
@@ -499,8 +498,8 @@ impl Script {
     }
 }
 
-/// The name under which the journal promises a script that was sent under the name `request_id`. The two differ if the robot had no
-/// room for the script at first.
+/// The id under which the journal promises a script that was sent with the id `request_id`. The two differ if the robot initially had no
+/// room for the script.
 #[must_use]
 pub fn promised_name(request_id: &str) -> &str {
     match request_id.rsplit_once('+') {
@@ -509,13 +508,13 @@ pub fn promised_name(request_id: &str) -> &str {
     }
 }
 
-/// What starts is what was checked: the robot's own hash of what it accepted has to be ours.
+/// The error of a script that differs from the checked one: the robot's own hash of the accepted script must be ours.
 fn foreign() -> ControlError {
-    let message = "the robot accepted another script than the one sent (content_hash differs)";
+    let message = "the robot accepted a different script than the one sent (content_hash differs)";
     ControlError::new(ErrorCode::Malformed, message)
 }
 
-/// The leases under which a script plays: that of the request up to its first step, then that of each step.
+/// The leases under which a script plays: that of the request until its first step, then that of each step.
 #[derive(Clone, Copy, Debug)]
 struct RunningLeases {
     shortest: Option<Span>,
@@ -540,7 +539,7 @@ impl RunningLeases {
     }
 }
 
-/// The reason in a failed response, or a stand-in where the robot gave none.
+/// The reason in a failed response, or a default error if the robot gave none.
 pub(crate) fn error_of(response: &ControlResponse) -> ControlError {
     let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
     response.error.clone().unwrap_or_else(without)

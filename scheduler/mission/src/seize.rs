@@ -1,4 +1,4 @@
-//! Robots of other sessions that the operator takes: once every other robot of the mission is there and fits it.
+//! Takes over robots of other sessions for the operator, once every other robot of the mission is available and fits it.
 
 use urrcp::{ControlError, ErrorCode, Server, Timestamp};
 
@@ -6,23 +6,23 @@ use super::failure_kind::FailureKind;
 use super::robot_state::RobotState;
 use super::{Mission, Phase};
 
-/// To whom a robot belongs, as far as the mission knows.
+/// The owner of a robot, as far as the mission knows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) enum Ownership {
-    /// To this mission, once it has answered.
+    /// This mission, once the robot has answered.
     #[default]
     Asked,
-    /// To another session; it is taken as soon as the others are greeted. With its refusal.
+    /// Another session, with the robot's refusal. The robot is taken over as soon as the others are greeted.
     OfAnother(ControlError),
-    /// It was asked to leave the other session.
+    /// The robot was asked to leave the other session.
     Seizing,
-    /// It was taken from another session. Its devices may still be slowing down.
+    /// The robot was taken over from another session. Its devices may still be slowing down.
     Seized,
 }
 
 impl Mission {
-    /// A robot refuses because it belongs to another session. `true` where it is to be taken: a robot that has proven who it is,
-    /// as only such a one lets itself be taken, and that has not yet been this mission's.
+    /// Handles a refusal of a robot that belongs to another session. Returns whether it is to be taken over: only a robot that has proven
+    /// its identity permits that, and it must not have belonged to this mission yet.
     pub(super) fn is_to_be_seized(&mut self, robot: usize, error: &ControlError) -> bool {
         let greeting = matches!(self.phase, Phase::Greeting { .. });
         let state = &mut self.robots[robot];
@@ -38,8 +38,8 @@ impl Mission {
         is_to_be
     }
 
-    /// All robots have been heard: takes those of other sessions, unless the mission would not start anyway. `true` where some were
-    /// asked, and their answers are awaited.
+    /// Takes over the robots of other sessions once all robots have answered, unless the mission would not start anyway. Returns whether
+    /// some were asked, and their answers are pending.
     pub(super) fn seize_others(&mut self, now: Timestamp<Server>) -> bool {
         if !self.robots.iter().any(RobotState::is_of_another) {
             return false;
@@ -52,7 +52,7 @@ impl Mission {
             if self.robots[robot].is_of_another() {
                 let state = &mut self.robots[robot];
                 state.ownership = Ownership::Seizing;
-                // Where they stood while the other session had them.
+                // Their positions while the other session had them.
                 state.forget_positions();
                 self.ask_availability(now, robot);
             }
@@ -60,7 +60,7 @@ impl Mission {
         true
     }
 
-    /// The robots of other sessions are not available after all.
+    /// Fails the robots of other sessions, because they are not taken over.
     pub(super) fn leave_to_others(&mut self) {
         for robot in 0..self.robots.len() {
             let ownership = &mut self.robots[robot].ownership;
@@ -72,7 +72,7 @@ impl Mission {
         }
     }
 
-    /// A robot answers that it belongs to this mission. What it was read before it was taken counts no more.
+    /// Notes that a robot belongs to this mission. Its readings from before the takeover are discarded.
     pub(super) fn is_ours(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &mut self.robots[robot];
         match state.ownership {
@@ -90,12 +90,12 @@ impl Mission {
         }
     }
 
-    /// Whether a robot that was taken is still on the way to where the first keyframe expects it.
+    /// Whether a robot that was taken over is still moving to where the first keyframe expects it.
     pub(super) fn is_on_its_way(&self, robot: usize) -> bool {
         self.robots[robot].ownership == Ownership::Seized && !self.misplaced(robot).is_empty()
     }
 
-    /// Reads again where such a robot stands.
+    /// Reads the positions of such a robot again.
     pub(super) fn follow_on_its_way(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].has_shown_its_pose() && self.is_on_its_way(robot) {
             self.robots[robot].forget_positions();

@@ -1,8 +1,8 @@
-//! On whose behalf robots are driven: a name that people read, and a key that only the robots and the journal know.
+//! The session for which robots are driven: a name for users, and a key that only the robots and the journal know.
 //!
-//! A robot obeys any party that names its session. On the wire a session is therefore `NAME/KEY`, and the key is 128 random
-//! bits. People see the name alone: in reports, on the display, in folders of missions, in names of requests. The key stands in
-//! the first line of the journal, so that `resume` and `stop` have it.
+//! A robot obeys any party that names its session. On the wire, a session is therefore `NAME/KEY`, and the key is 128 random bits. Users
+//! only see the name: in reports, on the display, in mission folders, in request ids. The first line of the journal contains the key, so
+//! that `resume` and `stop` have it.
 
 use std::fmt;
 
@@ -13,31 +13,31 @@ use urrcp::{ControlError, LimitError, Message, SessionId};
 const KEY_BYTES: usize = 16;
 /// Hexadecimal digits of a key.
 const KEY_DIGITS: usize = 2 * KEY_BYTES;
-/// What separates the name from the key.
+/// The separator between the name and the key.
 const SEPARATOR: char = '/';
 
-/// The secret part of a session: 32 hexadecimal digits. It is not shown by `Debug`.
+/// The secret part of a session: 32 hexadecimal digits. `Debug` does not show it.
 #[derive(Clone, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
 pub struct SessionKey(String);
 
-/// One run of a scheduler, as people and as robots know it.
+/// One run of a scheduler, with its name for users and its id for robots.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Session {
     name: SessionId,
     on_the_wire: SessionId,
 }
 
-/// The operating system gives no random bits.
+/// The operating system provides no random bits.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
-#[error("the system gives no random bits for the key of the session: {0}")]
+#[error("cannot get random bits for the key of the session: {0}")]
 pub struct NoRandomBits(getrandom::Error);
 
 impl SessionKey {
-    /// A key that nobody can guess, from the random bits of the operating system.
+    /// A key that cannot be guessed, from the random bits of the operating system.
     ///
     /// # Errors
-    /// [`NoRandomBits`] where the system has none.
+    /// [`NoRandomBits`] if the system has none.
     pub fn random() -> Result<Self, NoRandomBits> {
         let mut bytes = [0; KEY_BYTES];
         getrandom::fill(&mut bytes).map_err(NoRandomBits)?;
@@ -63,28 +63,28 @@ impl<'de> Deserialize<'de> for SessionKey {
 }
 
 impl Session {
-    /// A session that robots know by its name alone: everybody who knows the name can drive them. For simulations.
+    /// A session that robots know only by its name. Anyone who knows the name can drive them. For simulations.
     #[must_use]
     pub fn named(name: SessionId) -> Self {
         Self { on_the_wire: name.clone(), name }
     }
 
-    /// A session of which robots know the key as well.
+    /// A session whose key the robots know as well.
     ///
     /// # Errors
-    /// [`LimitError`] where the name leaves no room for the key: it has at most 223 characters.
+    /// [`LimitError`] if the name leaves no room for the key. The name has at most 223 characters.
     pub fn with_key(name: SessionId, key: &SessionKey) -> Result<Self, LimitError> {
         let on_the_wire = SessionId::new(format!("{name}{SEPARATOR}{}", key.0))?;
         Ok(Self { name, on_the_wire })
     }
 
-    /// What people call it.
+    /// The name for users.
     #[must_use]
     pub const fn name(&self) -> &SessionId {
         &self.name
     }
 
-    /// The session as robots receive it, with its key. It must not be shown.
+    /// The session as sent to robots, with its key. It must not be displayed.
     #[must_use]
     pub const fn on_the_wire(&self) -> &SessionId {
         &self.on_the_wire
@@ -103,7 +103,7 @@ impl fmt::Debug for Session {
     }
 }
 
-/// The part of a session that may be shown: the session without its key, if it has one.
+/// The part of a session that may be displayed: the session without its key, if it has one.
 #[must_use]
 pub fn name_of(on_the_wire: &SessionId) -> &str {
     let text = on_the_wire.as_str();
@@ -113,7 +113,7 @@ pub fn name_of(on_the_wire: &SessionId) -> &str {
     }
 }
 
-/// The message without the key of its session, as it may be stored where people read it.
+/// The message without the key of its session, so that it may be stored where users read it.
 #[must_use]
 pub fn without_key(mut message: Message) -> Message {
     let session = match &mut message {
@@ -131,8 +131,8 @@ pub fn without_key(mut message: Message) -> Message {
     message
 }
 
-/// The message of a robot without keys, as it may be shown: a robot that names the session to which it belongs names its key as
-/// well.
+/// The message of a robot without keys, so that it may be displayed. A robot that names the session to which it belongs also names the
+/// key.
 #[must_use]
 pub fn told_without_keys(mut message: Message) -> Message {
     match &mut message {
@@ -148,7 +148,7 @@ pub fn told_without_keys(mut message: Message) -> Message {
     message
 }
 
-/// Takes what looks like the key of a session out of the text of an error.
+/// Removes text that looks like a session key from an error message.
 fn hide_keys(error: Option<&mut ControlError>) {
     let Some(error) = error.filter(|error| error.message.contains(SEPARATOR)) else { return };
     let mut parts = error.message.split(SEPARATOR);
@@ -156,7 +156,7 @@ fn hide_keys(error: Option<&mut ControlError>) {
     for part in parts {
         shown.push(SEPARATOR);
         let digits = part.bytes().take_while(|byte| is_digit(*byte)).count();
-        // A long text is cut, perhaps within the key.
+        // A long text is truncated, possibly within the key.
         if digits == KEY_DIGITS || digits > 0 && part[digits..] == *"…" {
             shown.push('…')
         } else {

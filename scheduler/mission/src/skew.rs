@@ -1,4 +1,4 @@
-//! How far apart the robots of an act may start, as far as their clocks and the latencies of their devices are known.
+//! The possible spread of the starts of an act, as far as the clocks of the robots and the latencies of their devices are known.
 
 use std::collections::HashMap;
 
@@ -11,36 +11,36 @@ use super::act::Member;
 use super::failure_kind::FailureKind;
 use super::robot_state::{RobotState, Standing};
 
-/// The predicted spread of starts with its parts.
+/// The predicted spread of starts with its components.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SkewBudget {
     /// Latest possible start of a motion minus earliest possible.
     #[serde(rename = "predicted_ms")]
     pub predicted: Span,
-    /// The same of commands: what clocks and wake-ups alone allow.
+    /// The same for commands, which depend only on clocks and wake-ups.
     #[serde(rename = "clocks_ms")]
     pub clocks: Span,
-    /// The scenario's start_tolerance.
+    /// The scenario's `start_tolerance`.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,
-    /// The parts that each robot has in it.
+    /// The components of each robot.
     pub robots: Vec<RobotSkew>,
-    /// Where each robot stands in `robots`.
+    /// The place of each robot in `robots`.
     #[serde(skip)]
     place: HashMap<RobotId, usize>,
 }
 
-/// When a robot may start, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`. The motions
-/// of its devices may begin earlier and later by `latency_spread`.
+/// The possible start of a robot, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`. The
+/// motions of its devices may begin earlier and later by `latency_spread`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotSkew {
     /// The robot's id.
     pub robot: RobotId,
-    /// How early it starts, as measured: what its clock is ahead of the server's. Zero where requests are translated into
-    /// the robot's time.
+    /// How early it starts, as measured: how far its clock is ahead of the server's. Zero if requests are translated into the robot's
+    /// time.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// Of the offset.
+    /// The uncertainty of the offset.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
     /// How late it may wake up.
@@ -52,8 +52,8 @@ pub struct RobotSkew {
 }
 
 impl RobotSkew {
-    /// Of a robot that moves these devices; `None` as long as its clock is unknown. `strayed` is what is left of the offset of its
-    /// clock where requests are translated into its time.
+    /// The skew of a robot that moves these devices; `None` while its clock is unknown. `strayed` returns the rest of its clock's offset
+    /// if requests are translated into its time.
     fn of<'a>(
         robot: &RobotState,
         devices: impl Iterator<Item = &'a DeviceId>,
@@ -79,7 +79,7 @@ impl RobotSkew {
         )
     }
 
-    /// The same of motions.
+    /// The same for motions.
     fn range_of_motions(&self) -> (Span, Span) {
         let (earliest, latest) = self.range();
         (earliest - self.latency_spread, latest + self.latency_spread)
@@ -87,19 +87,18 @@ impl RobotSkew {
 }
 
 impl SkewBudget {
-    /// How much later than planned one robot may start; negative if it surely starts earlier.
+    /// How much later than planned one robot may start; negative if it certainly starts earlier.
     pub(crate) fn late_of(&self, robot: &RobotId) -> Option<Span> {
         Some(self.robots[*self.place.get(robot)?].range().1)
     }
 
-    /// The offset of a robot's clock as it was when its scripts were translated, or what the translation left of it, with its
-    /// uncertainty.
+    /// The offset of a robot's clock when its scripts were translated, or the rest of it after the translation, with its uncertainty.
     pub(crate) fn offset_of(&self, robot: &RobotId) -> Option<(Span, Span)> {
         let robot = self.robots.get(*self.place.get(robot)?)?;
         Some((robot.offset, robot.uncertainty))
     }
 
-    /// Of these members; `None` as long as the clock of one is unknown.
+    /// The budget of these members; `None` while the clock of one of them is unknown.
     pub(crate) fn of<'a>(
         members: impl Iterator<Item = &'a Member>,
         robots: &[RobotState],
@@ -109,7 +108,7 @@ impl SkewBudget {
         Self::with(members, robots, tolerance, at, |_, _| Span::ZERO)
     }
 
-    /// Of the robots of a plan that are there, before any of it is sent. `index_of` has the index of each planned robot.
+    /// The budget of the participating robots of a plan, before any of it is sent. `index_of` has the index of each planned robot.
     pub(crate) fn of_planned(
         plan: &Plan,
         index_of: &[Option<usize>],
@@ -126,8 +125,8 @@ impl SkewBudget {
         Self::of_robots(skews.collect(), plan.start_tolerance)
     }
 
-    /// Of members that are sent an act now which starts then: clocks drift until then, and what is translated into a robot's time
-    /// is translated now.
+    /// The budget of members to which an act with this start is sent now. Clocks drift until the start, and translations into a robot's
+    /// time are made now.
     pub(crate) fn ahead<'a>(
         members: impl Iterator<Item = &'a Member>,
         robots: &[RobotState],
@@ -139,8 +138,8 @@ impl SkewBudget {
         })
     }
 
-    /// Of members that have been sent an act: what was translated into a robot's time is off by what that time has strayed
-    /// since.
+    /// The budget of members to which an act has been sent. Translations into a robot's time are off by the drift of that time since
+    /// then.
     pub(crate) fn of_sent<'a>(
         members: impl Iterator<Item = &'a Member>,
         robots: &[RobotState],
@@ -166,7 +165,7 @@ impl SkewBudget {
 
     fn of_robots(robots: Option<Vec<RobotSkew>>, tolerance: Span) -> Option<Self> {
         let robots = robots.filter(|robots| !robots.is_empty())?;
-        // The devices of one robot share its clock; each may still wake up late, and vary by itself.
+        // The devices of one robot share its clock. Each may still wake up late, and vary by itself.
         let (predicted, clocks) = match robots.as_slice() {
             [alone] => (alone.wake_up + alone.latency_spread * 2, alone.wake_up),
             _ => (
@@ -184,7 +183,7 @@ impl SkewBudget {
         Some(((Span::ZERO - earliest).max(Span::ZERO), latest.max(Span::ZERO)))
     }
 
-    /// How much earlier, and how much later, than planned a robot may start.
+    /// How much earlier, and how much later, than planned any robot may start.
     pub(crate) fn early_and_late(&self) -> (Span, Span) {
         let earliest = self.robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();
         let latest = self.robots.iter().map(|robot| robot.range().1).max().unwrap_or_default();
@@ -202,13 +201,13 @@ impl SkewBudget {
         (robot.robot.clone(), FailureKind::Clock { offset, uncertainty, tolerance: self.tolerance })
     }
 
-    /// The parts of the budget, as text to follow the total; empty if no latency varies.
+    /// The components of the budget, as text to follow the total; empty if no latency varies.
     #[must_use]
     pub fn parts(&self) -> String {
         if self.predicted == self.clocks {
             String::new()
         } else {
-            format!(" ({} by the clocks alone, the rest by latencies that vary)", self.clocks)
+            format!(" ({} from the clocks alone, the rest from varying latencies)", self.clocks)
         }
     }
 
@@ -216,8 +215,8 @@ impl SkewBudget {
         self.predicted <= self.tolerance
     }
 
-    /// What the clocks of the fleet are ahead by, those in the middle of it. Of an even number two are: of two robots whose
-    /// clocks are far apart the one that is nearer to this machine's is right.
+    /// The median clock offset of the fleet. For an even number of robots there are two middle offsets; the one nearer to this machine's
+    /// clock is used.
     fn middle(&self) -> Span {
         let mut offsets: Vec<Span> = self.robots.iter().map(|robot| robot.offset).collect();
         offsets.sort_unstable();
@@ -231,8 +230,7 @@ impl SkewBudget {
             .unwrap_or_default()
     }
 
-    /// The robots that keep it from fitting: those that may start further than half the tolerance from the middle of the
-    /// fleet.
+    /// The robots that prevent it from fitting: those that may start further than half the tolerance from the middle of the fleet.
     pub(crate) fn offenders(&self) -> Vec<(RobotId, FailureKind)> {
         if self.fits() {
             return Vec::new();
@@ -253,7 +251,7 @@ impl SkewBudget {
     }
 }
 
-/// From the earliest to the latest instant of any of these ranges.
+/// The time from the earliest to the latest instant of these ranges.
 fn width(ranges: impl Iterator<Item = (Span, Span)> + Clone) -> Span {
     let latest = ranges.clone().map(|range| range.1).max().unwrap_or_default();
     let earliest = ranges.map(|range| range.0).min().unwrap_or_default();
@@ -337,8 +335,8 @@ mod tests {
         }
         let wide = budget(&robots, ms(60));
         assert_eq!((wide.clocks, wide.predicted), (plain.predicted, plain.predicted + ms(40)));
-        assert!(wide.fits() && wide.parts().contains("by the clocks alone"), "{wide:?}");
-        // What the commands keep to is as before.
+        assert!(wide.fits() && wide.parts().contains("from the clocks alone"), "{wide:?}");
+        // The limits of the commands are unchanged.
         let late = |budget: &SkewBudget| budget.late_of(&robots[1].id);
         assert_eq!(late(&wide), late(&plain));
         let tight = budget(&robots, ms(30));
@@ -368,7 +366,7 @@ mod tests {
         assert_eq!(later.predicted - now.predicted, Span::from_micros(400));
     }
 
-    /// Robots `r0`, `r1` and so on, whose clocks are ahead by so many milliseconds.
+    /// Robots `r0`, `r1` and so on, whose clocks are ahead by `offsets` in milliseconds.
     fn ahead_by(offsets: &[i64]) -> Vec<RobotState> {
         let robot = |(index, ahead): (usize, &i64)| {
             let mut robot = bench::robot(&format!("r{index}"), Tells::Everything, 2);

@@ -1,4 +1,4 @@
-//! Stopping: every device that was sent anything gets an empty script and comes to rest.
+//! Stopping: every device to which anything was sent gets an empty script and comes to rest.
 
 use std::collections::HashMap;
 
@@ -11,7 +11,7 @@ use super::record::Record;
 use super::robot_state::{Link, Rest, RobotState, SentStop, Standing, Stop};
 use super::{Greeting, Mission, Outcome, Phase, Progress, StoppedBy};
 
-/// Stops that are not confirmed are sent again after this or after three round trips.
+/// Unconfirmed stops are repeated after this time or three round trips, whichever is longer.
 const STOP_AGAIN: Span = Span::from_millis(200);
 
 impl Mission {
@@ -27,7 +27,7 @@ impl Mission {
                 let reason = self.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
                 self.abort_because(now, (Outcome::Stopped, reason), rest, None);
             }
-            // Whatever was to follow the stop does not.
+            // The planned continuation after the stop is cancelled.
             Phase::Stopping { .. } => {
                 self.then = None;
                 self.outcome = Some(Outcome::Stopped);
@@ -38,7 +38,7 @@ impl Mission {
         }
     }
 
-    /// The operator's latest word counts: what rests is sent home, and what is on its way there comes to rest.
+    /// Applies the operator's latest request: robots at rest are sent home, and robots on their way home come to rest.
     fn stop_otherwise(&mut self, now: Timestamp<Server>, rest: Rest) {
         let other: Vec<_> =
             (0..self.robots.len()).filter(|robot| self.robots[*robot].stops_otherwise(rest)).collect();
@@ -72,7 +72,7 @@ impl Mission {
         }
     }
 
-    /// Nothing more may be promised.
+    /// Stops the mission because no further promise is possible.
     pub(super) fn journal_lost(&mut self, now: Timestamp<Server>, reason: String) {
         self.tell(Progress::JournalLost { reason: reason.clone() });
         let outcome = Outcome::JournalLost { reason };
@@ -87,7 +87,7 @@ impl Mission {
         }
     }
 
-    /// Withdraws everything that was sent. Renewals end here, so leases end what no message reaches.
+    /// Withdraws everything that was sent. Renewals stop here, so leases end the scripts that no message reaches.
     pub(super) fn abort(
         &mut self,
         now: Timestamp<Server>,
@@ -99,7 +99,7 @@ impl Mission {
         self.abort_because(now, (outcome, reason), rest, then);
     }
 
-    /// The same, with a reason for people that says more than the outcome.
+    /// The same, with a reason for users that contains more than the outcome.
     pub(super) fn abort_because(
         &mut self,
         now: Timestamp<Server>,
@@ -122,7 +122,7 @@ impl Mission {
         for robot in 0..self.robots.len() {
             self.stop_robot(now, robot, rest);
         }
-        // A stop promises nothing: it is sent first and recorded afterwards.
+        // A stop promises nothing. It is therefore sent first and recorded afterwards.
         let by = self.said_stop.clone();
         self.record(Record::Stopping { outcome: outcome.clone(), rest, by });
         self.outcome = Some(outcome);
@@ -134,10 +134,10 @@ impl Mission {
         self.stop_progress(now);
     }
 
-    /// Stops all devices of a robot that were sent anything. Ahead of everything that waits to be sent.
+    /// Stops all devices of a robot to which anything was sent, ahead of all waiting messages.
     pub(super) fn stop_robot(&mut self, now: Timestamp<Server>, robot: usize, rest: Rest) {
         let state = &mut self.robots[robot];
-        // A robot at rest holds nothing that a stop would end, but it goes home if the operator says so.
+        // A robot at rest holds nothing that a stop would end, but it moves home if the operator requests it.
         let needless = if rest == Rest::Home { state.touched.is_empty() } else { state.holds_nothing() };
         if needless || state.stop_was_sent() {
             return;
@@ -145,7 +145,7 @@ impl Mission {
         self.stopped_at = self.stopped_at.max(Some(now));
         let session = self.options.names_begin();
         let named = |(index, device): (usize, &DeviceId)| {
-            // Sessions are named by this program, far below the limit.
+            // This program generates session names, far below the limit.
             let id = RequestId::new(format!("{session}stop/{}/{robot}/{index}", now.as_nanos() / 1_000));
             Some((id.ok()?, device.clone()))
         };
@@ -158,8 +158,8 @@ impl Mission {
         self.send_stops(now, robot);
     }
 
-    /// The stop of one device renews the leases of the others: if this process dies between the two, they must not start what
-    /// was not committed. Questions ahead of them let all those leases end before the start.
+    /// Ends the leases of the uncommitted scripts. The stop of one device renews the leases of the others. If this process dies in
+    /// between, they must not start uncommitted scripts. Questions ahead of the stops make all those leases end before the start.
     pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if !state.takes_inquiries() || state.stop_was_sent() || state.touched.len() < 2 {
@@ -179,7 +179,7 @@ impl Mission {
         let request = |(id, device): (&RequestId, &DeviceId)| {
             let mut request = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
             request.request_id = Some(id.clone());
-            // What was sent before it and arrives after it is taken back as well.
+            // Messages that were sent before the stop and arrive after it are taken back as well.
             request.timestamp = Some(stopped_at + state.shift);
             request.session = self.options.session_on_the_wire();
             request.home = sent.rest == Rest::Home;
@@ -192,7 +192,7 @@ impl Mission {
         requests.into_iter().for_each(|request| self.post_urgently(now, robot, request));
     }
 
-    /// What has not been confirmed is asked for again: the stop, or what became of a script.
+    /// Repeats the question about missing confirmations: the stop, or the fate of a script.
     pub(super) fn stop_again(&mut self, now: Timestamp<Server>) {
         let interval = self.stop_interval();
         if let Phase::Stopping { resend, .. } = &mut self.phase {
@@ -203,7 +203,7 @@ impl Mission {
                 self.repeat_stop(now, robot);
             }
         }
-        // Two answers from one instant would not show that a device moves.
+        // Two answers from the same instant would not show that a device moves.
         self.ask_poses_again(now);
         // Robots that rest do not wait for the confirmations of others, which may never come.
         let _all = self.poses_are_known(now);
@@ -229,19 +229,19 @@ impl Mission {
             self.robots[robot].totals.retries += 1;
             self.send_stops(now, robot);
         } else if self.owes_a_fate(robot) {
-            // It has confirmed its stop: no lease of it is left that a question could carry over a start.
+            // It has confirmed its stop, so it has no lease that a question could extend beyond a start.
             self.inquire_now(now, robot);
         }
     }
 
-    /// A robot has not said what became of one of its scripts, and will if it is asked.
+    /// Whether a robot has not reported the fate of one of its scripts, and will report it if asked.
     pub(super) fn owes_a_fate(&self, robot: usize) -> bool {
         let state = &self.robots[robot];
         let out = |act: &Act| {
             let scripts = act.member(robot).into_iter().flat_map(|member| member.scripts());
             scripts.into_iter().any(|script| script.is_out())
         };
-        // A robot that takes no inquiries reported before it answered what it was asked after its stop, or its report is lost.
+        // A robot that takes no inquiries sends its report before its next answer after its stop. Otherwise the report is lost.
         let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
         let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
         let can = !state.is_garbled() && !state.is_left_to_others();
@@ -253,7 +253,7 @@ impl Mission {
         STOP_AGAIN.max(super::lead::counted(longest) * 3)
     }
 
-    /// Goes on once every robot has confirmed, and has said what became of its scripts.
+    /// Continues once every robot has confirmed, and has reported the fates of its scripts.
     pub(super) fn stop_progress(&mut self, now: Timestamp<Server>) {
         if !matches!(self.phase, Phase::Stopping { .. }) {
             return;
@@ -276,11 +276,11 @@ impl Mission {
         }
     }
 
-    /// The stop is over, confirmed or not: the end, or the act that a failure policy wants.
+    /// Ends the stop, confirmed or not: with the end of the mission, or with the act that a failure policy requests.
     pub(super) fn stopped(&mut self, now: Timestamp<Server>) {
         self.tell_unreached();
         self.report_all_at_rest();
-        // Whatever was planned: what the robots say they did is what happened.
+        // Whatever the plan, the robots' reports decide what happened.
         let begun = self.has_moved() || self.acts.iter().any(Act::has_begun);
         if begun {
             self.admit_that_it_moved();
@@ -332,7 +332,7 @@ impl Mission {
         }
     }
 
-    /// Why robots could not be reached that have not confirmed their stop, where that has not been told.
+    /// Reports why robots that have not confirmed their stop could not be reached, if that has not been reported.
     fn tell_unreached(&mut self) {
         for robot in 0..self.robots.len() {
             let state = &self.robots[robot];
@@ -407,7 +407,7 @@ impl Mission {
         let robot = self.robots[index].id.clone();
         self.tell(Progress::AtRest { robot: robot.clone() });
         self.record(Record::StopConfirmed { robot });
-        // The mission has gone on without this confirmation, and the next act may need the robot.
+        // The mission has continued without this confirmation, and the next act may need the robot.
         if matches!(self.phase, Phase::Performing) {
             self.robots[index].plays_again();
         }

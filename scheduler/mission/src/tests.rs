@@ -1,4 +1,4 @@
-//! Missions without links, as far as they can be seen by what they answer.
+//! Missions without links, observed through their actions.
 
 mod again;
 mod clocks;
@@ -29,7 +29,7 @@ use super::*;
 use crate::clock::ClockSample;
 use crate::session::Session;
 
-/// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
+/// Two acts, `one` and `two`, that one robot plays. The act with the index `waiting` waits for the operator.
 fn waits_in(waiting: usize) -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)]]);
     let two = choreography.acts[0].clone();
@@ -60,22 +60,22 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
     let mut mission = waits_in(0);
     answers(&mut mission, None, Err("the fleet is still being checked"));
     let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
-    answers(&mut mission, Some("three"), Err("no act is called `three`"));
-    answers(&mut mission, Some("two"), Err("`two` does not wait: `one` waits for the operator's go"));
+    answers(&mut mission, Some("three"), Err("unknown act `three`"));
+    answers(&mut mission, Some("two"), Err("`two` is not waiting; `one` waits for the operator's go"));
     answers(&mut mission, Some("one"), Ok("one"));
     answers(&mut mission, Some("one"), Err("`one` does not wait for the operator now"));
     answers(&mut mission, None, Err("no act waits for the operator"));
-    // Nothing was sent that would have to be stopped.
+    // Nothing was sent, so no stop is needed.
     let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::InPlace, by: None });
     answers(&mut mission, None, Err("the mission is over"));
 }
 
-/// One act that begins at once, played by a robot that reports, and takes inquiries or none.
+/// One act that begins at once. Its robot has these abilities.
 fn begins_at_once(tells: Tells) -> Mission {
     one_act(tells, 400)
 }
 
-/// The same with an act that takes so many milliseconds.
+/// The same with an act of `takes` milliseconds.
 fn one_act(tells: Tells, takes: i64) -> Mission {
     begins_with(tells, &[("a", 0, takes)])
 }
@@ -95,7 +95,7 @@ fn scripts_in(actions: &[Action]) -> Vec<RequestId> {
     actions.iter().filter_map(script).collect()
 }
 
-/// An event, and the disk at once.
+/// Handles an event, with a disk that is finished immediately.
 fn happens(mission: &mut Mission, now: Timestamp<Server>, event: Event) -> Vec<Action> {
     let mut actions = mission.handle(now, event);
     actions.extend(mission.advance(now));
@@ -130,7 +130,7 @@ fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_jus
     assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
 }
 
-/// An act that was sent, out of its mission.
+/// An act that was sent, removed from its mission.
 fn sent_act() -> (Mission, Act, ActReport) {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -207,7 +207,7 @@ fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted()
     }
 }
 
-/// A mission that performs and asks on each new link which robot answers. The link broke and was made again.
+/// A mission that performs and asks on each new link which robot answers. The link broke and was re-established.
 fn reconnected() -> Mission {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -230,7 +230,7 @@ fn a_robot_that_does_not_say_which_one_it_is_is_asked_again_before_its_link_is_g
             .any(|action| matches!(action, Action::Send { message: Message::InitializationRequest(_), .. }))
     );
     mission.ask_names_again(at(4_000));
-    assert!(mission.robots[0].unnamed_since().is_none(), "as good as not reached");
+    assert!(mission.robots[0].unnamed_since().is_none(), "equivalent to unreached");
 }
 
 #[test]
@@ -391,7 +391,7 @@ fn steps_that_are_as_late_as_is_tolerated_are_in_tolerance_and_those_of_robots_l
     }
 }
 
-/// A mission that still asks its robot, of whose clock this is known: how far it is off, and the delay of the exchange.
+/// A mission that still asks its robot. The robot's clock has this offset, and the exchange this delay.
 fn greets_a_clock(offset: i64, delay: i64) -> Mission {
     let mut mission = begins_at_once(Everything);
     mission.options.greeting = Greeting::Full;
@@ -463,7 +463,10 @@ fn a_script_has_to_fit_what_the_robot_itself_declares() {
     };
     let script = device_script(("a", 0, 400));
     assert_eq!(greet::unfit(&script, &block(2)), Vec::<String>::new());
-    assert_eq!(greet::unfit(&script, &block(1)), ["device `a` takes 1 steps a script, the plan has 2"]);
+    assert_eq!(
+        greet::unfit(&script, &block(1)),
+        ["device `a` supports 1 steps per script, but the plan has 2"]
+    );
 }
 
 #[test]
@@ -502,7 +505,7 @@ fn a_lease_that_ran_out_without_a_name_is_the_shortest_of_those_that_are_open() 
         ..super::bench::response(&device, None, Status::Failed, at(2))
     };
     let script = |script| ScriptRef { act: 0, member: 0, script };
-    // What waits behind another script of its act has the lease under which that one runs. Another act waits under a shorter one.
+    // A script that waits behind another script of its act has the lease of that running script. Another act waits under a shorter one.
     let (mut before, mut behind) = (sent(&[("a", 0, 400), ("a", 500, 400)]), sent(&[("a", 0, 400)]));
     let mut acts = vec![before.acts.remove(0), behind.acts.remove(0)];
     let _over = acts[0].answered(script(0), &failed(ErrorCode::Cancelled), at(2), &before.robots);
@@ -607,14 +610,14 @@ fn an_act_that_waits_behind_another_gives_way_to_the_one_a_failure_leads_to() {
     let mut mission = waits_in(1);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     mission.lead_elsewhere(0);
-    assert_eq!((mission.acts.len(), mission.acts_begun), (1, 1), "the act that plays goes on");
+    assert_eq!((mission.acts.len(), mission.acts_begun), (1, 1), "the current act continues");
     mission.line_up_act(at(1), 1);
     assert_eq!((mission.acts.len(), mission.acts_begun), (2, 2));
     mission.lead_elsewhere(0);
     assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(0)));
 }
 
-/// What a robot that was last sent something at that time has left of the script of [`sent_act`].
+/// The remains of the script of [`sent_act`] on its robot.
 fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Option<Timestamp<Server>>> {
     act.left_behind(&act.members()[0], 0, &mission.robots[0], now)
 }
@@ -645,7 +648,7 @@ fn a_script_that_runs_ends_by_its_running_lease_counted_from_when_it_last_heard_
     mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(7)));
     assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends + ms(7))), "it may have been under way");
     mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
-    assert_eq!(left_at(&mission, &act, ends + ms(500)), Some(Some(ends + ms(500))), "it is over by now");
+    assert_eq!(left_at(&mission, &act, ends + ms(500)), Some(Some(ends + ms(500))), "it has ended");
 }
 
 #[test]

@@ -1,6 +1,6 @@
-//! Acts that are planned after a stop. Once all robots rest, such an act moves their devices to their default positions, or to the
-//! first positions of the act that follows a failure. The mission plans it from the positions that the robots state, and prepares,
-//! commits and watches it like any other act.
+//! Acts that are planned after a stop. Once all robots rest, such an act moves their devices to their default positions, or to the first
+//! positions of the act that follows a failure. The mission plans it from the positions that the robots report, and prepares, commits and
+//! watches it like any other act.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -32,7 +32,7 @@ pub trait PlanTransfer: fmt::Debug + Send + Sync {
     /// `like`. Returns `None` if nothing has to move.
     ///
     /// # Errors
-    /// If there is no such act, the reason, for people.
+    /// The reason, for users, if there is no such act.
     fn plan(
         &self,
         choreography: &Choreography,
@@ -51,15 +51,15 @@ pub enum TransferReport {
     Planned {
         /// The name of the act.
         act: String,
-        /// Robots that stayed where they came to rest, because they have failed or do not state their positions.
+        /// Robots that stayed where they came to rest, because they have failed or do not report their positions.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         without: Vec<RobotId>,
     },
-    /// All devices were at their destinations already.
+    /// All devices were already at their destinations.
     NothingToMove,
     /// All robots stayed where they came to rest.
     NotPlanned {
-        /// The reason, for people.
+        /// The reason, for users.
         reason: String,
     },
 }
@@ -70,7 +70,7 @@ pub(super) struct Transfer {
     stage: Stage,
     /// The first uses of the devices of each robot, from the next act on.
     firsts: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
-    /// The positions that each robot stated last, by its index in the mission.
+    /// The positions that each robot reported last, by its index in the mission.
     poses: BTreeMap<usize, Pose>,
     /// Indices of the robots that have done all their steps on the way home.
     there: Vec<usize>,
@@ -88,11 +88,11 @@ enum Stage {
     GoingHome { act: usize },
 }
 
-/// The positions that a robot stated last.
+/// The positions that a robot reported last.
 #[derive(Debug, Default)]
 struct Pose {
     stated: Option<BTreeMap<DeviceId, f64>>,
-    /// Whether it stated the same positions twice.
+    /// Whether it reported the same positions twice.
     rests: bool,
 }
 
@@ -106,7 +106,7 @@ impl Transfer {
 }
 
 impl Mission {
-    /// Returns how robots are stopped first. If the mission can plan the way home, they come to rest where they are.
+    /// Returns how robots are stopped first. If the mission can plan the way home, they come to rest in place.
     pub(super) fn rest_first(&mut self, rest: Rest) -> Rest {
         let plans = self.options.transfer.is_some();
         let like = self.acts.first().map_or(self.options.first_act, Act::index);
@@ -127,7 +127,7 @@ impl Mission {
         }
     }
 
-    /// Nothing more may be promised, so the robots stay where they are.
+    /// Keeps the robots where they are, because no further promise is possible.
     pub(super) fn stays(&mut self) {
         if self.wants_home() {
             let reason = "the journal can no longer be written".to_owned();
@@ -160,7 +160,7 @@ impl Mission {
         if self.wants_home() { format!("{reason}; then home") } else { reason }
     }
 
-    /// Whether a robot at rest states its positions for the transfer.
+    /// Whether a robot at rest reports its positions for the transfer.
     fn takes_part(&self, robot: usize) -> bool {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return false };
         let state = &self.robots[robot];
@@ -177,7 +177,7 @@ impl Mission {
         }
     }
 
-    /// The devices of a robot that do not rest at a known position once the transfer has ended.
+    /// The devices of a robot that will not rest at a known position after the transfer.
     fn left_adrift(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
         let state = &self.robots[robot];
         if !self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests) {
@@ -189,8 +189,8 @@ impl Mission {
         }
     }
 
-    /// Asks robots at rest for the positions of their devices. Returns whether all of them have stated positions that no longer
-    /// change: a device slows down for some time after its robot has confirmed the stop.
+    /// Asks robots at rest for the positions of their devices. Returns whether all of them have reported positions that no longer change.
+    /// A device slows down for some time after its robot has confirmed the stop.
     pub(super) fn poses_are_known(&mut self, now: Timestamp<Server>) -> bool {
         let mut known = true;
         for robot in 0..self.robots.len() {
@@ -231,8 +231,8 @@ impl Mission {
         &self.robots[robot].touched | &self.first_devices(to, robot)
     }
 
-    /// Handles an answer of a robot. Its positions count once it has stated all of them. A robot may also state positions of devices
-    /// about which it was not asked; the transfer must not move these devices.
+    /// Handles an answer of a robot. Its positions are valid once it has reported all of them. A robot may also report positions of
+    /// devices about which it was not asked; the transfer must not move these devices.
     pub(super) fn pose_stated(&mut self, robot: usize) {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
         let devices = self.devices_to_place(to, robot);
@@ -303,14 +303,14 @@ impl Mission {
             match pose.stated.as_ref().filter(|_| pose.rests) {
                 Some(stated) => _ = from.insert(state.id.clone(), stated.clone()),
                 None if state.is_up() && state.is_settled() => {
-                    return Err(format!("`{}` has not stated where its devices came to rest", state.id));
+                    return Err(format!("`{}` has not reported where its devices came to rest", state.id));
                 }
                 None => {}
             }
         }
         let stays = self.robots.iter().find(|robot| !robot.touched.is_empty());
         if let Some(stays) = stays.filter(|_| from.is_empty() && to == Destination::Home) {
-            return Err(format!("`{}` has failed or does not state its positions", stays.id));
+            return Err(format!("`{}` has failed or does not report its positions", stays.id));
         }
         planner.plan(&self.choreography, to, like, &from)
     }

@@ -1,5 +1,5 @@
-//! Local times by the rules of the day in question: the instants at which the clocks show a time, and the time that they show
-//! at an instant. The caller specifies the time zone, because virtual time has none of its own.
+//! Local times by the rules of the relevant day: the instants at which the clocks show a time, and the time that they show at an instant.
+//! The caller specifies the time zone, because virtual time has none of its own.
 
 use chrono::{DateTime, Days, FixedOffset, NaiveDateTime, NaiveTime, Offset, SecondsFormat, TimeDelta, Utc};
 use urrcp::{Server, Span, Timestamp};
@@ -42,7 +42,7 @@ impl Zone {
     /// The first instant, `from` or later, at which the clocks show this time of day, given since midnight.
     ///
     /// # Errors
-    /// The clocks skip this time on the day on which they would next show it.
+    /// The clocks skip this time on the next day on which they would show it.
     pub fn next(self, from: Timestamp<Server>, time: Span) -> Result<Timestamp<Server>, SkippedTime> {
         // If the clocks are set back at midnight, they show times of the previous day again.
         let mut date = self.local(from).date_naive() - Days::new(1);
@@ -192,7 +192,7 @@ mod tests {
         check(BERLIN, "2026-07-01T10:00:00Z", 13, 0, "2026-07-01T11:00:00Z");
         check(BERLIN, "2026-07-01T10:00:00Z", 12, 0, "2026-07-01T10:00:00Z");
         check(BERLIN, "2026-07-01T10:00:00Z", 11, 59, "2026-07-02T09:59:00Z");
-        // Where clocks are ahead of UTC, it is already tomorrow.
+        // If clocks are ahead of UTC, it is already tomorrow.
         check(BERLIN, "2026-07-01T22:30:00Z", 0, 45, "2026-07-01T22:45:00Z");
         check(Zone::UTC, "2026-07-01T22:30:00Z", 0, 45, "2026-07-02T00:45:00Z");
     }

@@ -1,31 +1,31 @@
-//! When the readings show the first visible motion, where they contradict the fitted response.
+//! When the readings show the first visible motion, if they contradict the fitted response.
 //!
-//! No device follows exactly like first-order lags. One with static friction, say, rests for a while and then catches up: the best fit
-//! begins before the device does. So the readings of all trials are laid over each other, each from its own dead time on, and smoothed by
-//! local linear regression with tricube weights (Cleveland: Robust locally weighted regression and smoothing scatterplots, Journal of the
-//! American Statistical Association 74, 1979). The fitted response at the same instants is smoothed by the same weights: what the smoothing
-//! changes is then changed in both. The difference of the two crossings counts where the noise leaves it significant.
+//! No device follows exactly like first-order lags. A device with static friction, for example, rests for a while and then catches up:
+//! the best fit starts before the device does. Therefore the readings of all trials are overlaid, aligned by their dead times, and
+//! smoothed by local linear regression with tricube weights (Cleveland: Robust locally weighted regression and smoothing scatterplots,
+//! Journal of the American Statistical Association 74, 1979). The fitted response is smoothed at the same instants with the same weights,
+//! so that the smoothing distorts both equally. The difference of the two crossings is used if it is significant given the noise.
 
 use super::fit::Fitted;
 use super::model::{Lag, Readings, response};
 
 /// The narrowest and the widest half-width of the weights, in milliseconds.
 const WIDTHS: (f64, f64) = (1.0, 16.0);
-/// Each width is by so much wider than the one before.
+/// Ratio of each width to the previous one.
 const WIDER: f64 = 1.4;
-/// Readings that are needed under the weights.
+/// Minimum number of readings within the weights.
 const READINGS_LEAST: usize = 5;
-/// How exactly a crossing has to be known to be used, in milliseconds: its standard error.
+/// Maximum standard error of a usable crossing, in milliseconds.
 const PRECISE: f64 = 1.0;
-/// Noise above this part of the visible share makes more than one crossing: the standard error of the regression.
+/// Maximum standard error of the regression, as a fraction of the visible share. More noise produces more than one crossing.
 const QUIET: f64 = 0.125;
-/// A difference of so many standard errors is significant, if it is also above [`MATTERS`].
+/// Number of standard errors from which a difference is significant, if it is also above [`MATTERS`].
 const SIGNIFICANT: f64 = 4.0;
-/// Less is not worth an exception from the fit, in milliseconds.
+/// Smaller differences do not justify an exception from the fit, in milliseconds.
 const MATTERS: f64 = 0.5;
-/// Between two instants at which the regression is computed, in milliseconds.
+/// Interval between the instants at which the regression is computed, in milliseconds.
 const STEP: f64 = 0.5;
-/// Crossings are looked for before the fitted response has come so far.
+/// Crossings are searched for up to this share of the fitted response.
 const BEGUN: f64 = 0.6;
 
 /// A reading of any trial.
@@ -33,13 +33,13 @@ const BEGUN: f64 = 0.6;
 struct Point {
     /// Milliseconds since the dead time of its trial.
     after: f64,
-    /// The share of the movement that the sensor shows.
+    /// The share of the movement in the reading.
     seen: f64,
-    /// The share of the fitted response.
+    /// The share of the movement in the fitted response.
     fitted: f64,
 }
 
-/// The readings of all trials in order, and the standard deviation of those at rest.
+/// The readings of all trials in order, and the standard deviation of the readings at rest.
 struct Pooled {
     points: Vec<Point>,
     at_rest: f64,
@@ -56,8 +56,8 @@ struct Smoothed {
     standard_error: f64,
 }
 
-/// How many milliseconds later than the fitted response the devices have visibly begun to move, by this share of the movement; negative if
-/// earlier. Zero where the readings do not contradict the fit, or cannot tell.
+/// Milliseconds from the fitted response to the visible start of motion, measured at this share of the movement; negative if the devices
+/// start earlier. Zero if the readings do not contradict the fit or are inconclusive.
 pub(super) fn later(trials: &[(&Readings, Fitted)], lag: Lag, share: f64) -> f64 {
     let Some(commanded) = trials.first().map(|(readings, _)| &readings.commanded) else { return 0.0 };
     let pooled = Pooled::of(trials, lag);
@@ -103,7 +103,7 @@ impl Pooled {
         Self { points, at_rest: (squares / free.max(1.0)).sqrt() }
     }
 
-    /// How much later the readings cross this share than the fitted response does, and its standard error, in milliseconds.
+    /// Returns how much later the readings cross this share than the fitted response does, and the standard error, in milliseconds.
     fn difference(&self, width: f64, begun: f64, share: f64) -> Option<(f64, f64)> {
         let first = self.points.first()?.after.max(-begun);
         let smoothed: Option<Vec<Smoothed>> =

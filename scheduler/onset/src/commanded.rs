@@ -1,16 +1,16 @@
-//! What a device was told to do: a movement from one value to another, in parts.
+//! What a device was commanded to do: a movement from one value to another, in parts.
 
 use urrcp::Span;
 
-/// A movement of size one, as parts one after the other: a step, a ramp, or a stairway of steps.
+/// A movement of size one, as consecutive parts: a step, a ramp, or a staircase of steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Commanded {
     pub(super) parts: Vec<Part>,
-    /// It is watched only while it begins.
+    /// Whether only its start is observed.
     begins: bool,
 }
 
-/// A share of the movement, covered at constant speed; times are milliseconds since the begin of the movement.
+/// A share of the movement, covered at constant speed; times are in milliseconds since the start of the movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Part {
     pub(super) begins: f64,
@@ -19,33 +19,34 @@ pub(super) struct Part {
 }
 
 impl Commanded {
-    /// Covered at constant speed within this time; zero is a step.
+    /// A movement at constant speed within this time; zero is a step.
     #[must_use]
     pub fn ramp(lasts: Span) -> Self {
         let parts = vec![Part { begins: 0.0, lasts: lasts.as_millis_f64().max(0.0), share: 1.0 }];
         Self { parts, begins: false }
     }
 
-    /// The same movement, of which only the begin is watched: the readings need not reach to its end.
+    /// The same movement with only its start observed: the readings need not reach its end.
     #[must_use]
     pub fn begins(self) -> Self {
         Self { begins: true, ..self }
     }
 
-    /// Values that are set and held, each at its time since the begin of the movement and with its share of the whole movement.
+    /// A staircase of values that are set and held. Each has its time since the start of the movement and its share of the whole
+    /// movement.
     #[must_use]
     pub fn stairs(steps: impl IntoIterator<Item = (Span, f64)>) -> Self {
         let part = |(at, share): (Span, f64)| Part { begins: at.as_millis_f64(), lasts: 0.0, share };
         Self { parts: steps.into_iter().map(part).collect(), begins: false }
     }
 
-    /// How long the movement lasts.
+    /// Duration of the movement.
     #[must_use]
     pub fn lasts(&self) -> Span {
         Span::from_millis_f64(self.lasts_ms())
     }
 
-    /// For how long readings have to show it, at least, in milliseconds.
+    /// Minimum time that the readings have to cover, in milliseconds.
     pub(super) fn shown_ms(&self) -> f64 {
         if self.begins { 0.0 } else { self.lasts_ms() }
     }

@@ -4,20 +4,20 @@ use downbeat_fleet::fleet::LAGS_MAX;
 
 use super::model::{Agreement, Lag, Readings, response};
 
-/// Time constants that are tried at first, in milliseconds: from none, in steps of a factor of two.
+/// Time constants of the coarse search, in milliseconds: zero, then in steps of a factor of two.
 const TIME_CONSTANTS: [f64; 11] =
     [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, TIME_CONSTANT_MAX];
-/// The largest of them.
+/// The largest time constant of the search.
 pub(super) const TIME_CONSTANT_MAX: f64 = 512.0;
 /// Steps of a golden-section search: together a factor of 10 000.
 const GOLDEN_STEPS: u32 = 20;
-/// Squares are rounded by this share of those of the movement.
+/// Rounding error of the squares, as a share of the squares of the movement.
 const ROUNDING: f64 = 1e-12;
 /// The smaller part of the golden section.
 const GOLDEN: f64 = 0.381_966_011_250_105;
 /// The 99 % quantile of chi squared with one degree of freedom: a likelihood ratio beyond it is significant.
 const SIGNIFICANT: f64 = 6.63;
-/// Latencies that are tried at first, at most.
+/// Maximum number of latencies in the coarse search.
 const GRID_MAX: f64 = 48.0;
 
 /// The latency that fits one trial best.
@@ -25,7 +25,7 @@ const GRID_MAX: f64 = 48.0;
 pub(super) struct Fitted {
     /// In milliseconds.
     pub(super) latency: f64,
-    /// Of the latency alone, from the noise, in milliseconds.
+    /// Standard error of the latency alone, from the noise, in milliseconds.
     pub(super) standard_error: f64,
     pub(super) agreement: Agreement,
     /// Standard deviation of the readings around the fit.
@@ -43,7 +43,7 @@ pub(super) fn lag(trials: &[&Readings]) -> (Lag, f64) {
         (Lag { constant, lags, later: 0.0 }, error, cost(constant))
     };
     let found: Vec<_> = (1..=LAGS_MAX).map(of).collect();
-    // Both have as many parameters, so the likelier one is the one with the smaller squares.
+    // Both models have the same number of parameters, so the one with the smaller squares is likelier.
     let best = found.into_iter().min_by(|a, b| a.2.total_cmp(&b.2));
     best.map_or((Lag::NONE, f64::INFINITY), |(lag, error, _)| (lag, error))
 }
@@ -58,16 +58,16 @@ fn time_constant(trials: &[&Readings], cost: impl Fn(f64) -> f64) -> (f64, f64) 
     let free = (readings as f64 - 3.0 * trials.len() as f64 - 1.0).max(1.0);
     let (with, without) = (cost(constant), costs[0]);
     let moved: f64 = trials.iter().map(|trial| trial.squares()).sum();
-    // A time constant that explains no more than chance would only shift the latency to the other side.
-    // Readings without noise leave rounding errors of the squares.
+    // A time constant that explains no more than chance would only bias the latency in the opposite direction. For readings without
+    // noise, the squares consist of rounding errors.
     if without - with <= SIGNIFICANT * with / free + ROUNDING * moved {
         return (0.0, error_of_constant(trials, 0.0, cost));
     }
     (constant, error_of_constant(trials, constant, cost))
 }
 
-/// From the curvature of the cost: where it has risen by the variance of a reading (profile likelihood; Venzon, Moolgavkar: A method
-/// for computing profile-likelihood-based confidence intervals, Applied Statistics 37(1), 1988).
+/// Standard error from the curvature of the cost: the distance at which the cost has risen by the variance of a reading (profile
+/// likelihood; Venzon, Moolgavkar: A method for computing profile-likelihood-based confidence intervals, Applied Statistics 37(1), 1988).
 #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
 fn error_of_constant(trials: &[&Readings], constant: f64, cost: impl Fn(f64) -> f64) -> f64 {
     let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
@@ -97,12 +97,12 @@ pub(super) fn latency(trial: &Readings, lag: Lag) -> f64 {
     middle_of_flat(found, trial.interval(), cost)
 }
 
-/// A step that falls between two readings fits equally well anywhere between them: the middle is nearest to all of it.
+/// A step between two readings fits equally well anywhere between them. The middle minimizes the largest possible error.
 fn middle_of_flat(found: f64, interval: f64, cost: impl Fn(f64) -> f64) -> f64 {
     let least = cost(found);
     let is_flat = |at: f64| cost(at) <= least * (1.0 + 1e-9) + f64::MIN_POSITIVE;
     let edge = |sign: f64| {
-        // Bisects for the end of what is as good.
+        // Bisects for the end of the flat section.
         let (mut inside, mut outside) = (0.0, interval * 1.5);
         if is_flat(found + sign * outside) {
             return outside;
@@ -137,7 +137,7 @@ fn golden(low: f64, high: f64, steps: u32, cost: impl Fn(f64) -> f64) -> f64 {
     if at_left <= at_right { left } else { right }
 }
 
-/// The latency with its standard error, for this lag.
+/// The latency and its standard error for this lag.
 #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
 pub(super) fn fitted(trial: &Readings, lag: Lag) -> Fitted {
     let latency = latency(trial, lag);
@@ -148,13 +148,13 @@ pub(super) fn fitted(trial: &Readings, lag: Lag) -> Fitted {
     Fitted { latency, standard_error, agreement, noise }
 }
 
-/// Of the latency in the linearized fit of rest, gain and latency. Where no reading lies on the movement, it is that of an instant
-/// anywhere between two readings: their interval over the root of 12.
+/// Standard error of the latency in the linearized fit of rest, gain and latency. If no reading lies on the movement, the instant may be
+/// anywhere between two readings: the error is their interval divided by the square root of 12.
 fn standard_error(trial: &Readings, latency: f64, lag: Lag, agreement: &Agreement, noise: f64) -> f64 {
     let between = trial.interval() / 12.0_f64.sqrt();
     let step = (trial.interval() / 8.0).max(0.05);
     let shape = |after: f64| response(&trial.commanded, lag, after);
-    // What a later latency changes, with what rest and gain could explain of that taken out.
+    // The effect of a later latency, without the part that rest and gain can explain.
     let rows: Vec<(f64, f64)> = (trial.at.iter())
         .map(|at| {
             let after = at - latency;

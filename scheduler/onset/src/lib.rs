@@ -1,24 +1,24 @@
-//! When a device begins to move after it was told to: the instant is estimated from readings of a sensor around a small movement that
-//! was commanded. Pure: no clock is read and nothing is sent here.
+//! Estimates when a device starts moving after a command, from sensor readings around a small commanded movement. Pure: reads no clock
+//! and sends nothing.
 //!
-//! What the sensor shows is fitted by the response of one first-order lag with dead time (FOPDT) to what was commanded, or of two equal
-//! ones in a row, whichever fits better. These are the usual models for the identification of a plant from its response to a step
-//! (Åström, Hägglund: Advanced PID Control, ISA 2006, section 2.7; Bi et al.: Robust identification of first-order plus dead-time model
-//! from step response, Control Engineering Practice 7(1), 1999):
+//! Fits the readings with the response of one first-order lag with dead time (FOPDT), or of two equal lags in series, whichever fits
+//! better. These are the usual models for identifying a plant from its step response (Åström, Hägglund: Advanced PID Control, ISA 2006,
+//! section 2.7; Bi et al.: Robust identification of first-order plus dead-time model from step response, Control Engineering Practice
+//! 7(1), 1999):
 //!
 //! ```text
 //! value(t) = rest + gain * response(t - dead_time),    response' = (commanded - response) / time_constant
 //! ```
 //!
-//! The latency is when this response has moved by the visible amount, less what it would take without dead time and lag. A bare threshold
-//! for readings would not do: with noise it has to lie well above it. In the fit, every reading counts. Where all readings together show
-//! beyond doubt that the device begins at another time than the response, that time is taken (`begin.rs`). `rest` and `gain` enter linearly
-//! and are solved for at each pair of the other two (variable projection: Golub, Pereyra: The differentiation of pseudo-inverses and
-//! nonlinear least squares problems whose variables separate, SIAM Journal on Numerical Analysis 10(2), 1973). The lag is a property of
-//! the device, so all trials have it in common; each trial has a dead time of its own.
+//! The latency is the instant at which this response has moved by the visible amount, minus the time this takes without dead time and
+//! lag. A plain threshold on the readings would not work: it has to lie well above the noise. The fit uses every reading. If the pooled
+//! readings show with significance that the device starts at another time than the response, that time is used (`begin.rs`). `rest` and
+//! `gain` enter linearly and are solved for at each pair of the other two parameters (variable projection: Golub, Pereyra: The
+//! differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate, SIAM Journal on Numerical Analysis
+//! 10(2), 1973). The lag is a property of the device, so all trials share it; each trial has its own dead time.
 //!
-//! **What cannot be known.** A delay of the sensor that its round trips do not show cannot be told from a latency of the device: the
-//! latencies contain it. Where within a round trip the value was taken cannot be known either: see [`Reading::instant`].
+//! **Limits.** A sensor delay that does not appear in its round trips is indistinguishable from a latency of the device: the latencies
+//! include it. The instant within a round trip at which the value was taken is also unknown: see [`Reading::instant`].
 
 mod begin;
 mod commanded;
@@ -34,109 +34,114 @@ pub use trials::{Estimate, Onset, Readable, Sample, Trial, estimate, onset};
 pub use downbeat_fleet::fleet::Taken;
 use urrcp::Span;
 
-/// Why a motion's begin cannot be told.
+/// Why the start of a motion cannot be determined.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Unclear {
-    /// Too few readings before the movement, or after it began.
+    /// Too few readings before the movement or after its command.
     #[error(
-        "the sensor gave too few readings: {before} before the movement and {after} from then on, at least {least} each are needed"
+        "too few readings of the sensor: {before} before the movement and {after} after its command, expected at least {least} each"
     )]
     TooSparse {
         /// Readings before the movement was commanded.
         before: usize,
-        /// Readings from then on.
+        /// Readings after that.
         after: usize,
-        /// So many of each are needed.
+        /// Required number of each.
         least: usize,
     },
     /// The movement does not stand out from the noise.
     #[error(
-        "the sensor's noise of {noise:.4} is too large for a movement of {movement:.4}: it has to be {ratio} times as large as the noise"
+        "the sensor's noise of {noise:.4} is too large for a movement of {movement:.4}; the movement must be at least {ratio} times the noise"
     )]
     Noisy {
         /// Standard deviation of the readings around the fit, in the sensor's unit.
         noise: f64,
-        /// By how much the device was to move.
+        /// Commanded movement of the device.
         movement: f64,
-        /// How many times the noise a movement has to be.
+        /// Required ratio of movement to noise.
         ratio: f64,
     },
-    /// The readings stay where they were.
+    /// The readings do not change.
     #[error(
-        "the sensor shows no movement: its readings changed by {seen:.4} where {movement:.4} was commanded"
+        "the sensor shows no movement: its readings changed by {seen:.4}, but {movement:.4} was commanded"
     )]
     NothingMoved {
         /// By how much the readings changed, in the sensor's unit.
         seen: f64,
-        /// By how much the device was to move.
+        /// Commanded movement of the device.
         movement: f64,
     },
-    /// The sensor shows a movement the other way.
+    /// The sensor shows a movement in the opposite direction.
     #[error(
-        "the sensor shows the opposite movement: its readings changed by {seen:.4} where {movement:.4} was commanded: is its sign the other way round, or is it the sensor of another device?"
+        "the sensor shows the opposite movement: its readings changed by {seen:.4}, but {movement:.4} was commanded; check its sign, and that it belongs to this device"
     )]
     WrongWay {
         /// By how much the readings changed, in the sensor's unit.
         seen: f64,
-        /// By how much the device was to move.
+        /// Commanded movement of the device.
         movement: f64,
     },
-    /// It follows so slowly that the fit does not tell when it began.
-    #[error("the device follows too slowly for a begin to be told: its time constant is {least} or more")]
+    /// The device responds too slowly for the fit to determine when it starts moving.
+    #[error(
+        "the device responds too slowly to detect when it starts moving: its time constant is {least} or more"
+    )]
     TooSlow {
-        /// The largest time constant that is fitted.
+        /// The largest time constant that the fit covers.
         least: Span,
     },
-    /// The sensor shows one of the ends of its range.
+    /// Too many readings are at one end of the sensor's range.
     #[error("the sensor is at the end of its range: {share:.0} % of its readings are {limit}")]
     Saturated {
-        /// How many of the readings, in per cent.
+        /// Share of the readings at the limit, in per cent.
         share: f64,
-        /// What they show.
+        /// The limit, in the sensor's unit.
         limit: f64,
     },
-    /// The device moved before it was told to.
+    /// The device moved before the command.
     #[error(
-        "the sensor shows motion {early} before the movement was commanded: does something else move the device?"
+        "the sensor shows motion {early} before the movement was commanded; check whether something else moves the device"
     )]
     MovedBefore {
         /// How much earlier.
         early: Span,
     },
-    /// The motion seems to begin before the command, because a reading took too long.
+    /// The motion seems to start before the command because a reading took too long.
     #[error(
-        "a reading took so long that its time, and so the beginning of the motion, is known only to +-{uncertainty}"
+        "a reading took so long that its time, and thus the start of the motion, is known only to +-{uncertainty}"
     )]
     LateReading {
-        /// How uncertain the time of the reading is.
+        /// Uncertainty of the time of the reading.
         uncertainty: Span,
     },
-    /// The device still moved at the last reading.
-    #[error("the device still moved {watched} after the movement was commanded, as long as it was watched")]
+    /// The device was still moving at the last reading.
+    #[error(
+        "the device was still moving {watched} after the movement was commanded, when the observation ended"
+    )]
     NotSettled {
-        /// How long it was watched.
+        /// Observation time after the command.
         watched: Span,
     },
 }
 
-/// One reading of a sensor as the one that asks sees it.
+/// One sensor reading, as seen by the requester.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// When it was asked for.
+    /// When it was requested.
     pub asked: Span,
-    /// When the answer was there.
+    /// When the answer arrived.
     pub answered: Span,
-    /// What it says, in the sensor's unit.
+    /// Value in the sensor's unit.
     pub value: f64,
 }
 
 impl Reading {
-    /// When the value was taken, and how far off that may be. `link` is a round trip without the sensor, such as that of an availability
-    /// request, of which each way is taken to be half. What the reading took longer is the sensor's own delay.
+    /// Returns when the value was taken and the uncertainty of that instant. `link` is a round trip without the sensor, such as that of
+    /// an availability request; each direction is assumed to take half of it. The rest of the reading's round trip is the sensor's own
+    /// delay.
     ///
-    /// The value was taken between the arrival of the request and the departure of the answer. If it is not known where, the middle is
-    /// taken, and half of the sensor's delay remains as the uncertainty. That is a systematic error: it does not average out over trials.
+    /// The value was taken between the arrival of the request and the departure of the answer. If the exact point is unknown, the middle
+    /// is assumed and half of the sensor's delay is the uncertainty. This error is systematic: it does not average out over trials.
     #[must_use]
     pub fn instant(&self, link: Span, taken: Taken) -> (Span, Span) {
         let way = link / 2;
@@ -149,7 +154,7 @@ impl Reading {
         }
     }
 
-    /// How long the sensor itself took.
+    /// Processing time of the sensor itself.
     #[must_use]
     pub fn own_delay(&self, link: Span) -> Span {
         (self.answered - self.asked - link).max(Span::ZERO)

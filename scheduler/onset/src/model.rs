@@ -1,18 +1,18 @@
-//! The response of one or two first-order lags to what was commanded, and how well readings agree with it.
+//! The response of one or two first-order lags to the commanded movement, and how well readings agree with it.
 
 use urrcp::Span;
 
 use super::commanded::{Commanded, Part};
 
-/// Below this a time constant is none, in milliseconds.
+/// Smaller time constants are treated as zero, in milliseconds.
 const NO_LAG: f64 = 1e-3;
 
-/// How far a device has come `after` milliseconds since its motion began, as a share of the movement.
+/// How far a device has moved `after` milliseconds since its motion began, as a share of the movement.
 pub(super) fn response(commanded: &Commanded, lag: Lag, after: f64) -> f64 {
     commanded.parts.iter().map(|part| part.share * part.response(lag, after - part.begins)).sum()
 }
 
-/// How much later than without its lag a device has moved by this share of the movement, in milliseconds.
+/// The delay by the lag until a device has moved by this share of the movement, in milliseconds.
 pub(super) fn visible_delay(commanded: &Commanded, lag: Lag, share: f64) -> f64 {
     let crossed = |lag: Lag| {
         let (mut before, mut after) = (0.0, commanded.lasts_ms() + 20.0 * lag.constant + 1.0);
@@ -25,14 +25,14 @@ pub(super) fn visible_delay(commanded: &Commanded, lag: Lag, share: f64) -> f64 
     (crossed(lag) - crossed(Lag::NONE)).max(0.0) + lag.later
 }
 
-/// Equal first-order lags, one after the other.
+/// Equal first-order lags in series.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lag {
-    /// Of all together, in milliseconds.
+    /// Total time constant of all lags, in milliseconds.
     pub(super) constant: f64,
     /// One or two.
     pub(super) lags: u8,
-    /// So much later than this response the device visibly begins, in milliseconds.
+    /// Delay from this response to the visible start of the device, in milliseconds.
     pub(super) later: f64,
 }
 
@@ -97,12 +97,12 @@ pub(super) struct Readings {
     pub(super) values: Vec<f64>,
 }
 
-/// Readings against the response for one latency and lag.
+/// Comparison of the readings with the response for one latency and lag.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Agreement {
     /// Sum of the squared deviations.
     pub(super) squares: f64,
-    /// Of the whole movement, in the sensor's unit.
+    /// Gain of the whole movement, in the sensor's unit.
     pub(super) gain: f64,
 }
 
@@ -112,7 +112,7 @@ impl Readings {
     pub(super) fn agreement(&self, latency: f64, lag: Lag) -> Agreement {
         let n = self.at.len() as f64;
         let (mut r_sum, mut v_sum, mut rr, mut rv, mut vv) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        // Counted from the first value, so that squares do not cancel.
+        // Relative to the first value, to avoid cancellation in the squares.
         let origin = self.values.first().copied().unwrap_or_default();
         for (at, value) in self.at.iter().zip(&self.values) {
             let (r, v) = (response(&self.commanded, lag, at - latency), value - origin);
@@ -120,7 +120,7 @@ impl Readings {
             (rr, rv, vv) = (rr + r * r, rv + r * v, vv + v * v);
         }
         let (s_rr, s_rv, s_vv) = (rr - r_sum * r_sum / n, rv - r_sum * v_sum / n, vv - v_sum * v_sum / n);
-        // A response that is the same at all readings explains nothing.
+        // A response that is equal at all readings explains nothing.
         let gain = if s_rr > 1e-12 * n { s_rv / s_rr } else { 0.0 };
         let squares = (s_vv - gain * s_rv).max(0.0);
         Agreement { squares, gain }
@@ -133,12 +133,12 @@ impl Readings {
         self.values.iter().map(|value| (value - mean).powi(2)).sum()
     }
 
-    /// Milliseconds between the first reading and the last.
+    /// Times of the first and the last reading, in milliseconds.
     pub(super) fn span(&self) -> (f64, f64) {
         (self.at.first().copied().unwrap_or_default(), self.at.last().copied().unwrap_or_default())
     }
 
-    /// The median of the times between two readings.
+    /// The median interval between two readings, in milliseconds.
     pub(super) fn interval(&self) -> f64 {
         let mut steps: Vec<f64> = self.at.windows(2).map(|pair| pair[1] - pair[0]).collect();
         steps.sort_by(f64::total_cmp);

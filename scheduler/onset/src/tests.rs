@@ -1,4 +1,4 @@
-//! The estimator against devices that are known.
+//! Tests the estimator with devices of known latency.
 
 use urrcp::Span;
 
@@ -11,19 +11,19 @@ struct Device {
     /// Standard deviation of the latency from trial to trial.
     deviation: f64,
     time_constant: f64,
-    /// So many lags make it.
+    /// Number of lags that share the time constant.
     lags: u8,
     noise: f64,
-    /// Of the sensor, between request and answer; the value is taken at the request.
+    /// Delay of the sensor between request and answer; the value is taken at the request.
     delay: f64,
-    /// Its delay varies by as much more.
+    /// Maximum additional random delay of the sensor.
     delay_varies: f64,
-    /// How long the movement takes.
+    /// Duration of the movement.
     lasts: f64,
 }
 
 const LINK: f64 = 0.8;
-/// Between an answer and the next question.
+/// Pause between an answer and the next request.
 const BETWEEN: f64 = 1.0;
 const MOVEMENT: f64 = 2.0;
 const VISIBLE: f64 = 0.02;
@@ -58,7 +58,7 @@ impl Device {
         model::Lag { constant: self.time_constant, lags: self.lags, later: 0.0 }
     }
 
-    /// Until it has visibly moved, later than a device without latency and lag.
+    /// Time until it has visibly moved, minus the time that a device without latency and lag needs.
     fn visible(&self) -> f64 {
         let commanded = Commanded::ramp(Span::from_millis_f64(self.lasts));
         self.latency + model::visible_delay(&commanded, self.lag(), VISIBLE / MOVEMENT)
@@ -70,7 +70,7 @@ impl Device {
     }
 }
 
-/// By Box and Muller.
+/// Box–Muller transform.
 fn normal(rng: &mut fastrand::Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.f64()).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.f64()).cos()
@@ -78,7 +78,7 @@ fn normal(rng: &mut fastrand::Rng) -> f64 {
 
 const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), visible: VISIBLE };
 
-/// As `downbeat calibrate` chooses it.
+/// The choice of `downbeat calibrate`.
 fn lasts(interval: f64) -> f64 {
     (1.5 * interval).max(40.0)
 }
@@ -145,7 +145,7 @@ fn where_the_value_is_taken_is_half_of_the_sensor_delay_if_it_is_not_known() {
         reading.instant(link, Taken::Between),
         (Span::from_millis_f64(15.5), Span::from_millis_f64(15.5))
     );
-    // The device takes its values at the request, so the middle is 15 ms late: that is what it says.
+    // The device takes its values at the request, so the assumed middle is 15 ms late. The reported uncertainty covers this.
     let device = Device { delay: 30.0, lasts: lasts(31.0), ..DEVICE };
     let mut rng = fastrand::Rng::with_seed(3);
     let trials: Vec<Trial> = (0..20).map(|_| device.trial(&mut rng, Taken::Between).0).collect();
@@ -166,7 +166,7 @@ const DEVICE: Device = Device {
     lasts: 40.0,
 };
 
-/// One movement of a device whose readings are changed.
+/// Changes the readings of one movement and expects an error.
 #[track_caller]
 fn refused(device: Device, change: impl Fn(&mut Sample), expected: fn(&Unclear) -> bool) {
     let mut trial = device.trials(5, 1).remove(0);
@@ -183,7 +183,7 @@ fn what_cannot_be_judged_is_refused_with_the_reason() {
     refused(DEVICE, saturated, |why| matches!(why, Unclear::Saturated { .. }));
     let early = |sample: &mut Sample| sample.at = sample.at - Span::from_millis(70);
     refused(DEVICE, early, |why| matches!(why, Unclear::MovedBefore { .. }));
-    // A reading with a delayed answer may show the device after the command.
+    // A reading with a delayed answer may actually be from after the command.
     let delayed = |sample: &mut Sample| {
         early(sample);
         sample.uncertainty = Span::from_millis(70);
@@ -214,7 +214,8 @@ fn a_device_that_still_moves_at_the_last_reading_is_refused() {
 
 #[test]
 fn bounds_are_those_of_the_tables() {
-    // By hand from Natrella's formula with z = 1.645 and 1.960 for 20 trials: a = 0.89891, b = 2.51347. Howe's factor is 2.752 (NIST/SEMATECH e-Handbook, section 7.2.6.3).
+    // By hand from Natrella's formula with z = 1.645 and 1.960 for 20 trials: a = 0.89891, b = 2.51347. Howe's factor is 2.752
+    // (NIST/SEMATECH e-Handbook, section 7.2.6.3).
     assert!((quantile_bound(20, 0.0, 1.0) - 2.5729).abs() < 0.0005, "{}", quantile_bound(20, 0.0, 1.0));
     assert!((spread_bound(20, 1.0) - 2.752).abs() < 0.02, "{}", spread_bound(20, 1.0));
     assert_eq!(Latencies::of(&[1.0, 2.0]), None);
@@ -225,19 +226,19 @@ fn a_device_begins_visibly_when_it_has_moved_by_the_visible_amount() {
     let ramp = Commanded::ramp(Span::from_millis(100));
     let delay = |lag: model::Lag, share: f64| model::visible_delay(&ramp, lag, share);
     assert!(delay(model::Lag::NONE, 0.1).abs() < 1e-9);
-    // A hundredth of the way takes 1 ms without a lag. With one of 20 ms: t - 20 (1 - exp(-t / 20)) = 1, with two of 10 ms:
-    // t - 20 + (t + 20) exp(-t / 10) = 1.
+    // Without a lag, a hundredth of the movement needs at least 1 ms. With one lag of 20 ms: t - 20 (1 - exp(-t / 20)) = 1; with two of 10 ms: t -
+    // 20 + (t + 20) exp(-t / 10) = 1.
     for (lags, t) in [(1, 6.676), (2, 9.861)] {
         let lag = model::Lag { constant: 20.0, lags, later: 0.0 };
         assert!((delay(lag, 0.01) - (t - 1.0)).abs() < 0.01, "{lags}: {}", delay(lag, 0.01));
     }
-    // A step reaches half of its way after ln 2 time constants.
+    // A step reaches half of its size after ln 2 time constants.
     let step = Commanded::ramp(Span::ZERO);
     let lag = model::Lag { constant: 20.0, lags: 1, later: 0.0 };
     assert!((model::visible_delay(&step, lag, 0.5) - 20.0 * 2.0_f64.ln()).abs() < 1e-6);
 }
 
-/// A device that rests until it has to move by `friction` (a share of the movement), and then follows with one lag: Coulomb friction.
+/// A device that rests until its deviation exceeds `friction` (a share of the movement), and then follows with one lag: Coulomb friction.
 fn with_friction(rng: &mut fastrand::Rng, friction: f64, noise: f64, sensor: f64) -> Trial {
     const TAU: f64 = 30.0;
     const LASTS: f64 = 250.0;
@@ -260,7 +261,7 @@ fn with_friction(rng: &mut fastrand::Rng, friction: f64, noise: f64, sensor: f64
     Trial { commanded, movement: MOVEMENT, samples }
 }
 
-/// When it has moved by the visible amount, less what a device without latency and lag takes.
+/// The instant at which it has moved by the visible amount, minus the time that a device without latency and lag needs.
 fn true_begin(friction: f64) -> f64 {
     let trial = with_friction(&mut fastrand::Rng::with_seed(1), friction, 0.0, 0.05);
     let moved = |sample: &&Sample| sample.value >= REST + VISIBLE;
@@ -283,7 +284,7 @@ fn a_device_with_static_friction_begins_when_its_readings_show_it() {
         );
         let lag = found.lag.unwrap();
         assert!(lag.later > Span::from_millis(2), "the fit alone would do: {lag:?}");
-        // One motion by itself, with what all have shown.
+        // A single motion with the lag from all trials.
         let one = onset(&trials[0], READABLE, Some(lag)).unwrap().latency.as_millis_f64();
         assert!((one - truth).abs() < 2.5, "{one} is not {truth}");
     }

@@ -1,4 +1,4 @@
-//! From the readings of several trials to the latency of each, or why it cannot be told.
+//! From the readings of several trials to the latency of each, or the reason why it cannot be determined.
 
 use urrcp::Span;
 
@@ -8,90 +8,90 @@ use super::fit::{self, Fitted};
 use super::model::{Lag, Readings, visible_delay};
 use super::{Latencies, Unclear};
 
-/// Readings that are needed before the movement, and from its command on.
+/// Minimum number of readings before the command, and also after it.
 const READINGS_LEAST: usize = 4;
-/// So many times the noise a movement has to be.
+/// Minimum ratio of movement to noise.
 const NOISE_RATIO: f64 = 5.0;
-/// A device that moves less than this share of what it was told to does not follow.
+/// A device that moves less than this share of the commanded movement does not follow.
 const MOVED_LEAST: f64 = 0.2;
-/// Of readings that are at one end of the range, so many make the sensor saturated.
+/// Share of readings at one end of the range that makes the sensor saturated.
 const SATURATED_SHARE: f64 = 0.2;
-/// After so many time constants a movement is over but for 2 %.
+/// Number of time constants after which only 2 % of a movement remain.
 const SETTLED: f64 = 4.0;
-/// A ramp has to last so many time constants for the lag behind it to become steady.
+/// Number of time constants that a ramp has to last for the lag behind it to become steady.
 const RAMP_STEADY: f64 = 3.0;
-/// The largest share of a movement that can be its visible begin.
+/// The largest share of a movement that is used as its visible start.
 const VISIBLE_MAX: f64 = 0.5;
-/// Motion may seem this much earlier than the command, by errors of clocks.
+/// Clock errors may shift the motion ahead of the command by this much, in milliseconds.
 const EARLY_MAX: f64 = 5.0;
 
 /// A reading around a movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// When the value was taken, since the first step of the movement was due.
+    /// When the value was taken, relative to the due time of the movement's first step.
     pub at: Span,
-    /// How far off that may be.
+    /// Uncertainty of `at`.
     pub uncertainty: Span,
     /// The value, in the sensor's unit.
     pub value: f64,
 }
 
-/// One movement and what the sensor showed.
+/// One movement and the sensor readings around it.
 #[derive(Clone, Debug)]
 pub struct Trial {
-    /// What was commanded.
+    /// The commanded movement.
     pub commanded: Commanded,
-    /// By how much the device is to move, in the sensor's unit, with its sign.
+    /// Signed size of the commanded movement, in the sensor's unit.
     pub movement: f64,
     /// In any order.
     pub samples: Vec<Sample>,
 }
 
-/// What is known of the sensor before any trial.
+/// The properties of the sensor that are known before any trial.
 #[derive(Clone, Copy, Debug)]
 pub struct Readable {
     /// Lowest and highest reading of the sensor; `None` without limits.
     pub range: Option<(f64, f64)>,
-    /// A device that has moved by so much has visibly begun to move.
+    /// Displacement from which motion is visible, in the sensor's unit.
     pub visible: f64,
 }
 
-/// The begin of one motion.
+/// The start of one motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Onset {
-    /// From the instant at which the first step was due to the first visible motion, less what a device without latency and lag would
-    /// take to move so far.
+    /// From the due time of the first step to the first visible motion, minus the time in which a device without latency and lag moves
+    /// this far.
     pub latency: Span,
-    /// From the instant at which the first step was due until the device begins to follow.
+    /// From the due time of the first step until the device starts to follow.
     pub dead_time: Span,
     /// Its standard error from the noise of the readings.
     pub standard_error: Span,
-    /// How far all readings together may be off: the largest uncertainty of a sample. It does not average out.
+    /// Error common to all readings: the largest uncertainty of a sample. It does not average out.
     pub uncertainty: Span,
-    /// By how much the readings changed in all, in the sensor's unit.
+    /// Total change of the readings, in the sensor's unit.
     pub moved: f64,
     /// Standard deviation of the readings around the fit, in the sensor's unit.
     pub noise: f64,
 }
 
-/// What the trials say of a device.
+/// Result for a device from all its trials.
 #[derive(Clone, Debug)]
 pub struct Estimate {
-    /// Of each trial, in order.
+    /// The result of each trial, in order.
     pub onsets: Vec<Result<Onset, Unclear>>,
-    /// Of those that could be judged; `None` of fewer than three.
+    /// Summary of the trials with a result; `None` for fewer than three.
     pub latencies: Option<Latencies>,
-    /// How the device follows; `None` where the readings do not tell it from a device that follows at once.
+    /// How the device follows; `None` if the readings do not distinguish it from a device that follows at once.
     pub lag: Option<downbeat_fleet::fleet::Lag>,
-    /// How far the device is behind a ramp once it follows: dead time and time constant together, which is exact for the model. `None`
-    /// where no movement lasted long enough.
+    /// How far the device lags behind a ramp once it follows: dead time plus time constant, which is exact for the model. `None` if no
+    /// movement lasted long enough.
     pub tracking_lag: Option<Span>,
 }
 
-/// The begin of a single motion, with a lag that is known, or else fitted to this motion alone.
+/// Determines the start of a single motion, with the known lag, or otherwise with a lag fitted to this motion alone.
 ///
 /// # Errors
-/// [`Unclear`]: why it cannot be told.
+/// [`Unclear`]: the reason if it cannot be determined.
 pub fn onset(
     trial: &Trial,
     readable: Readable,
@@ -105,7 +105,7 @@ pub fn onset(
     readable.judged(trial, &readings, fitted, Lag { later, ..lag })
 }
 
-/// The latency of each of several motions of one device, and what they have in common.
+/// Determines the latency of each of several motions of one device, and their common properties.
 #[must_use]
 pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
     let readings: Vec<Result<Readings, Unclear>> =
@@ -223,7 +223,7 @@ impl Readable {
     }
 }
 
-/// The larger uncertainty of the last reading before an instant and the first one after it.
+/// The larger of two uncertainties: that of the last reading up to an instant and that of the first one after it.
 fn uncertainty_at(trial: &Trial, instant: Span) -> Span {
     let (before, after): (Vec<&Sample>, Vec<&Sample>) =
         trial.samples.iter().partition(|sample| sample.at <= instant);

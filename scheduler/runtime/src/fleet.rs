@@ -1,4 +1,4 @@
-//! From the fleet file to robots that can be talked to.
+//! Turns the fleet file into robots that can be reached.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,9 +18,9 @@ use downbeat_mission::{Destination, Greeting, Participant, PlanTransfer};
 
 /// A robot cannot be simulated.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("robot `{robot}` has no `init:` file in the fleet file, a simulated robot needs one")]
+#[error("robot `{robot}` has no `init:` file in the fleet file; a simulated robot requires one")]
 pub struct NoInit {
-    /// Id of the robot.
+    /// The robot's id.
     pub robot: RobotId,
 }
 
@@ -28,15 +28,15 @@ pub struct NoInit {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EndpointError {
-    /// One of them is not described.
+    /// A robot is not described.
     #[error(transparent)]
     NoInit(#[from] NoInit),
-    /// One of them cannot be driven so.
+    /// A robot's driver cannot be used.
     #[error("robot `{robot}`: {error}")]
     Driver {
-        /// Id of the robot.
+        /// The robot's id.
         robot: RobotId,
-        /// Why not.
+        /// The reason.
         error: DriverError,
     },
     /// The operator's identity cannot be used.
@@ -45,7 +45,7 @@ pub enum EndpointError {
     /// The Zenoh network cannot be joined.
     #[error("{0}")]
     Network(String),
-    /// The host of all of them cannot start.
+    /// The host of the robots cannot start.
     #[error(transparent)]
     Host(#[from] HostError),
 }
@@ -103,7 +103,7 @@ pub fn transfer(fleet: &Fleet) -> Arc<dyn PlanTransfer> {
     Arc::new(Planner(fleet.clone()))
 }
 
-/// As the mission sees them.
+/// Converts the robots for the mission.
 #[must_use]
 pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
     let participant = |robot: &&FleetRobot| Participant {
@@ -118,13 +118,13 @@ pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
 fn settings_of(robot: &FleetRobot) -> MissionSettings {
     let encoding = match &robot.address {
         Address::Tcp { .. } | Address::Zenoh { .. } => robot.mission.encoding,
-        // What stays in this process is not encoded.
+        // Messages within this process are not encoded.
         Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => Encoding::Json,
     };
     MissionSettings { encoding, ..robot.mission.clone() }
 }
 
-/// Whether steps 1 to 4 are played.
+/// Whether handshake steps 1 to 4 are played.
 #[must_use]
 pub fn greeting(fleet: &Fleet) -> Greeting {
     match fleet.handshake {
@@ -133,10 +133,10 @@ pub fn greeting(fleet: &Fleet) -> Greeting {
     }
 }
 
-/// The robot as a simulated one. Robots of one fleet draw from different seeds.
+/// Creates a simulated robot. Each robot of a fleet uses a different random seed.
 ///
 /// # Errors
-/// [`NoInit`] when the fleet file does not describe it.
+/// Returns [`NoInit`] if the fleet file does not describe the robot.
 pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
     simulated_with(robot, settings(robot, seed))
 }
@@ -150,21 +150,21 @@ fn simulated_with(robot: &FleetRobot, settings: Settings) -> Result<SimulatedRob
     Ok(simulated)
 }
 
-/// The robot as a dry run has it: where the fleet file does not say how long messages take, they take as long as in a wired
-/// network, because what arrives at the very instant at which it is sent hides what comes too late in reality.
+/// Creates the robot for a dry run. If the fleet file sets no message delay, the delay of a wired network is used: with instant delivery,
+/// messages that are late in reality would go unnoticed.
 ///
 /// # Errors
-/// As [`simulated`].
+/// Same as [`simulated`].
 pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
     let settings = settings(robot, seed);
     let delay = settings.delay.or(Some(WIRED));
     simulated_with(robot, Settings { delay, ..settings })
 }
 
-/// The same with settings that are changed.
+/// Same as [`rehearsed`], with changed settings.
 ///
 /// # Errors
-/// As [`simulated`].
+/// Same as [`simulated`].
 pub fn rehearsed_with(
     robot: &FleetRobot,
     change: impl FnOnce(&mut Settings),
@@ -175,7 +175,7 @@ pub fn rehearsed_with(
     simulated_with(robot, settings)
 }
 
-/// Least and largest delay each way in a wired network.
+/// Minimum and maximum one-way delay in a wired network.
 pub const WIRED: (Span, Span) = (Span::from_micros(100), Span::from_micros(500));
 
 fn settings(robot: &FleetRobot, seed: u64) -> Settings {
@@ -197,7 +197,7 @@ fn settings(robot: &FleetRobot, seed: u64) -> Settings {
     }
 }
 
-/// The limits of the fleet file for the movements of its devices to rest and home.
+/// Returns the fleet file's limits, which apply when the robot's devices move to rest or home.
 fn limits(robot: &FleetRobot) -> BTreeMap<DeviceId, MotionLimits> {
     let limit = |(device, limits): (&String, &RateLimits)| {
         let RateLimits { speed, acceleration } = *limits;
@@ -216,16 +216,16 @@ const HARDWARE_WAIT: Duration = Duration::from_secs(10);
 /// Interval between checks of the hardware in [`await_hardware`].
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// Whether the programs are started that the fleet file names as drivers.
+/// Whether the programs that the fleet file names as drivers are started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StartPrograms {
-    /// They are: the operator has said so, or plays a mission.
+    /// They are started: the operator requested it, or plays a mission.
     Yes,
-    /// Their robots are not available. A command that only looks executes nothing that a file names.
+    /// They are not started, and their robots are unavailable. A read-only command executes no program that a file names.
     No,
 }
 
-/// How the drivers of robots in this process are run.
+/// How the drivers of robots in this process run.
 #[derive(Clone, Copy, Debug)]
 pub struct Drivers {
     /// Whether programs are started.
@@ -241,14 +241,14 @@ impl From<StartPrograms> for Drivers {
 }
 
 impl Drivers {
-    /// Time to wait for the hardware. A program has the start timeout for each of its first two lines. One second more lets the
-    /// driver report the reason if the program misses it.
+    /// Time to wait for the hardware. A program has the start timeout for each of its first two lines. One additional second allows the
+    /// driver to report the reason if the program misses it.
     fn wait(self) -> Duration {
         (self.timeouts.start * 2 + Duration::from_secs(1)).max(HARDWARE_WAIT)
     }
 }
 
-/// In place of a program that is not started.
+/// Replaces the driver of a program that is not started.
 struct NotStarted;
 
 impl NotStarted {
@@ -276,7 +276,7 @@ impl Driver for NotStarted {
     }
 }
 
-/// What runs in this process for a robot: a simulated one, or an edge with a driver; nothing for one that listens itself.
+/// Creates the robot that runs in this process: a simulated one, or an edge with a driver. Returns `None` if the robot listens itself.
 fn hosted(robot: &FleetRobot, seed: u64, drivers: Drivers) -> Result<Option<Hosted>, EndpointError> {
     let spec = match &robot.address {
         Address::Tcp { .. } | Address::Zenoh { .. } => return Ok(None),
@@ -293,10 +293,10 @@ fn hosted(robot: &FleetRobot, seed: u64, drivers: Drivers) -> Result<Option<Host
     Ok(Some(Hosted::driven(block, driver, DriverOptions::default().with_limits(limits(robot)))))
 }
 
-/// Where each robot is reached; all but those with `address: tcp://`, `tls://`, `hmac://` or `zenoh:` are started in this process.
+/// Returns the endpoint of each robot. Robots without `address: tcp://`, `tls://`, `hmac://` or `zenoh:` are started in this process.
 ///
 /// # Errors
-/// [`EndpointError`] for a robot that cannot be simulated or driven, or when the host cannot start.
+/// Returns [`EndpointError`] if a robot cannot be simulated or driven, or if the host cannot start.
 pub fn endpoints(
     robots: &[&FleetRobot],
     handshake: Handshake,
@@ -320,10 +320,10 @@ pub async fn await_hardware(host: &Host, drivers: Drivers) {
     }
 }
 
-/// The same as [`endpoints`], without waiting for hardware.
+/// Same as [`endpoints`], but does not wait for the hardware.
 ///
 /// # Errors
-/// As [`endpoints`].
+/// Same as [`endpoints`].
 pub fn endpoints_at_once(
     robots: &[&FleetRobot],
     handshake: Handshake,
@@ -334,7 +334,7 @@ pub fn endpoints_at_once(
     let network = robots.iter().any(|robot| matches!(robot.address, Address::Zenoh { .. }));
     let network = network.then(|| site.network()).transpose().map_err(EndpointError::Network)?;
     let mut machines: Vec<Hosted> = Vec::new();
-    // The index in the host of those that run there.
+    // The index of each robot in the host, if it runs there.
     let mut places = Vec::new();
     for robot in robots {
         let hosted = hosted(robot, machines.len() as u64, drivers)?;
@@ -359,7 +359,7 @@ pub fn endpoints_at_once(
     Ok((host, endpoints))
 }
 
-/// Without a handshake the files are trusted.
+/// Without a handshake, the files are trusted.
 fn encoding(robot: &FleetRobot, handshake: Handshake) -> LinkEncoding {
     let encoding = robot.mission.encoding;
     let listed = robot.init.as_ref().is_some_and(|block| block.understands(encoding));

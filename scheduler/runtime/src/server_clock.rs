@@ -1,5 +1,5 @@
-//! The server's clock: the system's, corrected by NTP, and from then on carried by the monotonic clock, so that a step of
-//! the system's clock does not move what is scheduled. [`NtpWatch`] tells how far it has drifted since.
+//! The server's clock. It starts from the system clock, corrected by NTP, and then follows the monotonic clock, so that a step of the
+//! system clock does not shift the schedule. [`NtpWatch`] reports how far it has drifted since.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -15,56 +15,57 @@ use urrcp::{Server, Span, Timestamp};
 
 use downbeat_mission::clock::{ClockEstimate, ClockSample, NtpState};
 
-/// NTP exchanges asked for; all their bounds count.
+/// Number of NTP exchanges in one measurement. The bounds of all of them are combined.
 const NTP_SAMPLES: usize = 5;
-/// Between two NTP exchanges.
+/// Pause between two NTP exchanges.
 const NTP_INTERVAL: Duration = Duration::from_millis(50);
 const NTP_TIMEOUT: Duration = Duration::from_secs(2);
-/// Rounding: rsntp computes in floating point, and the system's clock and the monotonic one are not read at once.
+/// Allowance for rounding: rsntp computes in floating point, and the system clock and the monotonic clock are not read at the same
+/// instant.
 const NTP_ROUNDING: Span = Span::from_micros(1);
-/// A datagram may be lost: this many questions in a row must go unanswered for the server to be.
+/// Number of consecutive unanswered questions after which the server is considered lost. A single datagram may be lost.
 const NTP_LOST_AFTER: u32 = 3;
-/// Between two questions of a watch: the shortest that RFC 5905 lets a client poll steadily (MINPOLL, 2^4 s).
+/// Interval between two questions of a watch: the shortest steady polling interval in RFC 5905 (MINPOLL, 2^4 s).
 pub const NTP_WATCH_INTERVAL: Duration = Duration::from_secs(16);
 
 /// Reads the server's time. Copies always agree.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerClock {
     host: HostClock,
-    /// Server time minus the host's.
+    /// The server's time minus the host's time.
     offset: Span,
 }
 
 impl ServerClock {
-    /// Anchored now: system clock plus `offset`.
+    /// Anchors the clock at the current system time plus `offset`.
     #[must_use]
     pub fn anchored(offset: Span) -> Self {
         Self { host: HostClock::anchored(), offset }
     }
 
-    /// The server's time minus the system's.
+    /// The server's time minus the system's time.
     #[must_use]
     pub const fn offset(&self) -> Span {
         self.offset
     }
 
-    /// The time now.
+    /// Returns the current server time.
     #[must_use]
     pub fn now(&self) -> Timestamp<Server> {
         self.host.now().assume_clock() + self.offset
     }
 
-    /// The monotonic instant of a timestamp; instants before the anchor become the anchor.
+    /// Returns the monotonic instant of a timestamp. Timestamps before the anchor map to the anchor.
     #[must_use]
     pub fn instant_of(&self, timestamp: Timestamp<Server>) -> Instant {
         self.host.instant_of((timestamp - self.offset).assume_clock())
     }
 
-    /// How far the system's clock, as it is now, is ahead of this one.
+    /// How far the current system clock is ahead of this clock.
     fn system_ahead(&self) -> Span {
         let system = Self::anchored(Span::ZERO);
-        // The instants at which both show the same are compared, not two readings: nothing can come between. Later than
-        // both anchors, where instants are exact.
+        // Compares the instants at which both clocks show the same time. Two successive readings would include a delay between them. The
+        // time is later than both anchors, where instants are exact.
         let shown = system.now().max(self.now()) + Span::from_millis(1_000);
         let (by_system, by_this) = (system.instant_of(shown), self.instant_of(shown));
         Span::from(by_this.saturating_duration_since(by_system))
@@ -72,39 +73,39 @@ impl ServerClock {
     }
 }
 
-/// What an NTP server says of the system's clock.
+/// An NTP server's view of the system clock.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NtpReading {
     /// NTP time minus system time.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// The true offset lies within this of `offset`, if the NTP server is right.
+    /// The true offset is within this distance of `offset`, if the NTP server is right.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
-    /// Of the NTP server: 1 is attached to a reference clock (RFC 5905, figure 11).
+    /// The stratum of the NTP server: 1 is attached to a reference clock (RFC 5905, figure 11).
     pub stratum: u8,
 }
 
-/// The NTP server could not be asked.
+/// The NTP server did not answer.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "no NTP time from `{server}`: {reason}; check `ntp:` in the fleet file, or leave it out to trust the system clock"
 )]
 pub struct NtpError {
-    /// As in the fleet file.
+    /// The server, as written in the fleet file.
     pub server: String,
-    /// What the client says.
+    /// The reason that the client reported.
     pub reason: String,
 }
 
-/// Asks an NTP server (`host` or `host:port`) a few times; the offset is where all exchanges agree.
+/// Sends a few requests to an NTP server (`host` or `host:port`). The offset is where all exchanges agree.
 ///
 /// # Errors
-/// [`NtpError`] when no exchange came through.
+/// Returns [`NtpError`] if no exchange succeeded.
 pub async fn ask_ntp(server: &str) -> Result<NtpReading, NtpError> {
     let clock = ServerClock::anchored(Span::ZERO);
     let failed = |reason| NtpError { server: server.to_owned(), reason };
-    // Behind one name there may be many servers, whose clocks differ: one is asked throughout.
+    // One name may lead to many servers with different clocks, so only one of them is used throughout.
     let address = resolve(server).await.map_err(failed)?;
     let mut estimate = ClockEstimate::default();
     let mut stratum = None;
@@ -118,7 +119,7 @@ pub async fn ask_ntp(server: &str) -> Result<NtpReading, NtpError> {
                 estimate.add(sample);
                 stratum = Some(told);
             }
-            // A server that is off stays off: the first exchange decides.
+            // A server that is down stays down: the first exchange decides.
             Err(error) if question == 0 => return Err(failed(error)),
             Err(error) => reason = error,
         }
@@ -140,12 +141,12 @@ async fn resolve(server: &str) -> Result<SocketAddr, String> {
         tokio::net::lookup_host((server, NTP_PORT)).await.map(Iterator::collect)
     }
     .map_err(|error| Refusal::of(Attempt::Connect, &error).reason)?;
-    // As many hosts still have no way out by IPv6.
+    // IPv4 first, because many hosts still have no route over IPv6.
     let preferred = addresses.iter().find(|address| address.is_ipv4()).or(addresses.first());
     preferred.copied().ok_or_else(|| "the name has no address".to_owned())
 }
 
-/// One exchange: NTP time minus `clock`, and the stratum.
+/// Performs one exchange. Returns NTP time minus `clock`, and the stratum.
 async fn exchange(
     server: SocketAddr,
     clock: &ServerClock,
@@ -156,7 +157,7 @@ async fn exchange(
         SocketAddr::V6(_) => (std::net::Ipv6Addr::UNSPECIFIED, 0).into(),
     };
     let client = AsyncSntpClient::with_config(Config::default().timeout(timeout).bind_address(any_port));
-    // The client reads the system's clock, which may be set between its two readings.
+    // The client reads the system clock, which may be set between its two readings.
     let (ahead_before, sent) = (clock.system_ahead(), clock.now());
     let plain = |error| match error {
         SynchronizationError::IOError(error) => Refusal::of(Attempt::Connect, &error).reason,
@@ -179,7 +180,7 @@ async fn exchange(
     Ok((sample, result.stratum()))
 }
 
-/// Asks an NTP server again and again, until it is dropped.
+/// Sends requests to an NTP server at regular intervals until it is dropped.
 #[derive(Debug)]
 pub struct NtpWatch {
     states: watch::Receiver<NtpState>,
@@ -187,7 +188,7 @@ pub struct NtpWatch {
 }
 
 impl NtpWatch {
-    /// Asks at once and then every `interval`; an answer must come before the next question. Needs a runtime.
+    /// Sends the first request at once, then one every `interval`. An answer must arrive before the next request. Needs a runtime.
     #[must_use]
     pub fn start(server: String, clock: ServerClock, interval: Duration) -> Self {
         let (tell, states) = watch::channel(NtpState::default());
@@ -195,16 +196,16 @@ impl NtpWatch {
         Self { states, task }
     }
 
-    /// The state now.
+    /// The current state.
     #[must_use]
     pub fn state(&self) -> NtpState {
         *self.states.borrow()
     }
 
-    /// The state after the next question, answered or not.
+    /// Waits for the next request, answered or not, and returns the state after it.
     pub async fn next(&mut self) -> NtpState {
         if self.states.changed().await.is_err() {
-            // The task lives as long as this does.
+            // The task lives as long as this value.
             std::future::pending::<()>().await;
         }
         *self.states.borrow_and_update()
@@ -249,7 +250,7 @@ async fn watch_ntp(server: &str, clock: &ServerClock, interval: Duration, tell: 
         }
         let lost = unanswered >= NTP_LOST_AFTER;
         if lost {
-            // Its name may lead to another by now. Their clocks need not agree, which then counts as a step.
+            // The name may lead to another server meanwhile. If its clock differs, the difference is treated as a step.
             address = None;
         }
         let reading = estimate.reading_at(clock.now());
@@ -274,12 +275,12 @@ mod tests {
 
     use super::*;
 
-    /// An SNTP server (RFC 5905, figure 8) that is off by a known offset and falls silent when told.
+    /// An SNTP server (RFC 5905, figure 8) with a known offset, which can be silenced.
     #[derive(Clone, Default)]
     struct Responder {
         offset_nanos: Arc<AtomicI64>,
         is_silent: Arc<AtomicBool>,
-        /// Questions that it refuses, counted from none.
+        /// The questions that it refuses, counted from 0.
         refuses: Vec<usize>,
         questions: Arc<AtomicUsize>,
     }
@@ -300,7 +301,7 @@ mod tests {
                     answer[32..40].copy_from_slice(&responder.now());
                     answer[40..48].copy_from_slice(&responder.now());
                     if responder.refuses.contains(&responder.questions.fetch_add(1, Ordering::Relaxed)) {
-                        // As of a server that is asked too often (RFC 5905, section 7.4).
+                        // The answer of a server that receives too many requests (RFC 5905, section 7.4).
                         answer[1] = 0;
                         answer[12..16].copy_from_slice(b"RATE");
                     }
@@ -351,7 +352,7 @@ mod tests {
         assert_is(watch.next().await, Span::from_millis(1_000));
 
         responder.is_silent.store(true, Ordering::Relaxed);
-        // One state may wait to be read, and one answer may be on its way.
+        // One state may wait to be read, and one answer may be in transit.
         watch.next().await;
         let mut lost = watch.next().await;
         let unanswered_since = clock.now();
@@ -400,7 +401,7 @@ mod tests {
     fn how_far_the_system_is_ahead_is_found_however_the_clock_was_set() {
         for millis in [0, 250, -250, 3_600_000, -3_600_000] {
             let offset = Span::from_millis(millis);
-            // On a busy machine a thread may lose its core between two readings, and not each time.
+            // On a busy machine, a thread may lose its core between two readings, but not every time.
             let error = |_| (ServerClock::anchored(offset).system_ahead() + offset).abs();
             let least = (0..100).map(error).min().unwrap();
             assert!(least < Span::from_micros(50), "{millis}: {least}");

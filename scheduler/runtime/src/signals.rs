@@ -1,8 +1,8 @@
-//! Which signals end the program in good order, and which it ignores.
+//! The signals that end the program in an orderly way, and those that it ignores.
 //!
-//! Ctrl-C, SIGTERM, SIGQUIT and SIGHUP ask it to end, as do SIGPWR and SIGXCPU; SIGRTMIN+1 asks a scheduler to send its robots home. SIGUSR1,
-//! SIGUSR2, SIGXFSZ, SIGIO, SIGSTKFLT and those of timers would kill it by default and are taken without effect; a file that has
-//! reached its limit then gives an error of writing. SIGPIPE is ignored by Rust itself.
+//! Ctrl-C, SIGTERM, SIGQUIT, SIGHUP, SIGPWR and SIGXCPU ask the program to end. SIGRTMIN+1 asks a scheduler to send its robots home.
+//! SIGUSR1, SIGUSR2, SIGXFSZ, SIGIO, SIGSTKFLT and the timer signals would kill the program by default; they are caught and have no
+//! effect. A file that has reached its size limit then causes a write error. Rust itself ignores SIGPIPE.
 
 use std::io;
 use std::sync::atomic::AtomicBool;
@@ -27,22 +27,22 @@ pub enum Asked {
     Terminate,
     /// Ctrl-\.
     Quit,
-    /// The terminal was closed, or the connection to it lost.
+    /// The terminal was closed, or the connection to it was lost.
     HangUp,
     /// Another process asks a scheduler to send its robots to their default state.
     Home,
 }
 
-/// Whether the end of the terminal is the end of the program.
+/// Whether the program ends when its terminal closes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnHangUp {
-    /// As by SIGTERM, unless the program was started with SIGHUP ignored, as `nohup` does.
+    /// Ends as for SIGTERM, unless the program was started with SIGHUP ignored, as `nohup` does.
     End,
-    /// It goes on.
+    /// Continues.
     Stay,
 }
 
-/// Takes the signals that would kill the program for no good reason. Programs that it starts have them as usual.
+/// Catches the signals that would kill the program for no good reason. Child processes get the default effects.
 pub fn take_harmless() {
     let timers = [SIGALRM, SIGVTALRM, SIGPROF];
     for harmless in [SIGUSR1, SIGUSR2, SIGXFSZ, SIGIO, uapi::c::SIGSTKFLT].into_iter().chain(timers) {
@@ -52,26 +52,26 @@ pub fn take_harmless() {
 
 fn take(number: i32) {
     if let Err(error) = signal_hook::flag::register(number, Arc::new(AtomicBool::new(false))) {
-        tracing::warn!("signal {number} keeps its default effect: {error}");
+        tracing::warn!("cannot handle signal {number}: {error}");
     }
 }
 
-/// What a process that dies leaves behind as it found it.
+/// Restores the state, for example of the terminal, before the process dies.
 static BEFORE_DEATH: OnceLock<fn()> = OnceLock::new();
-/// How long that may take.
+/// Maximum time for [`BEFORE_DEATH`].
 const RESTORED_WITHIN: Duration = Duration::from_millis(500);
 
-/// Has this done before the process ends by [`die_of`]; the first call counts.
+/// Sets the function that [`die_of`] calls before it ends the process. Only the first call has an effect.
 pub fn restore_before_death(restore: fn()) {
     let _already_set = BEFORE_DEATH.set(restore);
 }
 
-/// Ends the process as the signal would have, had the program not taken it. Half a second is waited at most, for what
-/// [`restore_before_death`] has named.
+/// Ends the process as the signal would have done if the program had not caught it. Waits at most half a second for the function set by
+/// [`restore_before_death`].
 pub fn die_of(asked: Asked) {
     if let Some(restore) = BEFORE_DEATH.get() {
         let (done, restored) = sync_channel(1);
-        // On a thread of its own: what keeps the process may keep this, too.
+        // On its own thread, because the function may block for the same reason as the process.
         std::thread::spawn(move || {
             restore();
             let _given_up = done.send(());
@@ -101,16 +101,16 @@ pub struct Signals {
     terminate: Signal,
     quit: Signal,
     hang_up: Option<Signal>,
-    /// The supply fails, or the time of the processor is used up: more will not be said before the process is killed.
+    /// The power supply fails, or the CPU time is used up. No other signal precedes the kill.
     last: [Signal; 2],
     home: Option<Signal>,
 }
 
 impl Signals {
-    /// From now on none of them kills the process by itself. Called within a runtime.
+    /// Starts to catch the signals, so that none of them kills the process by itself. Must be called within a runtime.
     ///
     /// # Errors
-    /// The system gives no handler.
+    /// Fails if the operating system refuses a signal handler.
     pub fn listen(on_hang_up: OnHangUp) -> io::Result<Self> {
         let hang_up = match on_hang_up {
             OnHangUp::End if is_ignored(SIGHUP) => None,
@@ -126,16 +126,16 @@ impl Signals {
         Ok(Self { interrupt, terminate, quit: signal(SignalKind::quit())?, hang_up, last, home: None })
     }
 
-    /// Those of a scheduler, which can be asked to send its robots home, too.
+    /// Same as [`listen`](Self::listen), for a scheduler, which can also be asked to send its robots home.
     ///
     /// # Errors
-    /// The system gives no handler.
+    /// Fails if the operating system refuses a signal handler.
     pub fn of_scheduler(on_hang_up: OnHangUp) -> io::Result<Self> {
         let home = Some(signal(SignalKind::from_raw(home_number()))?);
         Ok(Self { home, ..Self::listen(on_hang_up)? })
     }
 
-    /// The next one.
+    /// Waits for the next signal.
     pub async fn next(&mut self) -> Asked {
         let [power, processor] = &mut self.last;
         tokio::select! {
@@ -164,7 +164,7 @@ fn home_number() -> i32 {
     uapi::c::SIGRTMIN() + 1
 }
 
-/// Has a scheduler stop its robots once it goes on; returns the signal's name, if it could be sent.
+/// Signals a scheduler to stop its robots. A suspended one does so once it continues. Returns the signal's name if it could be sent.
 pub fn stop(scheduler: Pid, rest: Rest) -> Option<&'static str> {
     let (name, sent) = match rest {
         Rest::InPlace => ("SIGTERM", kill_process(scheduler, rustix::process::Signal::TERM).is_ok()),
@@ -173,7 +173,7 @@ pub fn stop(scheduler: Pid, rest: Rest) -> Option<&'static str> {
     sent.then_some(name)
 }
 
-/// Whether a signal was ignored when the program began, as its parent wanted.
+/// Whether the parent process started this program with the signal ignored.
 fn is_ignored(number: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     ignored(&status) >> (number - 1) & 1 == 1

@@ -3,15 +3,15 @@
 use downbeat_scripts::{Act, DeviceScript, FleetRobot};
 use urrcp::{ControlType, DeviceId, Interpolation, RobotId, Step};
 
-/// When a robot moves.
+/// The times at which a robot moves.
 #[derive(Debug)]
 pub(super) struct Busy<'a> {
     pub(super) robot: &'a RobotId,
-    /// Begin and end in milliseconds from the act's start, in any order; a jump ends when it begins.
+    /// Start and end in milliseconds from the act's start, in any order; a jump ends when it starts.
     pub(super) moves: Vec<(f64, f64)>,
 }
 
-/// The robots of an act in the order of its plan; `robots` are the same of the fleet.
+/// The robots of an act in the order of its plan; `robots` are the same robots from the fleet.
 pub(super) fn busy<'a>(act: &'a Act, robots: &[&FleetRobot]) -> Vec<Busy<'a>> {
     let moves = |(index, plan): (usize, &'a downbeat_scripts::RobotPlan)| {
         let robot = robots.get(index).copied();
@@ -25,13 +25,13 @@ pub(super) fn busy<'a>(act: &'a Act, robots: &[&FleetRobot]) -> Vec<Busy<'a>> {
     act.plan.robots.iter().enumerate().map(moves).collect()
 }
 
-/// How a device gets from step to step, as its robot describes it.
+/// How a device interpolates between steps, according to its robot's description.
 pub(super) fn interpolation(robot: Option<&FleetRobot>, device: &DeviceId) -> Option<Interpolation> {
     let block = robot.and_then(|robot| robot.init.as_ref())?;
     Some(block.device(device.as_str())?.interpolation)
 }
 
-/// `begin`: when its motion begins, in milliseconds.
+/// `begin`: the start of its motion, in milliseconds.
 fn moves_of(script: &DeviceScript, begin: f64, interpolation: Option<Interpolation>) -> Vec<(f64, f64)> {
     let steps = script.script.steps();
     let first = steps.first().map(|step| step.offset.get()).map(|at| (begin + at, begin + at));
@@ -47,7 +47,7 @@ fn moves_of(script: &DeviceScript, begin: f64, interpolation: Option<Interpolati
     first.into_iter().chain(between).collect()
 }
 
-/// A speed other than zero moves without a further step.
+/// Whether the device keeps moving without a further step: at any speed other than zero.
 fn keeps_moving(step: &Step) -> bool {
     let is_rate = matches!(step.setpoint.control_type, ControlType::Speed | ControlType::Acceleration);
     is_rate && step.setpoint.values().any(|value| value != 0.0)
@@ -59,7 +59,7 @@ mod tests {
 
     use super::*;
 
-    /// When a device moves whose script begins at 1 s and has a step every second.
+    /// The script starts at 1 s and has a step every second.
     #[track_caller]
     fn check(
         control_type: ControlType,

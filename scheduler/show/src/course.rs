@@ -1,13 +1,13 @@
-//! What became of every act of the scenario, as lines for people.
+//! The result of every act of the scenario, as lines for people.
 
 use downbeat_scripts::counted;
 
 use downbeat_mission::report::{ActCourse, ActFate, Report};
 
-/// With more acts those that were played once are only counted.
+/// With more acts, those played exactly once are only counted.
 const LISTED_MAX: usize = 20;
 
-/// A line an act; none where the scenario has one only, of which the rest of the report tells.
+/// One line per act; none if the scenario has only one act, which the rest of the report covers.
 #[must_use]
 pub fn course_lines(report: &Report) -> Vec<String> {
     if report.course.len() < 2 {

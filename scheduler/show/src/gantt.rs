@@ -1,4 +1,4 @@
-//! The plan of an act as a chart for terminals: cues as bars over time, below them when each robot moves.
+//! The plan of an act as a chart for terminals: cues as bars over time, below them the times at which each robot moves.
 
 use std::ops::RangeInclusive;
 
@@ -14,19 +14,19 @@ use super::ruler::{Tick, length, ticks};
 use super::table::wrapped;
 use super::text::act_line;
 
-/// What a pipe or a file gets.
+/// Width for a pipe or a file.
 const COLUMNS_OF_A_FILE: usize = 80;
-/// A chart is never narrower; in a narrower terminal its lines are broken.
+/// Minimum width of a chart; a narrower terminal breaks its lines.
 const COLUMNS_MIN: usize = 20;
-/// A longer name is cut, also where there is room.
+/// Longer names are cut, even if there is room.
 const NAME_MAX: usize = 28;
-/// Lines after which the ruler is repeated.
+/// Number of lines after which the ruler is repeated.
 const LINES_A_RULER: usize = 40;
 
-const LEGEND: &str = "━ plays or moves, · slack: it could start that much later, ◆ a mark, * critical path: it decides when \
+const LEGEND: &str = "━ plays or moves, · slack: it could start later by this much, ◆ a mark, * critical path: it determines when \
 the act ends";
 
-/// What a column of a bar shows, with the character for it.
+/// The content of a bar's column.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Cell {
     Empty,
@@ -48,7 +48,7 @@ impl Cell {
         }
     }
 
-    /// Removed by the printing end where that is no terminal; every character tells enough without.
+    /// Stripped on output if that is not a terminal; the characters are distinct without it.
     fn style(self) -> Style {
         match self {
             Self::Empty | Self::Mark => Style::new(),
@@ -59,19 +59,19 @@ impl Cell {
     }
 }
 
-/// Where names and times stand.
+/// The layout of names and times.
 struct Chart {
-    /// Columns of a name.
+    /// Columns for names.
     names: usize,
-    /// Columns of the time from the act's start to its end.
+    /// Columns for the time from the act's start to its end.
     width: usize,
-    /// Milliseconds.
+    /// Duration of the act in milliseconds.
     total: f64,
     ticks: Vec<Tick>,
 }
 
-/// The cues of an act in the order of their starts, and when its robots move, in this many columns. `robots` are those of the
-/// plan, in its order.
+/// Draws the cues of an act in the order of their starts, and the times at which its robots move, in this many columns. `robots` are
+/// those of the plan, in its order.
 #[must_use]
 pub fn gantt(act: &Act, robots: &[&FleetRobot], columns: usize) -> String {
     let columns = if columns == UNBOUNDED { COLUMNS_OF_A_FILE } else { columns.max(COLUMNS_MIN) };
@@ -95,7 +95,7 @@ impl Chart {
         let total = length(act);
         let label = ticks(total, 1).pop().map_or(1, |tick| tick.label.width());
         let mut ticks = ticks(total, width / (label + 5));
-        // One at the very end has no column of its own.
+        // A tick at the very end has no column of its own.
         ticks.retain(|tick| tick.millis < total);
         Self { names, width, total, ticks }
     }
@@ -106,10 +106,10 @@ impl Chart {
         ((millis / self.total * self.width as f64).max(0.0) as usize).min(self.width - 1)
     }
 
-    /// The columns of an interval: those in which some of it lies, at least one.
+    /// The columns that an interval touches, at least one.
     fn columns(&self, start: f64, end: f64) -> RangeInclusive<usize> {
         let first = self.column(start);
-        // What ends where a column begins has no part of it.
+        // An interval that ends exactly at the start of a column does not touch that column.
         let last = self.column(end - self.total / self.width as f64 / 1e6);
         first..=last.max(first)
     }
@@ -152,13 +152,13 @@ impl Chart {
         format!("{name}{}", " ".repeat(self.names.saturating_sub(name.width())))
     }
 
-    /// Lines under a ruler, which is repeated so that it stays in sight.
+    /// Lines under a ruler, which is repeated so that it stays in view.
     fn section(&self, title: &str, lines: &[String]) -> String {
         let ruler = self.ruler(title);
         lines.chunks(LINES_A_RULER).map(|lines| format!("{ruler}{}", lines.concat())).collect()
     }
 
-    /// Each label begins next to its tick; one that would run into another or out of the chart is left out.
+    /// Each label starts next to its tick; labels that would overlap another one or exceed the chart are omitted.
     fn ruler(&self, title: &str) -> String {
         let mut line = String::new();
         for tick in &self.ticks {
@@ -173,7 +173,7 @@ impl Chart {
     }
 }
 
-/// Cells of one kind together, so that each run is coloured once.
+/// Merges equal cells, so that each run is coloured once.
 fn painted(cells: &[Cell]) -> String {
     let run = |cells: &[Cell]| {
         let style = cells[0].style();

@@ -1,5 +1,6 @@
 //! Plans, reports and fleets for people: text, tables, charts, graphs and pictures.
 
+mod brief;
 mod busy;
 mod course;
 pub mod gantt;
@@ -14,12 +15,12 @@ mod text;
 mod trials;
 mod wait;
 
+pub use brief::{preflight_warnings, rounded};
 pub use course::course_lines;
 pub use required::requirements_table;
-pub use text::report_text;
 pub use text::{
-    TAKEN_OVER, UNBOUNDED, choreography_figures, ending_text, latencies_text, main_duration, plan_table,
-    preflight_table,
+    Detail, TAKEN_OVER, UNBOUNDED, choreography_figures, ending_text, latencies_text, main_duration,
+    plan_table, preflight_table, report_text,
 };
 pub use trials::trials_text;
 pub use wait::waits;

@@ -1,4 +1,4 @@
-//! Times as people read them: local, to the millisecond. Nanoseconds in UTC belong into JSON.
+//! Times for people: local, to the millisecond. Nanoseconds in UTC belong in JSON.
 
 use chrono::{DateTime, Local};
 use urrcp::{Server, Timestamp};
@@ -27,7 +27,7 @@ pub fn seconds_of_day(at: Timestamp<Server>) -> String {
     ZONE.seconds_of_day(at)
 }
 
-/// With its date: `22 Nov 2026, 19:30:00.412`.
+/// With the date: `22 Nov 2026, 19:30:00.412`.
 #[must_use]
 pub fn date_and_time(at: Timestamp<Server>) -> String {
     ZONE.date_and_time(at)

@@ -1,5 +1,5 @@
-//! A dry run as an SVG picture: cues as bars, below them a lane a device, with planned values as a line and what the robot set
-//! as dots.
+//! A dry run as an SVG picture: cues as bars, below them a lane per device, with planned values as a line and the values that the robot
+//! set as dots.
 
 mod cues;
 mod head;
@@ -19,31 +19,31 @@ use super::ruler::{Tick, length, ticks};
 use downbeat_mission::report::ActReport;
 use downbeat_rehearsal::dry_run::Played;
 
-/// Pixels to the left and right of the time, for names and ranges.
+/// Pixels to the left and right of the time axis, for names and ranges.
 const LEFT: f64 = 170.0;
 const RIGHT: f64 = 120.0;
-/// Pixels of a second, as long as the time is not narrower or wider than this.
+/// Pixels per second, within the limits of the total width.
 const SECOND: f64 = 6.0;
 const WIDTH_MIN: f64 = 760.0;
 const WIDTH_MAX: f64 = 3_600.0;
-/// Pixels between two ticks, at least.
+/// Minimum pixels between two ticks.
 const TICK: f64 = 64.0;
 
-/// Where the legend stands, the lines of the upper ruler begin, and what follows the lower one ends.
+/// Pixels from the top edge to the legend and to the lines of the upper ruler, and pixels below those lines.
 const LEGEND: f64 = 62.0;
 const TOP: f64 = 92.0;
 const BOTTOM: f64 = 40.0;
 /// Pixels above and below the cues.
 const GAP: f64 = 8.0;
 
-/// Columns of a name that are shown.
+/// Maximum columns of a name.
 const NAME_MAX: usize = 60;
 
-/// The time from left to right.
+/// The time axis, from left to right.
 struct Frame {
-    /// Milliseconds of the act.
+    /// Duration of the act in milliseconds.
     total: f64,
-    /// Pixels of the act.
+    /// Width of the act in pixels.
     width: f64,
     ticks: Vec<Tick>,
 }
@@ -66,7 +66,7 @@ impl Frame {
         LEFT + self.offset(millis)
     }
 
-    /// Where names of cues end, at the latest.
+    /// The limit to the right for names of cues.
     fn right(&self) -> f64 {
         self.full_width() - 6.0
     }
@@ -76,8 +76,8 @@ impl Frame {
     }
 }
 
-/// Draws the cues of an act, and for each device the plan with what was set in virtual time. `robots` are those of the
-/// plan, in its order; `reported` is what became of the act.
+/// Draws the cues of an act, and for each device the plan and the values that were set in virtual time. `robots` are those of the plan,
+/// in its order; `reported` is the result of the act.
 #[must_use]
 pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Played) -> String {
     let frame = Frame::of(act);
@@ -97,7 +97,7 @@ pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Pl
     svg
 }
 
-/// What occurs in the picture of an act.
+/// The kinds of drawing in the picture of an act.
 fn kinds(act: &Act, lanes: &Lanes<'_>) -> Vec<Kind> {
     let occurs = [
         (Kind::Cue, act.cues.iter().any(|cue| !cue.critical)),

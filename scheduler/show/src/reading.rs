@@ -1,6 +1,6 @@
-//! A reading of a sensor, as people read it.
+//! A sensor reading in readable form.
 
-/// To six decimal places; a value that would vanish by that with two significant digits and its power of ten.
+/// Rounds to six decimal places; a value that would become zero is shown with two significant digits and its power of ten.
 pub(super) fn reading_text(value: f64) -> String {
     let rounded = (value * 1e6).round() / 1e6;
     if value != 0.0 && rounded == 0.0 { format!("{value:.1e}") } else { rounded.to_string() }

@@ -1,9 +1,9 @@
-//! What a scenario requires and what became of it, as a table.
+//! The requirements of a scenario and their results, as a table.
 
 use super::table::{Rows, wrapped};
 use downbeat_mission::requirements::{Judged, Judgement};
 
-/// A row for each requirement, and below what limits the results. Empty where nothing is required.
+/// A row for each requirement, followed by notes on the limits of the results. Empty if nothing is required.
 #[must_use]
 pub fn requirements_table(judged: &[Judged], columns: usize) -> String {
     if judged.is_empty() {
@@ -29,15 +29,15 @@ pub fn requirements_table(judged: &[Judged], columns: usize) -> String {
     let of = |verdict| judged.iter().filter(|judged| judged.result == verdict).count();
     let sentence = match (of(Judgement::NotMet), of(Judgement::NotKnown)) {
         (0, 0) => "all requirements are met".to_owned(),
-        (0, unknown) => format!("no requirement is known not to be met; {unknown} not known"),
+        (0, unknown) => format!("no requirement is known to be unmet; {unknown} unknown"),
         (unmet, 0) => format!("{unmet} of {} requirements NOT met", judged.len()),
-        (unmet, unknown) => format!("{unmet} of {} requirements NOT met, {unknown} not known", judged.len()),
+        (unmet, unknown) => format!("{unmet} of {} requirements NOT met, {unknown} unknown", judged.len()),
     };
     text.push_str(&wrapped(&sentence, columns));
     text
 }
 
-/// With three decimals at most, more for what is smaller.
+/// At most three decimals, or six below one.
 fn figure(value: f64, unit: &str) -> String {
     let shown = if value.abs() < 1.0 { format!("{value:.6}") } else { format!("{value:.3}") };
     let shown = if shown.contains('.') { shown.trim_end_matches('0').trim_end_matches('.') } else { &shown };

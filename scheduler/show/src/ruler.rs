@@ -1,4 +1,4 @@
-//! Rulers of charts and pictures: round times, and how people write them.
+//! Rulers of charts and pictures: round times and their labels.
 
 use downbeat_scripts::Act;
 
@@ -6,7 +6,7 @@ const SECOND: f64 = 1_000.0;
 const MINUTE: f64 = 60.0 * SECOND;
 const HOUR: f64 = 60.0 * MINUTE;
 
-/// Milliseconds between two ticks, all of them round.
+/// Permitted intervals between two ticks, in milliseconds.
 const ROUND: [f64; 26] = [
     0.1,
     0.2,
@@ -39,13 +39,13 @@ const ROUND: [f64; 26] = [
 /// A round time on a ruler.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tick {
-    /// From the act's start.
+    /// Milliseconds since the act's start.
     pub(super) millis: f64,
-    /// As people read it: `0.5 s`, or `1:30` where the act lasts a minute or longer.
+    /// Label in readable form: `0.5 s`, or `1:30` if the act lasts a minute or longer.
     pub(super) label: String,
 }
 
-/// Milliseconds that a ruler of this act shows: until its last step or the end of its last cue, at least one.
+/// The length of this act's ruler in milliseconds: until its last step or the end of its last cue, at least one.
 pub(super) fn length(act: &Act) -> f64 {
     let ends = act.cues.iter().map(|cue| cue.end).max().unwrap_or_default();
     act.duration().max(ends).as_millis_f64().max(1.0)
@@ -80,7 +80,7 @@ fn label(millis: f64, total: f64, every: f64) -> String {
     if hours > 0.0 { format!("{hours}:{minutes:02}:{seconds}") } else { format!("{minutes}:{seconds}") }
 }
 
-/// Without what floating point adds: ticks are multiples of a tenth of a millisecond.
+/// Removes floating-point errors: ticks are multiples of a tenth of a millisecond.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

@@ -1,5 +1,4 @@
-//! Tables that fit: where the columns would be wider than the terminal, each row becomes a few lines of its own. No cell is
-//! ever broken.
+//! Tables that fit: if the columns exceed the terminal, each row becomes a few lines of its own. Cells are never broken.
 
 use comfy_table::{CellAlignment, Table, presets};
 use downbeat_scripts::shown::{shown, within};
@@ -7,37 +6,37 @@ use unicode_width::UnicodeWidthStr;
 
 use super::UNBOUNDED;
 
-/// Columns that one cell takes at most, where columns are bounded.
+/// Maximum width of a cell if the total width is limited.
 const CELL_MAX: usize = 60;
 
 /// Rows under a header.
 #[derive(Clone, Debug)]
 pub struct Rows {
     header: Vec<&'static str>,
-    /// Columns from this one on are aligned to the right.
+    /// Columns from this index are right-aligned.
     numbers_from: usize,
     rows: Vec<Vec<String>>,
 }
 
 impl Rows {
-    /// No rows yet; the columns from this one on hold numbers.
+    /// Creates a table without rows; columns from `numbers_from` contain numbers.
     #[must_use]
     pub fn new(header: &[&'static str], numbers_from: usize) -> Self {
         Self { header: header.to_vec(), numbers_from, rows: Vec::new() }
     }
 
-    /// Adds a row; what is in it may come from outside.
+    /// Adds a row; escapes its cells, because they may come from outside.
     pub fn add(&mut self, cells: impl IntoIterator<Item = impl AsRef<str>>) {
         self.rows.push(cells.into_iter().map(|cell| shown(cell.as_ref()).into_owned()).collect());
     }
 
-    /// As lines of at most this many columns, unless a single cell is wider.
+    /// Formats lines of at most this many columns, unless a single cell is wider.
     #[must_use]
     pub fn text(&self, columns: usize) -> String {
         self.painted(columns, |_, line| line)
     }
 
-    /// The same, each line of a row as it is painted; the row is counted from 0.
+    /// Like [`Rows::text`], with `paint` applied to each line of a row; rows are numbered from 0.
     #[must_use]
     pub fn painted(&self, columns: usize, paint: impl Fn(usize, String) -> String) -> String {
         let rows: Vec<_> = self.rows.iter().map(|row| cut(row, columns)).collect();
@@ -55,7 +54,7 @@ impl Rows {
         lines.enumerate().fold(header, |text, (row, line)| text + &paint(row, line) + "\n")
     }
 
-    /// Whether nothing was added.
+    /// Whether there are no rows.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.rows.is_empty()
@@ -74,7 +73,7 @@ impl Rows {
         table
     }
 
-    /// The first cell alone, below it the others with their titles, several in a line where there is room.
+    /// The first cell on its own line, followed by the others with their titles, several per line if there is room.
     fn stacked(&self, row: &[String], columns: usize) -> String {
         let mut cells = row.iter();
         let mut text = wrapped(cells.next().map_or("", String::as_str), columns);
@@ -95,17 +94,17 @@ impl Rows {
     }
 }
 
-/// The cells as they fit a terminal; in a file or a pipe nothing is cut.
+/// Cuts cells to fit a terminal; nothing is cut for a file or a pipe.
 fn cut(row: &[String], columns: usize) -> Vec<String> {
     let largest = if columns == UNBOUNDED { usize::MAX } else { CELL_MAX };
     row.iter().map(|cell| within(cell, largest).into_owned()).collect()
 }
 
-/// Units that stay on the line of their number.
+/// Units that stay on the same line as their number.
 const UNITS: [&str; 4] = ["us", "ms", "s", "min"];
 
-/// Text in lines of at most this many columns, broken between words and never between a number and its unit; further lines are
-/// set in by two columns more than the first.
+/// Wraps text to at most this many columns, between words and never between a number and its unit. Further lines are indented by two more
+/// columns than the first.
 #[must_use]
 pub fn wrapped(text: &str, columns: usize) -> String {
     let inset = text.len() - text.trim_start_matches(' ').len();
@@ -128,7 +127,7 @@ pub fn wrapped(text: &str, columns: usize) -> String {
     lines
 }
 
-/// The words of a text, a number together with its unit.
+/// Splits a text into words; a number and its unit are one word.
 fn words(text: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     for word in text.split(' ') {

@@ -10,27 +10,36 @@ use urrcp::{DeviceId, Latency, RobotId, Span};
 use super::local::{date_and_time, time_as_of, time_of_day};
 use super::reading::reading_text;
 use super::table::{Rows, wrapped};
-use super::{course_lines, requirements_table};
+use super::{brief, course_lines, requirements_table};
 use downbeat_mission::report::{ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState};
 use downbeat_mission::{
     AfterFailure, Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, NOT_STRICT, Preflight,
     PreflightRow, SkewBudget, TransferReport, Verdict,
 };
 
-/// Removed by the printing end where that is no terminal.
+/// Stripped on output if that is not a terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
 
-/// What became of the stop of a robot that belongs to another session by now.
+/// The stop result of a robot that meanwhile belongs to another session.
 pub const TAKEN_OVER: &str =
-    "not stopped: another mission drives it by now, and it holds nothing of this one";
+    "not stopped: another mission already drives it, and it holds no commands of this mission";
 
-/// Most devices that one line names.
+/// Maximum number of devices in one line.
 const DEVICES_NAMED_MAX: usize = 6;
 
-/// As wide as it comes: for files and pipes.
+/// How much of a report to print.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// A few lines, and the robots that did not do all that was planned.
+    Brief,
+    /// A row per robot and act, and the figures of clocks, leases and scripts.
+    Full,
+}
+
+/// No limit on the width: for files and pipes.
 pub const UNBOUNDED: usize = usize::MAX;
 
-/// A sentence in lines of its own; what is in it may come from outside.
+/// Appends a sentence in lines of its own; escapes it, because parts of it may come from outside.
 fn say(text: &mut String, columns: usize, sentence: &str) {
     text.push_str(&wrapped(&shown(sentence), columns));
 }
@@ -43,7 +52,7 @@ fn signed(span: Span) -> String {
     if span >= Span::ZERO { format!("+{span}") } else { span.to_string() }
 }
 
-/// An act: its cues with their times, and a row a device, in this many columns.
+/// Formats an act in this many columns: its cues with their times, and a row per device.
 #[must_use]
 pub fn plan_table(act: &Act, columns: usize) -> String {
     let cues = cue_table(act);
@@ -70,7 +79,7 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
     format!("{}\n{cues}\n{rows}\n{closest}{latencies}", act_line(act))
 }
 
-/// When each cue takes place, and what each repetition lasts if any cue is repeated.
+/// The times of each cue, and the length of each repetition if any cue is repeated.
 fn cue_table(act: &Act) -> Rows {
     let is_repeated = act.cues.iter().any(|cue| cue.repetition.is_some());
     let is_noted = act.cues.iter().any(|cue| cue.text.note.is_some());
@@ -93,7 +102,7 @@ fn repetition_text(Repetition { times, length, every }: Repetition) -> String {
     format!("{times} x {length}{apart}")
 }
 
-/// Devices of which no movement is too fast, because nothing limits their speed.
+/// The devices whose speed is not checked because no limit is known.
 fn unlimited_line(act: &Act) -> String {
     let all = || act.devices.iter().filter(|used| used.is_unlimited);
     let devices: BTreeSet<&str> = all().map(|used| used.device.as_str()).collect();
@@ -109,20 +118,20 @@ fn unlimited_line(act: &Act) -> String {
     };
     let (names, robots) = (names.join(", "), counted(robots.len(), "robot"));
     format!(
-        "speeds are not checked for {names}{more} of {robots}: no limit is known, write `limits` in the fleet file\n"
+        "speeds are not checked for {names}{more} of {robots}: their limits are unknown; add `limits` to the fleet file\n"
     )
 }
 
-/// The name of an act, and how large it is.
+/// The name of an act and its size.
 pub(super) fn act_line(act: &Act) -> String {
     let lead_in = match act.lead_in {
         Span::ZERO => String::new(),
-        lead_in => format!(", first commands {lead_in} ahead of motions"),
+        lead_in => format!(", first commands {lead_in} before the motions"),
     };
     format!("{}: {}{lead_in}", shown(&act.plan.scenario), plan_figures(act))
 }
 
-/// The latencies that are compensated, and where each is from.
+/// The latencies that are compensated, and the source of each.
 fn latencies_table(act: &Act, columns: usize) -> String {
     let mut rows = Rows::new(&["robot", "device", "latency", "spread", "from"], 2);
     for (robot, devices) in &act.latencies {
@@ -135,7 +144,7 @@ fn latencies_table(act: &Act, columns: usize) -> String {
     if act.latencies.is_empty() { String::new() } else { rows.text(columns) }
 }
 
-/// How many devices have a latency that is compensated, in a few words.
+/// Summarizes how many devices have a latency that is compensated; `None` without any.
 #[must_use]
 pub fn latencies_text(choreography: &Choreography) -> Option<String> {
     let known = choreography.acts.iter().flat_map(|act| &act.latencies);
@@ -148,20 +157,20 @@ pub fn latencies_text(choreography: &Choreography) -> Option<String> {
     let counts = from.chunk_by(|a, b| a == b).map(|same| format!("{} from the {}", same.len(), same[0]));
     let counts: Vec<_> = counts.collect();
     Some(format!(
-        "latency compensated for {}, {largest} at most ({})",
+        "latency compensated for {}, at most {largest} ({})",
         counted(known.len(), "device"),
         counts.join(", ")
     ))
 }
 
-/// How long the acts last one after another.
+/// Total duration of the acts on the main line.
 #[must_use]
 pub fn main_duration(choreography: &Choreography) -> Span {
     let acts = choreography.main_line().into_iter().map(|act| choreography.acts[act].duration());
     acts.fold(Span::ZERO, |sum, duration| sum + duration)
 }
 
-/// How large a choreography is, in one line.
+/// The size of a choreography in one line.
 #[must_use]
 pub fn choreography_figures(choreography: &Choreography) -> String {
     if let [act] = choreography.acts.as_slice() {
@@ -185,7 +194,7 @@ fn steps_of(plan: &Plan) -> usize {
     scripts.map(|script| script.script.steps().len()).sum()
 }
 
-/// How large a plan is, in one line.
+/// The size of a plan in one line.
 #[must_use]
 fn plan_figures(act: &Act) -> String {
     let plan = &act.plan;
@@ -203,7 +212,7 @@ fn plan_figures(act: &Act) -> String {
     )
 }
 
-/// What was checked before a mission: a row a robot, a column a check; below it, if wanted, what was read and what is wrong.
+/// The preflight checks: a row per robot, a column per check. If `told`, readings, problems and predictions follow.
 #[must_use]
 pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> String {
     // Half of the checks at a time, so that a row fits a terminal of 80 columns.
@@ -214,7 +223,7 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
         text.push_str(&readings_table(preflight, columns));
         let wrong = preflight.rows.iter().flat_map(wrong_lines);
         wrong.for_each(|line| say(&mut text, columns, &line));
-        // The clocks alone are in the table.
+        // If the prediction consists of the clocks only, the table already contains it.
         if let Some(skew) = preflight.skew.as_ref().filter(|skew| skew.predicted != skew.clocks) {
             say(&mut text, columns, &budget_text(skew));
         }
@@ -223,7 +232,7 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
         say(&mut text, columns, &after_failure_text(after));
     }
     if preflight.greeting == Greeting::Skip {
-        let asks = "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks";
+        let asks = "with `handshake: skip`, the identities of the robots are not checked; `downbeat fleet ping` checks them";
         say(&mut text, columns, asks);
     }
     text
@@ -261,7 +270,7 @@ fn checks_table(preflight: &Preflight, checks: &[Check], columns: usize) -> Stri
 
 fn wrong_lines(row: &PreflightRow) -> Vec<String> {
     let wrong = row.checks.iter().filter_map(|(check, verdict)| match verdict {
-        // The reason may begin with the word that names the check.
+        // The reason may already start with the title of the check.
         Verdict::Warning(why) | Verdict::Failure(why) if why.starts_with(check.title()) => {
             Some(format!("{}: {why}", row.robot))
         }
@@ -273,7 +282,7 @@ fn wrong_lines(row: &PreflightRow) -> Vec<String> {
     wrong.collect()
 }
 
-/// What sensors read and where devices stand: a row each.
+/// Sensor readings and device positions, one row each.
 fn readings_table(preflight: &Preflight, columns: usize) -> String {
     let mut rows = Rows::new(&["robot", "device", "reads", "expected"], 2);
     for row in &preflight.rows {
@@ -316,20 +325,24 @@ fn transfer_sentence(transfer: &TransferReport, position: &str, stayed: &str) ->
         TransferReport::Planned { without, .. } if without.is_empty() => None,
         TransferReport::Planned { act, without } => {
             let stayed: Vec<_> = without.iter().map(|robot| format!("`{robot}`")).collect();
-            Some(format!("without a part in `{act}`: {}", stayed.join(", ")))
+            Some(format!("not part of `{act}`: {}", stayed.join(", ")))
         }
-        TransferReport::NothingToMove => Some(format!("no device was away from its {position} position")),
+        TransferReport::NothingToMove => {
+            Some(format!("all devices were already in their {position} positions"))
+        }
         TransferReport::NotPlanned { reason } => Some(format!("{stayed}: {reason}")),
     }
 }
 
-/// The report for people, in this many columns: the outcome, the failures, a row per robot, and the figures that matter.
+/// Formats the report for people in this many columns: the outcome, the failures, and the figures that matter.
 #[must_use]
-pub fn report_text(report: &Report, columns: usize) -> String {
+pub fn report_text(report: &Report, detail: Detail, columns: usize) -> String {
     let mut text = ending_text(report, columns);
     if let Some(acts_max) = report.acts_max_reached {
         let acts = counted(acts_max as usize, "act");
-        let sentence = format!("  ended because {acts} had begun, the bound; another would have followed");
+        let sentence = format!(
+            "  ended because {acts} had started, which is the limit; another act would have followed"
+        );
         say(&mut text, columns, &sentence);
     }
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
@@ -348,35 +361,38 @@ pub fn report_text(report: &Report, columns: usize) -> String {
     for robot in report.robots.iter().filter(|robot| robot.failures_omitted > 0) {
         say(&mut text, columns, &format!("  {}: {} more failures", robot.robot, robot.failures_omitted));
     }
-    if report.acts.len() > 1 {
-        text.push_str(&acts_table(report, columns));
-    }
-    if !report.acts.is_empty() {
-        text.push_str(&robots_table(report, columns));
-    }
-    let mut sentences = Vec::new();
-    match report.acts.as_slice() {
-        [act] => sentences.extend(act_sentences(act)),
-        acts => sentences.extend(
-            acts.iter().filter_map(|act| Some(format!("act `{}`: {}", act.act, prepared_again(act)?))),
-        ),
-    }
-    sentences.extend(closing_sentences(report));
+    let sentences = match detail {
+        Detail::Brief => {
+            if report.robots.iter().any(|robot| brief::deviates(&robot)) && !report.acts.is_empty() {
+                text.push_str(&robots_table(report.robots.iter().filter(brief::deviates), report, columns));
+            }
+            brief::sentences(report).into_iter().chain(remarks(report)).collect()
+        }
+        Detail::Full => {
+            if report.acts.len() > 1 {
+                text.push_str(&acts_table(report, columns));
+            }
+            if !report.acts.is_empty() {
+                text.push_str(&robots_table(report.robots.iter(), report, columns));
+            }
+            full_sentences(report)
+        }
+    };
     sentences.iter().for_each(|sentence| say(&mut text, columns, sentence));
     text.push_str(&requirements_table(&report.requirements, columns));
     text
 }
 
-/// How it ended, with local times.
+/// The outcome with local times.
 fn outcome_text(outcome: &Outcome) -> String {
     match outcome {
         Outcome::StartTooSoon { start, safe_start } => format!(
-            "not sent: a start at {} has passed or is too soon, the earliest safe start was {}",
+            "not sent: the start at {} has passed or is too soon; the earliest safe start was {}",
             date_and_time(*start),
             time_as_of(*safe_start, *start)
         ),
         Outcome::LeadTooShort { lead, needed, safe_start } => format!(
-            "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); \
+            "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} lease, {} margin); \
              the earliest safe start was {}",
             needed.total(),
             needed.prepare,
@@ -414,35 +430,38 @@ fn prepared_again(act: &ActReport) -> Option<String> {
 
 fn budget_text(skew: &SkewBudget) -> String {
     let parts = skew.parts();
-    format!("predicted start spread {} at most, {} allowed{parts}", skew.predicted, skew.tolerance)
+    format!("predicted start spread at most {}, {} allowed{parts}", skew.predicted, skew.tolerance)
 }
 
 fn act_sentences(act: &ActReport) -> Vec<String> {
     let lead = act.lead;
     let mut sentences = vec![format!(
-        "planned start {}, {} after sending ({} to prepare, {} of lease, {} of margin)",
+        "planned start {}, {} after sending ({} to prepare, {} lease, {} margin)",
         date_and_time(act.start),
         lead.total(),
         lead.prepare,
         lead.lease,
         lead.margin
     )];
-    sentences.extend(prepared_again(act));
     if let Some(skew) = &act.skew {
         sentences.push(budget_text(skew));
     }
     if let (Some(margin), Some(window)) = (act.margin_left, act.window) {
         sentences.push(format!(
-            "the last robot accepted {margin} before the decision; the leases were carried over the start within {window}"
+            "the last robot accepted {margin} before the decision; all robots confirmed the start within {window}"
         ));
     }
     sentences
 }
 
-fn robots_table(report: &Report, columns: usize) -> String {
+fn robots_table<'a>(
+    robots: impl Iterator<Item = &'a RobotReport>,
+    report: &Report,
+    columns: usize,
+) -> String {
     let header = ["robot", "accepted", "scripts started", "start error", "steps", "clock offset", "known to"];
     let mut rows = Rows::new(&header, 1);
-    for robot in &report.robots {
+    for robot in robots {
         rows.add([
             robot.robot.to_string(),
             if robot.accepted { "yes" } else { "no" }.to_owned(),
@@ -456,75 +475,97 @@ fn robots_table(report: &Report, columns: usize) -> String {
     rows.text(columns)
 }
 
-/// At least this many, where the robot has not said what became of all its scripts.
+/// Steps done and planned; `+` means at least, if the results of some scripts are unknown.
 fn steps(robot: &RobotReport) -> String {
     let at_least = if robot.unaccounted > 0 { "+" } else { "" };
     format!("{}{at_least}/{}", robot.steps_done, robot.steps_planned)
 }
 
-/// Behind a number of starts that rests on a claim which cannot be true.
+/// Marks a number of starts if it relies on a claim that cannot be true.
 fn claimed(report: &Report, robot: &RobotReport) -> &'static str {
     let doubted =
         |failure: &Failure| failure.robot == robot.robot && matches!(failure.kind, FailureKind::Claim { .. });
     if robot.started > 0 && report.failures.iter().any(doubted) { " claimed" } else { "" }
 }
 
-/// The last steps of scripts are mentioned if they are further apart than the starts by more than this.
+/// The drift of last steps is mentioned if their spread exceeds that of the starts by more than this.
 const NOTABLE_DRIFT: Span = Span::from_millis(1);
 
-fn closing_sentences(report: &Report) -> Vec<String> {
+fn full_sentences(report: &Report) -> Vec<String> {
     let mut sentences = Vec::new();
-    let told: Vec<_> = report.robots.iter().filter(|robot| robot.start_error.is_some()).collect();
-    match (report.spread, told.as_slice()) {
-        (_, [alone]) if report.robots.len() > 1 => {
-            sentences.push(format!("only {} said when it started", alone.robot));
-        }
-        (Some(spread), told) => sentences.push(format!(
-            "start spread {spread} over {}, by their own clocks, each known as well as shown above",
-            counted(told.len(), "robot")
-        )),
-        (None, _) if report.acts.is_empty() => {}
-        (None, _) => {
-            let claims = report.robots.iter().filter(|robot| !claimed(report, robot).is_empty());
-            let claims =
-                claims.map(|robot| format!("{}: when it says that it started is not believed", robot.robot));
-            sentences.extend(claims);
-            if sentences.is_empty() {
-                sentences.push("no robot reported a start".to_owned());
-            }
-        }
+    if let [act] = report.acts.as_slice() {
+        sentences.extend(act_sentences(act));
     }
-    sentences.extend(report.robots.iter().filter_map(|robot| {
-        let told = robot.latency_differs.as_ref()?;
-        Some(format!("{}: {told}", robot.robot))
-    }));
-    let loose = |robot: &&RobotReport| robot.pending_until == Some(false);
-    sentences
-        .extend(report.robots.iter().filter(loose).map(|robot| format!("{}: {NOT_STRICT}", robot.robot)));
-    sentences.extend(report.acts.iter().flat_map(|act| motions(act, report.acts.len() > 1)));
-    if let Some(spread) = report.true_spread {
-        sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
-    }
+    sentences.extend(start_sentence(report));
+    sentences.extend(remarks(report));
     let apart = report.true_end_spread.filter(|ends| Some(*ends - NOTABLE_DRIFT) > report.true_spread);
     sentences.extend(apart.map(|ends| {
         format!("the last steps of scripts are {ends} apart by that clock, because the robots' clocks drift")
     }));
     sentences.extend(late_steps(report));
+    sentences.extend(report.robots.iter().filter(|robot| !robot.stop.is_unconfirmed()).filter_map(stop_text));
+    sentences
+}
+
+fn start_sentence(report: &Report) -> Option<String> {
+    let reported: Vec<_> = report.robots.iter().filter(|robot| robot.start_error.is_some()).collect();
+    match (report.spread, reported.as_slice()) {
+        (_, [alone]) if report.robots.len() > 1 => {
+            Some(format!("only {} reported when it started", alone.robot))
+        }
+        (Some(spread), reported) => Some(format!(
+            "start spread {spread} over {}, by their own clocks, with the uncertainties shown above",
+            counted(reported.len(), "robot")
+        )),
+        (None, _) if report.acts.is_empty() || disbelieved(report).next().is_some() => None,
+        (None, _) => Some("no robot reported a start".to_owned()),
+    }
+}
+
+/// The robots that claim to have started, but whose claims cannot be true.
+fn disbelieved(report: &Report) -> impl Iterator<Item = &RobotReport> {
+    report.robots.iter().filter(|robot| report.spread.is_none() && !claimed(report, robot).is_empty())
+}
+
+/// The facts that deserve attention in every report.
+fn remarks(report: &Report) -> Vec<String> {
+    let mut sentences = Vec::new();
+    sentences.extend(
+        report.acts.iter().filter_map(|act| Some(format!("{}{}", of_act(report, act), prepared_again(act)?))),
+    );
+    sentences.extend(
+        disbelieved(report).map(|robot| format!("{}: its reported start time is impossible", robot.robot)),
+    );
+    sentences.extend(report.robots.iter().filter_map(|robot| {
+        let differs = robot.latency_differs.as_ref()?;
+        Some(format!("{}: {differs}", robot.robot))
+    }));
+    let loose = |robot: &&RobotReport| robot.pending_until == Some(false);
+    sentences
+        .extend(report.robots.iter().filter(loose).map(|robot| format!("{}: {NOT_STRICT}", robot.robot)));
+    sentences.extend(report.acts.iter().flat_map(|act| motions(act, of_act(report, act))));
+    if let Some(spread) = report.true_spread {
+        sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
+    }
     sentences.extend(report.robots.iter().filter_map(unaccounted));
-    sentences.extend(report.robots.iter().filter_map(stop));
+    sentences.extend(report.robots.iter().filter(|robot| robot.stop.is_unconfirmed()).filter_map(stop_text));
     if report.journal_written_again > 0 {
         let times = counted(usize::try_from(report.journal_written_again).unwrap_or(usize::MAX), "time");
-        sentences.push(format!("the journal was removed or replaced, and written again, {times}"));
+        sentences.push(format!("the journal was removed or replaced, and was restored {times}"));
     }
     if let Some(failure) = report.recording.as_ref().and_then(|recording| recording.failure.as_ref()) {
-        sentences.push(format!("the recording is not whole: {failure}"));
+        sentences.push(format!("the recording is incomplete: {failure}"));
     }
     sentences
 }
 
-/// When devices began to move, as their sensors showed it.
-fn motions(act: &ActReport, named: bool) -> Vec<String> {
-    let of_act = if named { format!("act `{}`: ", act.act) } else { String::new() };
+/// Names the act if the report has several.
+fn of_act(report: &Report, act: &ActReport) -> String {
+    if report.acts.len() > 1 { format!("act `{}`: ", act.act) } else { String::new() }
+}
+
+/// When devices started moving, according to their sensors.
+fn motions(act: &ActReport, of_act: String) -> Vec<String> {
     let mut sentences = Vec::new();
     for motion in &act.motions {
         let MotionReport { robot, device, error, uncertainty, unclear, .. } = motion;
@@ -571,10 +612,10 @@ fn late_steps(report: &Report) -> Vec<String> {
 
 fn unaccounted(robot: &RobotReport) -> Option<String> {
     let scripts = counted(robot.unaccounted, "script");
-    (robot.unaccounted > 0).then(|| format!("{}: it has not said what became of {scripts}", robot.robot))
+    (robot.unaccounted > 0).then(|| format!("{}: the results of {scripts} are unknown", robot.robot))
 }
 
-fn stop(robot: &RobotReport) -> Option<String> {
+fn stop_text(robot: &RobotReport) -> Option<String> {
     let rest = match robot.stop {
         StopState::NotSent => return None,
         StopState::Confirmed => "stop confirmed".to_owned(),

@@ -7,12 +7,12 @@ use downbeat_rehearsal::trials::{Quantiles, Results, Share};
 
 use super::{requirements_table, table::Rows};
 
-/// Reasons and robots that are listed; JSON has all.
+/// Maximum number of reasons and robots to list; JSON contains all.
 const LISTED_MAX: usize = 12;
-/// Columns that an explanation takes at most.
+/// Maximum columns of an explanation.
 const TEXT_MAX: usize = 60;
 
-/// The results, in lines of about this many columns.
+/// Formats the results in lines of about this many columns.
 #[must_use]
 pub fn trials_text(results: &Results, columns: usize) -> String {
     let mut text = format!(
@@ -30,7 +30,7 @@ pub fn trials_text(results: &Results, columns: usize) -> String {
         ("start", &results.starts),
         ("finish as planned", &results.finishes),
         ("abort", &results.aborts),
-        ("some robots begin, others not", &results.mixed),
+        ("some robots start, others do not", &results.mixed),
     ] {
         shares.add([what.to_owned(), share.count.to_string(), percent(share), interval(share)]);
     }
@@ -43,18 +43,18 @@ pub fn trials_text(results: &Results, columns: usize) -> String {
         acts.add([act.act.clone(), starts, p50, p99, max, act.tolerance.to_string(), beyond]);
     }
     if acts.is_empty() {
-        text += "no act was sent in any of them\n";
+        text += "no act was sent in any trial\n";
     }
     if !acts.is_empty() {
         text += &acts.text(columns);
     }
     if let Some(lead) = &results.lead {
         text += &format!(
-            "\nlead: {} had; enough would have been {} in 99 % of the acts that were decided, {} in all of them",
+            "\nlead: {} used; {} would have been sufficient in 99 % of the decided acts, {} in all of them",
             lead.had.p50, lead.enough.p99, lead.enough.max
         );
         if lead.undecided > 0 {
-            text += &format!("; {} sent and not decided", counted(lead.undecided, "act"));
+            text += &format!("; {} sent but not decided", counted(lead.undecided, "act"));
         }
         text += "\n";
     }
@@ -101,7 +101,7 @@ fn robots(results: &Results, columns: usize) -> String {
 fn more(count: usize, thing: &str) -> String {
     match count.saturating_sub(LISTED_MAX) {
         0 => String::new(),
-        more => format!("and {} more; --format json has all\n", counted(more, thing)),
+        more => format!("and {} more; --format json lists all\n", counted(more, thing)),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use downbeat_scripts::{SensorRange, Wait};
 
-/// The condition for which an act waits, as text; empty if it follows the act before it at once.
+/// The start condition of an act as text; empty if it follows the previous act immediately.
 #[must_use]
 pub fn waits(wait: &Wait) -> String {
     match wait {

@@ -1,4 +1,4 @@
-//! What people do without a decision: the same acts and robots, networks and faults, with a word "go" that starts on receipt.
+//! The usual practice without a decision: the same acts, robots, networks and faults, with a "go" message that starts on receipt.
 
 use fastrand::Rng;
 use urrcp::Span;
@@ -8,23 +8,23 @@ use super::draw::{Drawn, Fault, Network};
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::Direction;
 
-/// How the word is passed on.
+/// How the "go" is distributed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Go {
-    /// To all at once; no robot is asked whether it arrived.
+    /// To all at once, without any acknowledgement.
     Broadcast,
-    /// To one after another, each after the one before has answered; after 500 ms without an answer the rest is not sent.
+    /// To one after another, each after the previous one has answered; after 500 ms without an answer the rest is not sent.
     Sequential,
 }
 
-/// Between sending to two robots.
+/// Interval between the messages to two robots.
 const EACH: Span = Span::from_micros(50);
-/// How long an answer is awaited.
+/// Timeout of an answer.
 const ANSWER: Span = Span::from_millis(500);
 
-/// Whether all, none or some of the robots start that Downbeat's own act counts, when the word is given at its planned start
-/// and every script has arrived before the mission began. A robot that Downbeat had left out by then is left out here as well,
-/// and one that lies counts in neither.
+/// Whether all, none or some robots of Downbeat's own act start. The "go" is sent at its planned start, and every script has arrived
+/// before the mission began. Robots that Downbeat had left out by then are also left out here, and robots that lie are excluded from
+/// both.
 #[must_use]
 pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
     let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e ^ u64::from(act.number));
@@ -55,7 +55,7 @@ pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
     }
 }
 
-/// Its process ended, and no other process has resumed the mission by then.
+/// Whether the scheduler's process has ended and no other process has resumed the mission by `now`.
 fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
     drawn.faults.iter().any(|(at, fault)| match fault {
         Fault::SchedulerCrash { resumed_after } | Fault::SchedulerCrashAmid { resumed_after, .. } => {
@@ -78,7 +78,7 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
             break;
         }
         match meets(fault, robot) {
-            // What waits comes out at the end, on a connection that holds.
+            // Waiting messages pass at the end, on a connection that persists.
             Some(Meets::Wait(lasts)) if *at <= now && now < *at + lasts => match drawn.network {
                 Network::Stream => arrival = arrival.max(*at + lasts),
                 Network::Datagram { .. } => return None,
@@ -87,7 +87,7 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
             Some(Meets::Nothing(lasts)) if *at <= now && lasts.is_none_or(|lasts| now < *at + lasts) => {
                 return None;
             }
-            // What it had been sent before is gone, too, when it comes back.
+            // When it returns, earlier messages to it are lost too.
             Some(Meets::Gone) => return None,
             _ => {}
         }
@@ -95,19 +95,19 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
     (!lost).then_some(arrival)
 }
 
-/// What a message to a robot meets.
+/// The effect of a fault on a message to a robot.
 enum Meets {
-    /// It has to wait for this long.
+    /// The message waits for this long.
     Wait(Span),
     /// Each message takes this much longer, for this long.
     Longer(Span, Span),
-    /// It is lost, for this long or forever.
+    /// The message is lost, for this long or forever.
     Nothing(Option<Span>),
-    /// The robot is gone with all that it held.
+    /// The robot is gone with its whole state.
     Gone,
 }
 
-/// What a fault does to messages to a robot.
+/// The effect of a fault on messages to a robot.
 fn meets(fault: &Fault, to: usize) -> Option<Meets> {
     match *fault {
         Fault::Partition { robot, lasts, breaks: false }
@@ -120,7 +120,7 @@ fn meets(fault: &Fault, to: usize) -> Option<Meets> {
             Some(Meets::Nothing(Some(lasts)))
         }
         Fault::Lag { robot, by, lasts } if robot == to => Some(Meets::Longer(by, lasts)),
-        // The connection is not made again.
+        // The connection is not re-established.
         Fault::HalfOpen { robot } if robot == to => Some(Meets::Nothing(None)),
         Fault::HardwareDies { robot, back_after, .. } if robot == to => Some(Meets::Nothing(back_after)),
         Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } | Fault::Twin { robot, .. }

@@ -1,11 +1,11 @@
-//! How devices come to rest: within the acceleration that they declare, without turning back, and from where they were.
+//! How devices come to rest: within their declared acceleration, without reversing, and from their actual position.
 
 use downbeat_robot::set_log::LogEntry;
 use urrcp::{ControlType, Device, DeviceId, Robot, Span, Timestamp};
 
 /// The number of equal intervals into which the time of a braking is divided.
 const INTERVALS: usize = 32;
-/// What takes less time is not judged: times are rounded to nanoseconds.
+/// Shorter brakings are not judged: times are rounded to nanoseconds.
 const LASTS_LEAST: Span = Span::from_millis(2);
 /// The longest time in which a device slows down, or goes home at its own speed.
 pub(crate) const LASTS_MAX: Span = Span::from_millis(600_000);
@@ -17,13 +17,13 @@ const ERROR: f64 = 0.02;
 pub struct Braking {
     /// The device.
     pub device: DeviceId,
-    /// What it changes.
+    /// The control type that changes.
     pub control_type: ControlType,
-    /// When it begins, by the robot's clock.
+    /// Start by the robot's clock.
     pub since: Timestamp<Robot>,
-    /// How long it takes.
+    /// Duration.
     pub lasts: Span,
-    /// The values at the ends of equal intervals.
+    /// The values at the ends of the equal intervals.
     pub values: Vec<f64>,
 }
 
@@ -37,7 +37,7 @@ pub(crate) fn is_of(entry: &LogEntry, control_type: ControlType) -> bool {
 }
 
 impl Braking {
-    /// Samples the way to rest that an entry begins. `value` returns the value of the device at an instant.
+    /// Samples the way to rest that starts with an entry. `value` returns the value of the device at an instant.
     pub(crate) fn of(
         entry: &LogEntry,
         value: impl Fn(ControlType, Timestamp<Robot>) -> Option<f64>,
@@ -63,7 +63,7 @@ impl Braking {
         Some(Self { device: entry.device.clone(), control_type, since, lasts: largest, values })
     }
 
-    /// Whether an entry of the log begins it.
+    /// Whether it starts with this entry of the log.
     #[must_use]
     pub fn is_of(&self, entry: &LogEntry) -> bool {
         self.device == entry.device && self.since == entry.due && is_of(entry, self.control_type)
@@ -74,7 +74,7 @@ impl Braking {
         self.lasts.as_millis_f64() / 1_000.0 / (self.values.len() - 1) as f64
     }
 
-    /// Its change a second at an instant, and by how much that may be wrong.
+    /// Its change per second at an instant, and the error of that.
     pub(crate) fn rate(&self, at: Timestamp<Robot>) -> Option<(f64, f64)> {
         let rates = self.rates();
         let index = ((at - self.since).as_millis_f64() / 1_000.0 / self.interval()) as usize;
@@ -86,8 +86,8 @@ impl Braking {
         self.values.windows(2).map(|two| (two[1] - two[0]) / self.interval()).collect()
     }
 
-    /// The fault of the way, if it has one. `rate`: the change of a position a second before it, and by how much that may be
-    /// wrong. `stays`: the device comes to rest where it is.
+    /// The fault of the way to rest, if any. `rate`: the change of a position per second before it, and the error of that. `stays`:
+    /// whether the device comes to rest at its current position.
     #[must_use]
     pub fn flaw(&self, device: &Device, rate: Option<(f64, f64)>, stays: bool) -> Option<String> {
         let accelerates = acceleration(device);
@@ -133,7 +133,7 @@ impl Braking {
     }
 }
 
-/// How hard a device has to brake so as not to pass its limits.
+/// The acceleration that keeps a device within its limits when it brakes.
 pub(crate) fn harder_at_limit(device: &Device, position: f64, rate: f64) -> f64 {
     let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return 0.0 };
     let room = if rate > 0.0 { limits.max_value - position } else { position - limits.min_value };

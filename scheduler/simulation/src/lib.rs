@@ -28,92 +28,91 @@ pub use shrink::{Shrunk, shrunk};
 pub use stage::{Stage, faults_met};
 pub use trace::trace;
 
-/// What happened to a seed.
+/// The result of running a seed.
 #[derive(Debug)]
 pub struct Ran {
-    /// What the seed stood for.
+    /// The mission drawn from the seed.
     pub drawn: Drawn,
     /// The report of the process that ended the mission, if one did.
     pub report: Option<Report>,
-    /// What was written down, and when.
+    /// The records in the journal, with their times.
     pub records: Vec<(Timestamp<Server>, Record)>,
-    /// What each robot really set.
+    /// The values that each robot really set.
     pub logs: Vec<Vec<LogEntry>>,
-    /// How its devices came to rest, as far as that takes time.
+    /// How its devices came to rest, if that took time.
     pub brakings: Vec<Vec<Braking>>,
-    /// What other robots did that answered at the addresses of these.
+    /// The actions of other robots that answered at the addresses of these.
     pub logs_of_strangers: Vec<Vec<LogEntry>>,
-    /// For each robot the scripts that it began although its hardware had been dead for so long that it had to know.
+    /// For each robot, the scripts that it began although its hardware had been dead long enough for it to notice.
     pub starts_of_dead: Vec<Vec<String>>,
     /// The clock of the last process minus the true time: times in the report are by that clock, all others are true.
     pub server_ahead: Span,
-    /// Everything that happened, for the trace and for the checks.
+    /// All events, for the trace and for the checks.
     pub history: Vec<(Timestamp<Server>, Happened)>,
-    /// Until when the robots were watched.
+    /// The end of the observation of the robots.
     pub watched_until: Timestamp<Server>,
-    /// The mission never came to an end.
+    /// Whether the mission never ended.
     pub hung: bool,
-    /// The statement about the mission that did not hold, if any.
+    /// The assertion that failed during the mission, if any.
     pub broken: Option<String>,
 }
 
-/// A line of a trace.
+/// An event of a run.
 #[derive(Clone, Debug)]
 pub enum Happened {
     /// A message was sent to a robot.
     ToRobot(usize, Message),
     /// A message from the scheduler arrived at a robot.
     AtRobot(usize, Message),
-    /// The scheduler took a message from a robot, which is kept only for a trace.
+    /// The scheduler received a message from a robot; the message is kept only for a trace.
     FromRobot(usize, Option<Message>),
     /// A message was lost on the way to or from a robot.
     Lost(usize),
-    /// A message to or from a robot travelled for this long.
+    /// A message to or from a robot was in transit for this long.
     Slow(usize, Span),
-    /// A message to or from a robot waited for this long behind others, on a link as it usually is.
+    /// A message to or from a robot was queued behind others for this long, on a link in its usual state.
     Queued(usize, Span),
-    /// A stop waits for this long behind what was sent to a robot before it, on a link as it usually is.
+    /// A stop was queued for this long behind earlier messages to a robot, on a link in its usual state.
     StopQueued(usize, Span),
-    /// Something went wrong.
+    /// A fault occurred.
     Fault(Fault),
     /// A robot is back.
     Back(usize),
     /// A robot belongs to an operator who has seized it.
     Seized(usize),
-    /// A link stands.
+    /// A link was established.
     LinkUp(usize),
-    /// A link is down, as the scheduler sees it.
+    /// A link broke, as the scheduler sees it.
     LinkDown(usize),
-    /// The mission was resumed by its journal.
+    /// The mission was resumed from its journal.
     TakenUp(&'static str),
-    /// So many bytes of records were on the disk and are not read again.
+    /// This many bytes of records were on the disk and are not read again.
     Forgotten(usize),
-    /// The operator was told.
+    /// The operator received a message.
     Told(Box<Progress>),
-    /// The mission will never end, and this is what it waits for.
+    /// The mission will never end; the text states what it waits for.
     Stuck(String),
 }
 
-/// Plays a seed to its end and watches what the robots still do.
+/// Plays a seed to its end and observes the robots afterwards.
 #[must_use]
 pub fn run(seed: u64) -> Ran {
     world::play(draw(seed), false)
 }
 
-/// Plays what was drawn.
+/// Plays a drawn mission.
 #[must_use]
 pub fn play(drawn: Drawn) -> Ran {
     world::play(drawn, false)
 }
 
-/// The same, keeping every message.
+/// Like [`play`], but keeps every message.
 #[must_use]
 pub fn play_verbosely(drawn: Drawn) -> Ran {
     world::play(drawn, true)
 }
 
-/// Everything that is held against a mission, the comparison with the same mission without its faults included, which is played
-/// as well, as far as that could find anything.
+/// Returns all violations of a mission. If it could find any, also plays the same mission without its faults and compares both.
 #[must_use]
 pub fn judge(ran: &Ran) -> Verdict {
     let mut verdict = ran.verdict();
@@ -130,7 +129,7 @@ pub fn judge(ran: &Ran) -> Verdict {
     verdict
 }
 
-/// The same as [`run`], keeping every message.
+/// Like [`run`], but keeps every message.
 #[must_use]
 pub fn run_verbosely(seed: u64) -> Ran {
     world::play(draw(seed), true)

@@ -1,8 +1,8 @@
-//! Any number of seeds of faults on all cores: what is violated, how often starts are mixed and why, and how a broadcast or a
-//! sequential "go" fares with the same acts under the same faults.
+//! Runs any number of seeds with faults on all cores. Reports the violations, how often starts are mixed and why, and how a broadcast or
+//! sequential "go" performs with the same acts and faults.
 //!
-//! `cargo run --release -p soak -- --seeds 1000000`; `--seed N` tells the shortest story of what is wrong with one, `--trace N`
-//! all of it.
+//! `cargo run --release -p soak -- --seeds 1000000`; `--seed N` prints the shortest mission that shows the violation of a seed, `--trace
+//! N` the full one.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -21,44 +21,44 @@ use indicatif::{ProgressBar, ProgressStyle};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// A line to standard output. If nobody reads it any more, that is their choice: the exit code tells the result.
+/// Prints a line to standard output. Ignores a closed pipe: the exit code reports the result.
 macro_rules! say {
     ($($text:tt)*) => {
         let _nobody_reads = writeln!(io::stdout(), $($text)*);
     };
 }
 
-/// Stories of violations that are told without being asked for.
+/// Maximum number of traces of violations that are printed by default.
 const STORIES_MAX: usize = 1;
 
-/// The number of seeds after which each fault has to have met each stage that it can meet.
+/// The number of seeds after which each fault must have occurred at each possible stage.
 const SEEDS_FOR_EACH_STAGE: u64 = 20_000;
 
-/// The exit code if no invariant is violated, but a fault has not met a stage that it can meet, or no mission has reached a situation.
+/// The exit code if no invariant is violated, but a fault has not occurred at a possible stage, or no mission has reached a situation.
 const NOT_MET: u8 = 3;
 
-/// Plays seeds of faults and holds the invariants against what the robots really did.
+/// Plays seeds with faults and checks the invariants against the actual behaviour of the robots.
 #[derive(Parser)]
 struct Args {
-    /// How many seeds.
+    /// Number of seeds.
     #[arg(long, default_value_t = 10_000)]
     seeds: u64,
-    /// The first one.
+    /// The first seed.
     #[arg(long, default_value_t = 0)]
     from: u64,
-    /// The distance from each seed to the next. `--from 40 --step 50` plays one family of missions alone.
+    /// The distance between consecutive seeds. `--from 40 --step 50` plays only one family of missions.
     #[arg(long, default_value_t = 1)]
     step: u64,
-    /// Play this seed alone, and print the shortest story that shows what it violates, or that it violates nothing.
+    /// Play only this seed, and print the shortest mission that shows its violation, or that it violates nothing.
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
-    /// Print the whole story of this seed instead.
+    /// Print the full trace of this seed instead.
     #[arg(long, value_name = "SEED")]
     trace: Option<u64>,
-    /// How many violations are listed.
+    /// Maximum number of violations to list.
     #[arg(long, default_value_t = 20)]
     list: usize,
-    /// Threads; otherwise one a core.
+    /// Number of threads; one per core by default.
     #[arg(long)]
     threads: Option<usize>,
 }
@@ -191,7 +191,7 @@ impl Found {
         }
     }
 
-    /// The number of times that each fault met each stage of a mission; `-` if it cannot meet that stage.
+    /// Prints how often each fault occurred at each stage of a mission; `-` if it cannot occur there.
     fn print_met(&self) {
         say!("");
         let stages: String = Stage::ALL.iter().map(|stage| format!("{stage:>10}")).collect();
@@ -205,7 +205,7 @@ impl Found {
         }
     }
 
-    /// The number of times that each situation was reached.
+    /// Prints how often each situation was reached.
     fn print_situations(&self) {
         say!("\n{:<58} {:>8} {:>10}", "situations", "reached", "first seed");
         for situation in Situation::ALL {
@@ -217,8 +217,7 @@ impl Found {
         }
     }
 
-    /// The faults that have not met a stage that they can meet, and the situations that no mission reached, if enough missions were
-    /// played.
+    /// The faults that have not occurred at a possible stage, and the situations that no mission reached, if enough missions were played.
     fn not_met(&self, seeds: u64) -> Vec<String> {
         let cells = FaultKind::ALL.iter().flat_map(|kind| Stage::ALL.map(|stage| (*kind, stage)));
         let missing = cells.filter(|cell| cell.1.meets(cell.0) && !self.met.contains_key(cell));
@@ -230,12 +229,12 @@ impl Found {
         missing.chain(never.map(|situation| format!("no mission reached: {situation}"))).collect()
     }
 
-    /// The causes that excuse more acts than they may.
+    /// The causes that excuse more acts than permitted.
     fn beyond_limits(&self) -> Vec<String> {
         let acts = self.counts[0].acts;
         let beyond = |(&(invariant, cause), excused): (&(char, Cause), &Excused)| {
             let expected = cause.largest_share(invariant) * acts as f64;
-            // By chance, a few seeds may have more.
+            // By chance, a few seeds may exceed the expected number.
             let most = expected + 4.0 * expected.sqrt() + 1.0;
             let share = percent(excused.count, acts);
             let largest = 100.0 * cause.largest_share(invariant);
@@ -249,7 +248,7 @@ impl Found {
         self.excuses.iter().filter_map(beyond).collect()
     }
 
-    /// What was excused of an invariant: a line a cause, and their sum.
+    /// Prints the excused violations of an invariant: a line per cause, and their sum.
     fn print_excuses(&self, invariant: char, title: &str, acts: u64) {
         say!("\n{title:<58} {:>8} {:>11} {:>11} {:>10}", "", "of acts", "at most", "first seed");
         let excused =
@@ -266,7 +265,7 @@ impl Found {
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    // Statements that do not hold are violations, which are printed with their seeds.
+    // Failed assertions are violations, which are printed with their seeds.
     std::panic::set_hook(Box::new(|_| {}));
     if let Some(seed) = args.trace {
         say!("{}", simulation::trace(&simulation::run_verbosely(seed)).trim_end());
@@ -323,7 +322,7 @@ fn play_all(args: &Args) -> Found {
     all.into_inner().unwrap_or_default()
 }
 
-/// Shown on a terminal only.
+/// A progress bar, shown only on a terminal.
 fn progress(seeds: u64) -> ProgressBar {
     let progress = ProgressBar::new(seeds);
     let style =
@@ -335,14 +334,14 @@ fn progress(seeds: u64) -> ProgressBar {
     progress
 }
 
-/// The shortest story that shows what a seed violates, and how to hear it again.
+/// Prints the shortest mission that shows the violation of a seed, and the command to repeat it.
 fn tell(seed: u64) -> ExitCode {
     let Some(shrunk) = simulation::shrunk(seed) else {
-        say!("\nseed {seed} violates nothing; `soak --trace {seed}` tells its story");
+        say!("\nseed {seed} violates nothing; `soak --trace {seed}` prints its trace");
         return ExitCode::SUCCESS;
     };
-    say!("\nThe shortest story of seed {seed} that violates ({}):\n", shrunk.invariant);
+    say!("\nThe shortest trace of seed {seed} that violates ({}):\n", shrunk.invariant);
     say!("{}", simulation::trace(&simulation::play_verbosely(shrunk.drawn)).trim_end());
-    say!("\nTo hear it again: `soak --seed {seed}`; all of it: `soak --trace {seed}`");
+    say!("\nTo reproduce it: `soak --seed {seed}`; the whole trace: `soak --trace {seed}`");
     ExitCode::FAILURE
 }

@@ -1,5 +1,4 @@
-//! The shortest story that shows what a seed violates: faults, acts, robots and scripts are taken away as long as the same
-//! invariant stays violated.
+//! Shrinks a seed to the smallest mission that violates the same invariant: removes faults, acts, robots and scripts.
 
 use downbeat_plan::Way;
 use urrcp::Span;
@@ -7,19 +6,19 @@ use urrcp::Span;
 use super::draw::{Drawn, DrawnDisk, Network};
 use super::{judge, play};
 
-/// Attempts in all: each plays a mission or two.
+/// Maximum number of attempts; each plays one or two missions.
 const ATTEMPTS_MAX: usize = 400;
 
-/// What is left of a seed.
+/// A shrunk seed.
 #[derive(Clone, Debug)]
 pub struct Shrunk {
-    /// What was drawn, less all that the violation does not need.
+    /// The drawn mission, without all parts that the violation does not need.
     pub drawn: Drawn,
     /// The invariant that it violates.
     pub invariant: char,
 }
 
-/// The shortest story of a seed that violates something; `None` if it violates nothing.
+/// Shrinks a seed that violates an invariant; `None` if it violates nothing.
 #[must_use]
 pub fn shrunk(seed: u64) -> Option<Shrunk> {
     let drawn = super::draw(seed);
@@ -31,7 +30,7 @@ fn violates(drawn: &Drawn, invariant: char) -> bool {
     judge(&play(drawn.clone())).violations.iter().any(|violation| violation.invariant == invariant)
 }
 
-/// Takes away as much as possible while `shows` holds.
+/// Removes as much as possible while `shows` holds.
 fn shrink(mut drawn: Drawn, shows: impl Fn(&Drawn) -> bool) -> Drawn {
     let mut attempts = 0;
     loop {
@@ -46,7 +45,7 @@ fn shrink(mut drawn: Drawn, shows: impl Fn(&Drawn) -> bool) -> Drawn {
     }
 }
 
-/// Everything that is one piece simpler, the largest pieces first.
+/// All missions that are one piece simpler, with the largest removed piece first.
 fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     let mut all = Vec::new();
     let mut with = |change: &dyn Fn(&mut Drawn)| {
@@ -100,7 +99,7 @@ fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     all
 }
 
-/// The later acts move up; an act that led to it leads to the one after it.
+/// Later acts move up; an act that led to the removed one leads to its successor.
 fn without_act(drawn: &mut Drawn, act: usize) {
     if act < drawn.comes_after.len() {
         let _taken_away = drawn.comes_after.remove(act);

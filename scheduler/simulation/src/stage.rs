@@ -1,4 +1,4 @@
-//! The stages of a mission, and which fault met it at which of them.
+//! The stages of a mission, and the stages at which faults occur.
 
 use std::fmt;
 
@@ -28,9 +28,9 @@ pub enum Stage {
     Stops,
     /// An act that was planned after a stop has been promised, or plays.
     Transfers,
-    /// The scheduler's process has ended, and no other process has taken up the mission yet.
+    /// The scheduler's process has ended, and no other process has resumed the mission yet.
     Abandoned,
-    /// Another process has taken up the mission, and has recorded nothing yet.
+    /// Another process has resumed the mission, and has recorded nothing yet.
     Resumed,
     /// The mission has ended.
     Ended,
@@ -53,9 +53,9 @@ impl Stage {
         Self::Ended,
     ];
 
-    /// Whether a fault of this kind can meet this stage. Without a process, nothing can end, stall or receive the operator's commands;
-    /// a mission that has ended needs neither its disk nor its host's clock, and has no journal through which it could be stopped. A
-    /// mission plans no act after a stop if a robot does not state its positions, for example a robot with hardware.
+    /// Whether a fault of this kind can occur at this stage. Without a process, nothing can end, stall or receive the operator's
+    /// commands. A mission that has ended needs neither its disk nor its host's clock, and has no journal through which it could be
+    /// stopped. A mission plans no act after a stop if a robot does not state its positions, for example a robot with hardware.
     #[must_use]
     pub const fn meets(self, kind: FaultKind) -> bool {
         use FaultKind::{
@@ -109,7 +109,7 @@ struct Mission {
     has_sent: bool,
     waits: bool,
     stops: bool,
-    /// The next act that is promised was planned after a stop.
+    /// Whether the next promised act was planned after a stop.
     is_planned: bool,
     is_abandoned: bool,
     is_resumed: bool,
@@ -189,7 +189,7 @@ pub(super) fn stages(ran: &Ran) -> Vec<(Timestamp<Server>, Stage)> {
         Happened(&'a Happened),
         Start,
     }
-    // At one instant, what was reported comes first: an act that was planned after a stop is reported and promised at once.
+    // At one instant, reports come first: an act that was planned after a stop is reported and promised at once.
     let history = ran.history.iter().map(|(at, happened)| (*at, Change::Happened(happened)));
     let mut changes: Vec<(Timestamp<Server>, Change<'_>)> = history.collect();
     for (at, record) in &ran.records {
@@ -215,7 +215,7 @@ pub(super) fn stages(ran: &Ran) -> Vec<(Timestamp<Server>, Stage)> {
     stages
 }
 
-/// The time for which events may still occur after the beginning of the last stage.
+/// Assumed duration of the last stage.
 const LASTS_AFTER_END: Span = Span::from_millis(2_000);
 
 /// The intervals in which a mission was at a stage.
@@ -226,7 +226,7 @@ pub(super) fn intervals(ran: &Ran, stage: Stage) -> Vec<(Timestamp<Server>, Time
     of_stage.map(|(index, (from, _))| (*from, until(index).unwrap_or(*from + LASTS_AFTER_END))).collect()
 }
 
-/// The faults of a run, each with the stage that it met. Hardware that a robot does not have cannot die.
+/// The faults of a run, each with the stage at which it occurred. Hardware that a robot does not have cannot die.
 #[must_use]
 pub fn faults_met(ran: &Ran) -> Vec<(FaultKind, Stage)> {
     let faults = ran.history.iter().filter_map(|(at, happened)| match happened {

@@ -9,7 +9,7 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
     let mut violated = Vec::new();
     let mut mixed = 0;
     for seed in 0..seeds {
-        // What is violated everywhere is seen in ten of them.
+        // A general fault is evident after ten violations.
         if violated.len() >= 10 {
             break;
         }
@@ -24,7 +24,7 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
 
 #[test]
 fn a_seed_replays_exactly() {
-    // In the last three, robots are asked again where their devices came to rest.
+    // In the last three, robots are queried repeatedly for the resting positions of their devices.
     for seed in [3, 77, 1_234, 171, 237, 246] {
         assert_eq!(trace(&run_verbosely(seed)), trace(&run_verbosely(seed)));
     }
@@ -41,7 +41,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             && drawn.tail == 0.0
     };
     let (mut done, mut refused) = (0, 0);
-    // Clocks that cannot be known well enough, scripts that cannot be sent in time, and wrong start poses.
+    // Clocks with too much uncertainty, scripts that cannot be sent in time, and wrong start poses.
     let unplayable = |failure: &Failure| {
         use FailureKind::{Clock, NoTimeToSend, Position};
         matches!(failure.kind, Clock { .. } | NoTimeToSend { .. } | Position { .. })
@@ -64,7 +64,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             Outcome::NotStarted | Outcome::DoneWithout if report.failures.iter().all(unplayable) => {
                 refused += 1;
             }
-            // An act follows the one that was not started.
+            // Another act follows the one that was not started.
             Outcome::Failed if !report.failures.is_empty() && report.failures.iter().all(unplayable) => {
                 refused += 1;
             }
@@ -73,7 +73,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             {
                 done += 1;
             }
-            // What the scenario asks for is kept or refused.
+            // Leads and leases of the scenario are met or refused.
             Outcome::LeadTooShort { .. } | Outcome::LeaseTooShort { .. } => refused += 1,
             Outcome::Failed | Outcome::DoneSkipping { .. }
                 if report.failures.is_empty()
@@ -206,8 +206,8 @@ fn a_robot_whose_clock_is_ahead_within_the_tolerance_keeps_its_lease_until_the_c
     assert!(played > 30, "{played}");
 }
 
-/// Missions without faults whose first act is decided, with what goes wrong added by its instants of the promise, the decision
-/// and the start, counted from the begin.
+/// Missions without faults whose first act is decided, with faults added. `faults` receives the instants of its promise, decision and
+/// start, relative to the beginning.
 fn with_faults_around_the_decision(
     seeds: std::ops::Range<u64>,
     faults: impl Fn([Span; 3]) -> Vec<(Span, Fault)>,

@@ -1,4 +1,4 @@
-//! A run as people read it: a line an event, in the order of time.
+//! A run in readable form: one line per event, in the order of time.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use urrcp::{Command, Message, Server, Timestamp};
 use super::{Drawn, Happened, Ran};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// The whole story of a run: what was drawn, what happened, what the robots set, and what is wrong with it.
+/// The full trace of a run: the drawn mission, the events, the values that the robots set, and the violations.
 #[must_use]
 pub fn trace(ran: &Ran) -> String {
     let mut text = what_was_drawn(&ran.drawn);
@@ -15,7 +15,11 @@ pub fn trace(ran: &Ran) -> String {
         let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
     }
     if let Some(report) = &ran.report {
-        let _infallible = writeln!(text, "{}", downbeat_show::report_text(report, downbeat_show::UNBOUNDED));
+        let _infallible = writeln!(
+            text,
+            "{}",
+            downbeat_show::report_text(report, downbeat_show::Detail::Full, downbeat_show::UNBOUNDED)
+        );
     }
     for violation in super::judge(ran).violations {
         let _infallible = writeln!(text, "VIOLATED {violation}");
@@ -72,7 +76,7 @@ fn what_was_drawn(drawn: &Drawn) -> String {
     text
 }
 
-/// What happened, was written down and set, in the order of time.
+/// The events, records and set values in the order of time.
 fn events(ran: &Ran) -> Vec<(Timestamp<Server>, String)> {
     let mut lines: Vec<(Timestamp<Server>, String)> = Vec::new();
     lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));

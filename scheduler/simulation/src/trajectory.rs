@@ -16,7 +16,7 @@ pub const JUMP: f64 = 2.0;
 /// A script that was promised to a device of the robot.
 #[derive(Clone, Copy, Debug)]
 pub struct Promised<'a> {
-    /// The device to which the script was sent.
+    /// The device that received the script.
     pub device: &'a DeviceId,
     /// The script of the plan. `None` if the plan has no such script.
     pub written: Option<&'a Script>,
@@ -47,12 +47,12 @@ impl Movement<'_> {
         Self { from: Some(value), since, to: value, until: since, braking: None }
     }
 
-    /// A movement that takes no time rests, even by a clock that was set back since.
+    /// Whether the movement is over. A movement that takes no time is over even if the clock was set back since.
     fn rests(&self, at: Timestamp<Robot>) -> bool {
         at >= self.until || self.until <= self.since
     }
 
-    /// Its change a second, and by how much that may be wrong. `None` if it is unknown.
+    /// Its change per second and the error of that. `None` if it is unknown.
     fn rate(&self, at: Timestamp<Robot>) -> Option<(f64, f64)> {
         if self.rests(at) {
             return Some((0.0, 0.0));
@@ -104,8 +104,8 @@ pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec
     jumps
 }
 
-/// Describes the movements without a reason in the log of one process of a robot. `promised` returns the script that a request id
-/// names. `goes_home` returns whether an entry follows from a request for the default state. `resting` returns the limits and the braking of the
+/// Describes the movements without a reason in the log of one process of a robot. `promised` returns the script that a request id names.
+/// `goes_home` returns whether an entry follows from a request for the default state. `resting` returns the limits and the braking of the
 /// device if an entry brings it to rest.
 pub fn unexplained<'a>(
     log: impl IntoIterator<Item = &'a LogEntry>,
@@ -139,7 +139,7 @@ fn to_rest<'a>(
     resting: Option<Resting<'a>>,
 ) -> Result<Movement<'a>, String> {
     let is_position = is_of(entry, ControlType::Position);
-    // What a process has not driven rests.
+    // A signal that the process has not driven is at rest.
     let before = before.or_else(|| (!is_position).then(|| Movement::at(0.0, entry.due)));
     let braking = resting.and_then(|resting| resting.braking);
     if let Some(flaw) = resting.and_then(|resting| flaw(entry, before, resting, goes_home)) {
@@ -181,7 +181,7 @@ fn is_rounded(off: f64, value: f64) -> bool {
     off.abs() <= ROUNDING * (1.0 + value.abs())
 }
 
-/// The fault of the way to rest: it begins elsewhere than the device is, or leaves the declared acceleration out of account.
+/// The fault of the way to rest: it starts at another place than the device, or violates the declared acceleration.
 fn flaw(
     entry: &LogEntry,
     before: Option<Movement<'_>>,

@@ -1,4 +1,4 @@
-//! The measurement of one device: readings at rest, movements to and fro until the spread is known, and back.
+//! Measures one device: readings at rest, movements to and fro until the spread is known, and back.
 
 use downbeat_onset::{Commanded, Estimate, Latencies, Readable, Sample, Trial, Unclear, estimate};
 use downbeat_scripts::Lag;
@@ -8,59 +8,59 @@ use super::NotMeasured;
 use super::plan::PlannedDevice;
 use super::talk::{Talk, TalkError};
 
-/// Readings before anything moves.
+/// Number of readings before the first movement.
 const AT_REST: usize = 24;
-/// The noise at rest times this has to be less than the movement.
+/// The movement must be at least this many times the noise at rest.
 const NOISE_RATIO: f64 = 5.0;
-/// A movement lasts at least so many halves of the time between two readings, so that one falls on it. More would make the movement
-/// slower, and its begin less sharp.
+/// Minimum duration of a movement, in halves of the interval between two readings, so that one reading falls on it. A larger value would
+/// make the movement slower, and its beginning less sharp.
 const HALF_READINGS_ON_MOVEMENT: i64 = 3;
-/// Readings before a movement, at least.
+/// Minimum number of readings before a movement.
 const READINGS_BEFORE: i64 = 10;
-/// The sensor is not asked more often.
+/// Minimum pause between two readings.
 const BETWEEN_READINGS: std::time::Duration = std::time::Duration::from_millis(1);
-/// How long the first movement is watched after its end.
+/// How long the sensor is read after the end of the first movement.
 const WATCHED_FIRST: Span = Span::from_millis(1_000);
-/// How long later ones are watched at most.
+/// Maximum time for which the sensor is read after the end of later movements.
 const WATCHED_MAX: Span = Span::from_millis(3_000);
-/// Steps by which a device that holds values is moved.
+/// Maximum number of steps of a movement for a device that holds values.
 const STAIRS_MAX: u32 = 20;
-/// The median is known to within this: then the trials that were asked for are enough.
+/// If the error of the median is at most this, the requested number of trials is sufficient.
 const MEDIAN_ERROR_MAX: Span = Span::from_millis(1);
-/// Largest number of trials, as a multiple of the requested number, until the median is known and the requested number can be judged.
+/// Maximum number of trials, as a multiple of the requested number, to find the median and to judge the requested number.
 const TRIALS_FACTOR: usize = 3;
-/// If so many movements cannot be judged, and none can, there is no use in more.
+/// If this many movements cannot be judged, and none can, more trials are useless.
 const UNCLEAR_MAX: usize = 3;
 
-/// What was measured of a device.
+/// The measured values of a device.
 #[derive(Clone, Debug)]
 pub struct Measured {
-    /// What all trials say together.
+    /// The combined result of all trials.
     pub latencies: Latencies,
-    /// How the device follows, if it is known.
+    /// How the device follows, if known.
     pub lag: Option<Lag>,
-    /// How far behind a ramp the device is.
+    /// How far the device lags behind a ramp.
     pub tracking_lag: Option<Span>,
-    /// How far all latencies together may be off, since it is not known when within its round trip the sensor takes its value.
+    /// Possible common error of all latencies: it is unknown when, within its round trip, the sensor takes its value.
     pub systematic: Span,
-    /// The time between two readings, the median.
+    /// The median time between two readings.
     pub interval: Span,
-    /// How long the sensor itself takes to answer, the median.
+    /// The median time that the sensor itself takes to answer.
     pub sensor_delay: Span,
-    /// Movements that could not be judged.
+    /// The number of movements that could not be judged.
     pub unclear: usize,
 }
 
-/// How far a measurement is.
+/// The progress of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// Movements so far.
+    /// The number of movements so far.
     pub trials: usize,
-    /// Movements that were asked for.
+    /// The number of requested movements.
     pub of: usize,
 }
 
-/// The sensor while nothing moves.
+/// The state of the sensor while nothing moves.
 struct AtRest {
     position: f64,
     interval: Span,
@@ -68,10 +68,10 @@ struct AtRest {
     link: Span,
 }
 
-/// Measures one device and brings it back to where it was.
+/// Measures one device and moves it back to its original position.
 ///
 /// # Errors
-/// [`NotMeasured`]. The device may not be where it was: have it [`hold`](Talk::hold).
+/// Returns [`NotMeasured`]. The device may not be at its original position then: call [`hold`](Talk::hold) for it.
 pub async fn measure(
     talk: &mut Talk,
     planned: &PlannedDevice,
@@ -94,7 +94,7 @@ pub async fn measure(
     let was = planned.on_grid(rest.position);
     mover.settle(was, from).await?;
     let result = mover.trials((from, to), trials, &mut tell).await;
-    // It goes back whatever was found. If this fails, too, the first reason says more.
+    // Moves back whatever the result. If this fails too, the first error is more informative.
     let here = if mover.at_from { from } else { to };
     let back = mover.settle(here, was).await;
     let estimate = result?;
@@ -134,12 +134,12 @@ struct Mover<'a> {
     rest: &'a AtRest,
     lasts: Span,
     watched: Span,
-    /// Where the last movement of the trials ended.
+    /// Whether the last movement of the trials ended at the start position.
     at_from: bool,
 }
 
 impl Mover<'_> {
-    /// To and fro.
+    /// Moves to and fro until the result is known.
     async fn trials(
         &mut self,
         (from, to): (f64, f64),
@@ -162,7 +162,7 @@ impl Mover<'_> {
                 unclear(&first, UNCLEAR_MAX)?;
                 self.watched = self.enough(&first);
             }
-            // An even number of movements ends where it began.
+            // After an even number of movements, the device is where it began.
             if trials.len() < wanted || !self.at_from {
                 continue;
             }
@@ -178,7 +178,7 @@ impl Mover<'_> {
 }
 
 impl Mover<'_> {
-    /// How long later movements are watched: until the device has settled, with time for one that takes longer.
+    /// How long later movements are watched: until the device has settled, with a reserve for slower movements.
     fn enough(&self, found: &Estimate) -> Span {
         let slowest = found.onsets.iter().flatten().map(|onset| onset.latency).max();
         let Some(slowest) = slowest else { return self.watched };
@@ -187,7 +187,7 @@ impl Mover<'_> {
         (slowest + settled + spare).max(Span::from_millis(200)).min(WATCHED_MAX)
     }
 
-    /// A movement that is not measured.
+    /// Moves the device without measuring.
     async fn settle(&mut self, here: f64, there: f64) -> Result<(), NotMeasured> {
         if here != there {
             self.movement(here, there).await?;
@@ -195,10 +195,10 @@ impl Mover<'_> {
         Ok(())
     }
 
-    /// One movement, and what the sensor shows meanwhile.
+    /// Performs one movement and reads the sensor meanwhile.
     async fn movement(&mut self, here: f64, there: f64) -> Result<Trial, NotMeasured> {
         let (script, commanded) = self.script(here, there)?;
-        // Readings before the start show where the device rests.
+        // Readings before the start show the rest position.
         let lead = self.rest.interval * READINGS_BEFORE;
         let device = &self.planned.device;
         let (start, request) = self.talk.command(device, script, lead).await?;
@@ -215,19 +215,19 @@ impl Mover<'_> {
             });
             tokio::time::sleep(BETWEEN_READINGS).await;
         }
-        // The clocks drift meanwhile.
+        // The clocks drift during a movement.
         self.talk.ping().await?;
         self.talk.check(device, request.as_ref())?;
         Ok(Trial { commanded, movement: there - here, samples })
     }
 
-    /// The movement as a script, and as the estimator takes it.
+    /// Returns the movement as a script, and in the format of the estimator.
     fn script(&self, here: f64, there: f64) -> Result<(Script, Commanded), NotMeasured> {
         let step = |at: Span, value: f64| {
             Step::new(Millis::from_span(at), Setpoint::new(ControlType::Position, value))
         };
         let (steps, commanded) = match self.planned.interpolation {
-            // From where the device is, so that it never jumps.
+            // The ramp begins at the device's position, so that it never jumps.
             Interpolation::Linear => (vec![step(self.lasts, there)], Commanded::ramp(self.lasts)),
             _ => self.stairs(here, there, step),
         };
@@ -235,7 +235,7 @@ impl Mover<'_> {
         Ok((script, commanded))
     }
 
-    /// A device that holds each value is moved by many small steps, each at the middle of its part of the way.
+    /// Moves a device that holds each value in many small steps, each at the middle of its part of the way.
     fn stairs(&self, here: f64, there: f64, step: impl Fn(Span, f64) -> Step) -> (Vec<Step>, Commanded) {
         let count = STAIRS_MAX.min(self.planned.steps_max).max(1);
         let share = |index: u32| f64::from(index) / f64::from(count);
@@ -253,7 +253,7 @@ impl Mover<'_> {
     }
 }
 
-/// The fit takes longer than the link may stay unattended.
+/// Runs the fit on another thread, because it takes longer than the link may be left unattended.
 async fn estimated(trials: Vec<Trial>, readable: Readable) -> (Vec<Trial>, Estimate) {
     let fit = move || {
         let estimate = estimate(&trials, readable);
@@ -265,7 +265,7 @@ async fn estimated(trials: Vec<Trial>, readable: Readable) -> (Vec<Trial>, Estim
     }
 }
 
-/// Where many movements cannot be judged, why most of them cannot.
+/// Returns an error if too many movements cannot be judged, with the first reason; otherwise their number.
 fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
     let reasons: Vec<Unclear> = estimate.onsets.iter().filter_map(|onset| onset.err()).collect();
     let (count, trials) = (reasons.len(), estimate.onsets.len());
@@ -278,7 +278,7 @@ fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
 }
 
 fn measured(estimate: &Estimate, rest: &AtRest) -> Result<Measured, NotMeasured> {
-    // Readings that took too long may spoil at most a quarter.
+    // Slow readings may spoil at most a quarter of the movements.
     let unclear = unclear(estimate, estimate.onsets.len() / 4 + 1)?;
     let too_few = Unclear::TooSparse { before: 0, after: 0, least: 1 };
     let Some(latencies) = estimate.latencies else {

@@ -1,5 +1,5 @@
-//! Measuring how long devices take from a command to visible motion: each is moved by a small amount to and fro, as its fleet file
-//! permits, while its sensor is read; [`downbeat_onset`] estimates when it began to move.
+//! Measures how long devices take from a command to visible motion. Each device is moved by a small amount to and fro, as its fleet file
+//! permits, while its sensor is read. [`downbeat_onset`] estimates when it began to move.
 //!
 //! ```text
 //!   fleet ─▶ plan: what may be moved, how far, how fast
@@ -7,8 +7,8 @@
 //!                       └─▶ talk: one link, one session, one question at a time
 //! ```
 //!
-//! Robots are moved one after the other. A robot is claimed for a session as by a mission, every command has a lease, and whatever
-//! happens, the devices are told to stay where they are before the robot is released.
+//! Robots are moved one after the other. A robot is claimed for a session as in a mission, and every command has a lease. In any case,
+//! the devices are ordered to stay where they are before the robot is released.
 
 mod measure;
 mod plan;
@@ -20,55 +20,55 @@ pub use measure::{Measured, Progress, measure};
 pub use plan::{PlannedDevice, PlannedRobot, Unplanned, plan};
 pub use talk::{Talk, TalkError};
 
-/// Why a device was not measured.
+/// The reason why a device was not measured.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NotMeasured {
-    /// The robot does not answer, refuses, or is another one.
+    /// The robot does not answer, refuses, or is a different one.
     #[error(transparent)]
     Talk(#[from] TalkError),
-    /// Its sensor shows no motion that can be judged.
-    #[error("{of} of {trials} movements cannot be judged: {why}")]
+    /// The sensor shows no motion that can be judged.
+    #[error("{of} of {trials} movements cannot be evaluated: {why}")]
     Unclear {
-        /// So many cannot be judged.
+        /// The number of movements that cannot be judged.
         of: usize,
-        /// Of so many.
+        /// The number of all movements.
         trials: usize,
-        /// Why most of them.
+        /// The first reason.
         why: Unclear,
     },
-    /// The noise of the sensor at rest is too large.
+    /// The noise of the sensor at rest is too large for the movement.
     #[error(
-        "its sensor `{sensor}` has a noise of {noise:.4} at rest, too much for a movement of {by}: declare a larger one if that is safe"
+        "sensor `{sensor}` has a noise of {noise:.4} at rest, too much for a movement of {by}; declare a larger movement if that is safe"
     )]
     Noise {
         /// The sensor.
         sensor: String,
-        /// Standard deviation of its readings.
+        /// The standard deviation of its readings.
         noise: f64,
         /// The movement.
         by: f64,
     },
-    /// It is not where the movement is to begin.
+    /// The device is not where the movement should begin.
     #[error(
-        "it is at {at:.4}, and the movement is to begin at {from}: move it there first, or correct `from`"
+        "the device is at {at:.4}, but the movement starts at {from}; move the device there first, or correct `from`"
     )]
     Elsewhere {
-        /// Where its sensor shows it.
+        /// The position that the sensor shows.
         at: f64,
-        /// Where the movement is to begin.
+        /// Where the movement should begin.
         from: f64,
     },
-    /// The movement would leave its limits.
-    #[error("the movement would lead from {from} to {to}, beyond its limits {least} to {largest}")]
+    /// The movement would exceed the device's limits.
+    #[error("the movement from {from} to {to} would exceed the limits {least} to {largest}")]
     BeyondLimits {
         /// Where it would begin.
         from: f64,
         /// Where it would end.
         to: f64,
-        /// The least position.
+        /// The lowest permitted position.
         least: f64,
-        /// The largest position.
+        /// The highest permitted position.
         largest: f64,
     },
 }

@@ -1,12 +1,12 @@
-//! What would be moved, how far and how fast: from the fleet file alone.
+//! Plans the movements, with their range and speed, from the fleet file alone.
 
 use downbeat_scripts::{Calibration, Fleet, FleetRobot};
 use serde::Serialize;
 use urrcp::{ControlType, Device, DeviceId, Interpolation, Limits, RobotId, Span};
 
-/// A movement lasts at least this long, whatever a device may do.
+/// Minimum duration of a movement, whatever speed a device permits.
 const LASTS_LEAST: Span = Span::from_millis(40);
-/// Of the largest speed that a device may have.
+/// Maximum speed of a movement, as a share of the device's maximum speed.
 const SPEED_SHARE: f64 = 0.5;
 
 /// A robot with devices to measure.
@@ -14,46 +14,46 @@ const SPEED_SHARE: f64 = 0.5;
 pub struct PlannedRobot<'a> {
     /// The robot.
     pub robot: &'a FleetRobot,
-    /// Its devices that are measured, in the order of their names.
+    /// Its devices to measure, in the order of their description.
     pub devices: Vec<PlannedDevice>,
 }
 
-/// A device, and the movement by which it is measured.
+/// A device, and the movement with which it is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannedDevice {
     /// The device.
     pub device: DeviceId,
     /// Its unit, if it declares one.
     pub unit: Option<String>,
-    /// As the fleet file declares it.
+    /// The calibration, as declared in the fleet file.
     pub how: Calibration,
-    /// Its largest speed, in its unit a second, where one is known.
+    /// The device's maximum speed, in its unit per second, if known.
     pub speed: Option<f64>,
-    /// How long a movement takes at least: half of that speed is not exceeded.
+    /// Minimum duration of a movement, so that half of the maximum speed is not exceeded.
     pub lasts: Span,
-    /// Where it may be.
+    /// The device's position limits.
     pub limits: Limits,
-    /// How it gets from one step to the next.
+    /// How the device moves from one step to the next.
     pub interpolation: Interpolation,
-    /// Steps of a script, at most.
+    /// Maximum number of steps of a script.
     pub steps_max: u32,
-    /// Lowest and highest reading of the sensor.
+    /// The lowest and the highest reading of the sensor.
     pub sensor_range: (f64, f64),
 }
 
-/// A device that is not measured, and why.
+/// A device that is not measured, and the reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Unplanned {
     /// The robot.
     pub robot: RobotId,
     /// The device.
     pub device: DeviceId,
-    /// Why not.
+    /// The reason.
     pub reason: String,
 }
 
-/// What of a fleet would be measured: of all robots, or of these. Devices with `calibrate` that cannot be measured come with the reason,
-/// and so do those that take positions and have none.
+/// Plans the measurement of a fleet: of all robots, or of `only` these. The second list contains devices with `calibrate` that cannot be
+/// measured, and devices that take positions but have no `calibrate`, each with the reason.
 #[must_use]
 pub fn plan<'a>(fleet: &'a Fleet, only: Option<&[RobotId]>) -> (Vec<PlannedRobot<'a>>, Vec<Unplanned>) {
     let (mut planned, mut unplanned) = (Vec::new(), Vec::new());
@@ -77,17 +77,18 @@ pub fn plan<'a>(fleet: &'a Fleet, only: Option<&[RobotId]>) -> (Vec<PlannedRobot
     (planned, unplanned)
 }
 
-/// `None` for what is driven by no position.
+/// Returns `None` for a device that is not driven by position.
 fn of_device(robot: &FleetRobot, device: &Device) -> Result<Option<PlannedDevice>, String> {
     let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return Ok(None) };
     let Some(how) = robot.mission.calibrate.get(&device.id) else {
-        return Err("no sensor shows where it is: name one under `calibrate`, and the amount by which it may be moved".to_owned());
+        return Err("no sensor measures its position; under `calibrate`, name a sensor and the amount by which the device may be moved".to_owned());
     };
     let sensor = robot.init.as_ref().and_then(|block| block.device(how.sensor.as_str()));
     let sensor = sensor.and_then(|sensor| sensor.available_control_types.sensor());
     let sensor = sensor.ok_or_else(|| format!("the robot has no sensor `{}`", how.sensor))?;
     let script = device.available_control_types.script();
-    let script = script.ok_or("it takes no scripts, so a movement of limited speed is not possible")?;
+    let script =
+        script.ok_or("the robot does not support scripts, so a movement of limited speed is not possible")?;
     let rates = robot.limits.get(device.id.as_str()).copied().unwrap_or_default();
     let speed = rates.or_declared(device, ControlType::Position).speed;
     let at_speed = speed.map(|speed| Span::from_millis_f64(1000.0 * how.by.abs() / (speed * SPEED_SHARE)));
@@ -105,7 +106,7 @@ fn of_device(robot: &FleetRobot, device: &Device) -> Result<Option<PlannedDevice
 }
 
 impl PlannedDevice {
-    /// The nearest position that the device can be sent to.
+    /// Returns the nearest position that the device can be set to.
     #[must_use]
     pub fn on_grid(&self, value: f64) -> f64 {
         self.limits.nearest_settable(value)

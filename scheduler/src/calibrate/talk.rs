@@ -1,4 +1,4 @@
-//! A conversation with one robot on behalf of a session: one link, one question at a time.
+//! A dialogue with one robot for a session: one link, one question at a time.
 
 use std::collections::VecDeque;
 
@@ -18,58 +18,58 @@ use crate::mission::Event;
 use crate::server_clock::ServerClock;
 use crate::session::Session;
 
-/// Exchanges from which the clock is known.
+/// Number of exchanges to measure the clock.
 const EXCHANGES: u32 = 16;
-/// How far a clock that follows NTP may be off.
+/// Maximum error of a clock that follows NTP.
 const CLOCK_OFF_MAX: Span = Span::from_millis(10);
-/// A robot that hears nothing for so long ends the movement by itself.
+/// A robot that receives nothing for this long ends the movement by itself.
 const LEASE: Span = Span::from_millis(1_000);
-/// How much later than asked a start may lie at least, so that the request is there in time.
+/// Minimum delay between a request and its start, so that the request arrives in time.
 const LEAD: Span = Span::from_millis(150);
 
 /// A robot cannot be measured.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TalkError {
-    /// The link broke, or the robot was not reached.
+    /// The link broke, or the robot could not be reached.
     #[error("{0}")]
     Link(String),
-    /// It does not answer.
+    /// The robot does not answer.
     #[error("no answer within {0}")]
     Silent(Span),
-    /// Another session drives it.
-    #[error("the robot belongs to another session: wait until its mission has ended")]
+    /// Another session drives the robot.
+    #[error("the robot belongs to another session; wait until its mission has ended")]
     Busy,
-    /// It refuses.
-    #[error("the robot refuses: {0}")]
+    /// The robot refuses.
+    #[error("the robot refused the request: {0}")]
     Refused(String),
     /// A movement ended early.
     #[error("a movement of `{device}` failed: {reason}")]
     Failed {
         /// The device.
         device: DeviceId,
-        /// As the robot says.
+        /// The reason that the robot reports.
         reason: String,
     },
     /// Another robot answers.
-    #[error("another robot: it calls itself `{found}`, expected `{expected}`")]
+    #[error("another robot: its id is `{found}`, expected `{expected}`")]
     Another {
-        /// What it calls itself.
+        /// The id that the robot reports.
         found: String,
-        /// What the fleet file says.
+        /// The id in the fleet file.
         expected: String,
     },
-    /// A device is not as its description says.
+    /// A device differs from its description.
     #[error(
-        "the robot describes `{0}` in another way than its init file: `downbeat fleet describe` shows how"
+        "the robot's description of `{0}` differs from its init file; `downbeat fleet describe` shows the description"
     )]
     Different(DeviceId),
-    /// Its clock is wrong.
+    /// The robot's clock is wrong.
     #[error("its clock is off by {0}: check its NTP")]
     Clock(Span),
 }
 
-/// A conversation with one robot.
+/// A dialogue with one robot.
 pub struct Talk {
     link: Link,
     happened: mpsc::Receiver<Happened>,
@@ -79,20 +79,20 @@ pub struct Talk {
     estimate: ClockEstimate,
     patience: Span,
     asked: u64,
-    /// What came while something else was waited for: reports of movements.
+    /// Reports of movements that arrived while waiting for something else.
     reports: VecDeque<ControlResponse>,
 }
 
-/// So many readings in a row may stay out.
+/// Maximum number of consecutive readings that may be missed.
 const MISSED_MAX: u32 = 3;
-/// Reports that are kept.
+/// Maximum number of stored reports.
 const REPORTS_MAX: usize = 256;
 
 impl Talk {
-    /// Reaches a robot, checks that it is the one that the fleet file describes and that its clock is right, and claims it.
+    /// Connects to a robot and checks its description and its clock against the fleet file. Then claims the robot.
     ///
     /// # Errors
-    /// [`TalkError`].
+    /// Returns [`TalkError`].
     pub async fn begin(
         robot: &FleetRobot,
         endpoint: Endpoint,
@@ -127,19 +127,19 @@ impl Talk {
         Ok(talk)
     }
 
-    /// What is known of the robot's clock and of the way to it.
+    /// Returns the estimate of the robot's clock and of the delay to the robot.
     #[must_use]
     pub fn clock_reading(&self) -> Option<ClockReading> {
         self.estimate.reading()
     }
 
-    /// Now, by the server's clock.
+    /// Returns the current time of the server's clock.
     #[must_use]
     pub fn now(&self) -> Timestamp<Server> {
         self.clock.now()
     }
 
-    /// The next thing that the robot says; `None` at `until`.
+    /// Returns the next event of the link, or `None` at `until`.
     async fn next(
         &mut self,
         until: Timestamp<Server>,
@@ -159,7 +159,7 @@ impl Talk {
     }
 
     fn say(&self, message: Message) -> Result<(), TalkError> {
-        let full = |_| TalkError::Link("the robot does not read what it is sent".to_owned());
+        let full = |_| TalkError::Link("the robot does not read its incoming messages".to_owned());
         self.link.send(message, Urgency::InOrder).map_err(full)
     }
 
@@ -181,10 +181,10 @@ impl Talk {
         Err(TalkError::Silent(self.patience))
     }
 
-    /// Asks for availability, which claims the robot, renews its leases and measures its clock.
+    /// Asks for availability. This claims the robot, renews its leases and measures its clock.
     ///
     /// # Errors
-    /// [`TalkError`].
+    /// Returns [`TalkError`].
     pub async fn ping(&mut self) -> Result<(), TalkError> {
         let sent = self.now();
         let session = Some(self.session.on_the_wire().clone());
@@ -219,7 +219,7 @@ impl Talk {
         }
     }
 
-    /// Names of a session's requests differ, also from those of another run against the same robot.
+    /// Returns a new request id. It is unique within the session, and differs from those of other runs against the same robot.
     fn name(&mut self) -> RequestId {
         self.asked += 1;
         let name = format!("{}/{}", self.session.name(), self.asked);
@@ -253,7 +253,7 @@ impl Talk {
     /// Reads a sensor.
     ///
     /// # Errors
-    /// [`TalkError`].
+    /// Returns [`TalkError`].
     pub async fn read(
         &mut self,
         sensor: &DeviceId,
@@ -266,10 +266,10 @@ impl Talk {
         }
     }
 
-    /// The same, and asks again if a reading stays out, as of a busy sensor now and then.
+    /// Reads a sensor, and tries again if a reading is missed, for example because the sensor is busy.
     ///
     /// # Errors
-    /// [`TalkError`], also where several readings in a row stay out.
+    /// Returns [`TalkError`], also if several consecutive readings are missed.
     pub async fn read_again(
         &mut self,
         sensor: &DeviceId,
@@ -283,10 +283,10 @@ impl Talk {
         self.read(sensor).await
     }
 
-    /// Sends a movement that starts by itself a little later; returns when that is by the server's clock, and the name of the request.
+    /// Sends a movement with a later start. Returns the start by the server's clock, and the request id.
     ///
     /// # Errors
-    /// [`TalkError`].
+    /// Returns [`TalkError`].
     pub async fn command(
         &mut self,
         device: &DeviceId,
@@ -298,7 +298,7 @@ impl Talk {
         let usual = reading.map_or(Span::ZERO, |reading| reading.delay_high);
         let lead = lead.max(LEAD) + usual * 2;
         let now = self.now();
-        // A robot without NTP is sent its own time. One with NTP is off by as much as was measured, and starts by as much earlier.
+        // A robot without NTP is sent times of its own clock. One with NTP has a small measured offset, and starts that much earlier.
         let (timestamp, start) = match self.mode {
             ClockMode::Measured => (now + offset, now + lead),
             ClockMode::Ntp => (now, now + lead - offset),
@@ -319,17 +319,17 @@ impl Talk {
         }
     }
 
-    /// What a movement has failed of, as far as the robot has said so.
+    /// Returns the reason why a movement has failed, if the robot has reported a failure.
     ///
     /// # Errors
-    /// [`TalkError::Failed`].
+    /// Returns [`TalkError::Failed`].
     pub fn check(&mut self, device: &DeviceId, request: Option<&RequestId>) -> Result<(), TalkError> {
         let failed = |report: &ControlResponse| {
             report.status == Status::Failed && request.is_some() && report.request_id.as_ref() == request
         };
         let failed = self.reports.iter().find(|report| failed(report));
         let reason = failed.map(|report| {
-            report.error.as_ref().map_or_else(|| "it gives no reason".to_owned(), ToString::to_string)
+            report.error.as_ref().map_or_else(|| "no reason given".to_owned(), ToString::to_string)
         });
         self.reports.clear();
         match reason {
@@ -338,10 +338,10 @@ impl Talk {
         }
     }
 
-    /// Has a device stay where it is.
+    /// Orders a device to stay where it is.
     ///
     /// # Errors
-    /// [`TalkError`]: it is not known to be at rest.
+    /// Returns [`TalkError`]. The device may not be at rest then.
     pub async fn hold(&mut self, device: &DeviceId) -> Result<(), TalkError> {
         let stop = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
         let (_, _, response) = self.ask(stop).await?;
@@ -351,7 +351,7 @@ impl Talk {
         }
     }
 
-    /// The reading as the estimator takes it: times since a start.
+    /// Converts a reading for the estimator, with times since a start.
     #[must_use]
     pub fn reading_since(
         start: Timestamp<Server>,
@@ -377,11 +377,11 @@ fn refusal(error: Option<&urrcp::ControlError>) -> TalkError {
     match error {
         Some(error) if error.code == ErrorCode::Busy => TalkError::Busy,
         Some(error) => TalkError::Refused(error.to_string()),
-        None => TalkError::Refused("it gives no reason".to_owned()),
+        None => TalkError::Refused("no reason given".to_owned()),
     }
 }
 
-/// Another robot is not to be moved, nor one whose devices are others than planned.
+/// Rejects a different robot, and a robot whose devices differ from the plan.
 fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(), TalkError> {
     let Some(expected) = &robot.init else { return Ok(()) };
     if block.id != expected.id {

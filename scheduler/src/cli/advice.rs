@@ -1,4 +1,4 @@
-//! What a person most likely meant by arguments that cannot be read, as tips below clap's own message.
+//! Guesses the intended arguments if they cannot be parsed, and adds tips below clap's own message.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use downbeat_scripts::did_you_mean;
 
 use super::Cli;
 
-/// Words that other programs use for commands of this one.
+/// Names that other programs use for commands of this one.
 const COMMANDS: [(&str, &str); 15] = [
     ("abort", "stop"),
     ("list", "missions"),
@@ -28,7 +28,7 @@ const COMMANDS: [(&str, &str); 15] = [
     ("verify", "check"),
 ];
 
-/// Words that other programs use for options of this one.
+/// Names that other programs use for options of this one.
 const OPTIONS: [(&str, &str); 6] = [
     ("--robots", "--only"),
     ("--robot", "--only"),
@@ -38,28 +38,34 @@ const OPTIONS: [(&str, &str); 6] = [
     ("--start-at", "--at"),
 ];
 
-/// What to write for arguments that are missing.
+/// Suggestions for missing arguments.
 const MISSING: [(&str, &str); 4] = [
-    ("<SCENARIO>", "`downbeat init first-show` writes a scenario to begin with: `first-show/show.yaml`"),
-    ("--driver <DRIVER>", "`--driver sim` drives nothing, which is enough to begin with"),
+    ("<SCENARIO>", "`downbeat init first-show` creates an example scenario: `first-show/show.yaml`"),
+    ("--driver <DRIVER>", "to get started, use `--driver sim`, which drives no hardware"),
     (
         "--init <FILE>",
-        "the file describes the robot; `downbeat init first-show` writes one: `first-show/robots/arm.yaml`",
+        "the file describes the robot; `downbeat init first-show` creates an example: `first-show/robots/arm.yaml`",
     ),
-    ("--output <DIR>", "name the folder for the files, as in `--output out`"),
+    ("--output <DIR>", "specify a folder for the files, for example `--output out`"),
 ];
 
-/// Pairs of options that exclude each other, and what to do.
+/// Pairs of options that exclude each other, with suggestions.
 const CONFLICTS: [(&str, &str); 3] = [
     (
         "--no-journal",
-        "leave out `--no-journal`: other terminals find a mission in the background by its journal",
+        "leave out `--no-journal`: other terminals need the journal to find a mission in the background",
     ),
-    ("--lead <TIME>", "`--at` names the instant of the start, `--lead` the time until then: use one of them"),
-    ("--from <NAME>", "`--act` plays one act, `--from` plays this act and all that follow: use one of them"),
+    (
+        "--lead <TIME>",
+        "`--at` sets the time of the start, `--lead` the time until the start: use only one of them",
+    ),
+    (
+        "--from <NAME>",
+        "`--act` plays one act, `--from` plays an act and all acts after it: use only one of them",
+    ),
 ];
 
-/// Adds what may help to an error of clap.
+/// Adds tips to an error of clap.
 pub(super) fn advise(error: &mut clap::Error, args: &[String]) {
     let tips = match error.kind() {
         ErrorKind::UnknownArgument => of_argument(&text(error, ContextKind::InvalidArg), args),
@@ -102,7 +108,7 @@ fn of_argument(wrong: &str, args: &[String]) -> Vec<String> {
     let cli = Cli::command();
     let typed = args.iter().find(|arg| arg.len() > 2 && arg.starts_with(name) && !arg.starts_with("--"));
     if let Some(typed) = typed {
-        return vec![format!("options of several letters begin with two dashes: `-{typed}`")];
+        return vec![format!("long options start with two dashes: `-{typed}`")];
     }
     let Some(long) = name.strip_prefix("--") else { return Vec::new() };
     let takes = |command: &&Command| command.get_arguments().any(|arg| arg.get_long() == Some(long));
@@ -122,7 +128,7 @@ fn of_positional(wrong: &str, args: &[String]) -> String {
     let at = args.iter().position(|arg| arg == wrong).unwrap_or(0);
     match at.checked_sub(1).map(|before| &args[before]).filter(|before| before.ends_with(',')) {
         Some(before) => format!("write the list without spaces: `{before}{wrong}`"),
-        None => "this command takes no further argument: call it again for another file".to_owned(),
+        None => "this command takes no more arguments; run it again for another file".to_owned(),
     }
 }
 
@@ -134,9 +140,7 @@ fn of_command(error: &mut clap::Error) -> Vec<String> {
     }
     if Path::new(&wrong).extension().is_some() || Path::new(&wrong).exists() {
         let _misleading = error.remove(ContextKind::SuggestedSubcommand);
-        return vec![format!(
-            "write what to do with it: `downbeat check {wrong}`, or `downbeat run {wrong}`"
-        )];
+        return vec![format!("add a command: `downbeat check {wrong}` or `downbeat run {wrong}`")];
     }
     if is_near(&wrong, error.get(ContextKind::SuggestedSubcommand)) {
         return Vec::new();
@@ -147,7 +151,7 @@ fn of_command(error: &mut clap::Error) -> Vec<String> {
     vec![near.unwrap_or_else(|| "`downbeat --help` lists the commands".to_owned())]
 }
 
-/// Whether what clap suggests is like what was written.
+/// Whether clap's suggestion is similar to the given text.
 fn is_near(wrong: &str, suggested: Option<&ContextValue>) -> bool {
     let near = |right: &String| did_you_mean(wrong, [right.as_str()]).is_some();
     match suggested {
@@ -159,7 +163,7 @@ fn is_near(wrong: &str, suggested: Option<&ContextValue>) -> bool {
 
 fn of_no_value(error: &clap::Error) -> Vec<String> {
     let option = text(error, ContextKind::InvalidArg).replace(['<', '>'], "");
-    vec![format!("write the value after the option: `{option}`")]
+    vec![format!("add a value after the option: `{option}`")]
 }
 
 fn of_missing(error: &clap::Error) -> Vec<String> {

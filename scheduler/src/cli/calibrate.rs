@@ -1,4 +1,4 @@
-//! `downbeat calibrate`: how long devices take from a command to visible motion, measured and written to a file.
+//! `downbeat calibrate`: measures how long devices take from a command to visible motion, and writes the result to a file.
 
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -28,13 +28,13 @@ use crate::signals::{OnHangUp, Signals};
 /// Measure how long devices take from a command to visible motion.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The command moves devices. It moves those that have `calibrate` in the fleet file, each by the small amount that is \
-declared there, at half of its largest speed at most. It shows what it will do and asks first; without a terminal it needs --yes. \
-Each robot is claimed as by a mission, and a robot that belongs to another mission is left alone. At the end, and when you press \
+    after_help = "The command moves devices. It moves those that have `calibrate` in the fleet file, each by the small amount \
+declared there and at no more than half of its maximum speed. It shows what it will do and asks first; without a terminal it needs --yes. \
+Each robot is reserved as in a mission, and robots that belong to another mission are not moved. At the end, and when you press \
 Ctrl-C, devices stay where they are or return to where they were.
 
-It refuses what it cannot judge, and says why: a sensor with too much noise, a device that does not move. What was measured is written \
-to a file, in which the entries of other devices stay. Name this file in the fleet file: `latency: latency.yaml`. Missions then send the \
+If a device cannot be measured, the command reports the reason: for example, the sensor is too noisy, or the device does not move. \
+The results are written to a file; the entries of other devices in it are kept. Name this file in the fleet file: `latency: latency.yaml`. Missions then send the \
 steps of these devices earlier.
 
 Examples:
@@ -51,10 +51,10 @@ pub(super) struct CalibrateArgs {
     /// Measure only these robots, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "ROBOTS")]
     robots: Vec<RobotId>,
-    /// Movements of each device. There may be up to three times as many, until the median is known to 1 ms.
+    /// Number of movements of each device. Up to three times as many may be made, until the median is known to within 1 ms.
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(6..=200), value_name = "N")]
     trials: u16,
-    /// The file to write. By default latency.yaml next to the fleet file.
+    /// The file to write. By default, latency.yaml next to the fleet file.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Show what would be moved, and move nothing.
@@ -70,14 +70,14 @@ pub(super) struct CalibrateArgs {
     drivers: DriverArgs,
 }
 
-/// What became of one device.
+/// The result for one device.
 struct Outcome {
     robot: RobotId,
     device: String,
     result: Result<Measured, String>,
 }
 
-/// How the measurement of a robot ended early.
+/// Why the measurement of a robot ended early.
 enum Ended {
     Error(NotMeasured),
     Interrupted,
@@ -89,7 +89,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     if let Some(unknown) = args.robots.iter().find(|id| !fleet.robots.iter().any(|robot| robot.id == **id)) {
-        return usage(&format!("no robot `{unknown}` in {}", args.fleet.display()));
+        return usage(&format!("unknown robot `{unknown}`: it is not in {}", args.fleet.display()));
     }
     let only = (!args.robots.is_empty()).then_some(args.robots.as_slice());
     let (robots, unplanned) = plan(&fleet, only);
@@ -98,7 +98,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, format: Format) -> Exit {
     }
     if robots.is_empty() {
         let hint = "add `calibrate: {DEVICE: {sensor: SENSOR, by: AMOUNT}}` to a robot of the fleet file";
-        console::error(&format!("nothing can be measured; {hint}"));
+        console::error(&format!("nothing to measure; {hint}"));
         return Exit::Failed;
     }
     if args.dry_run {
@@ -121,7 +121,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, format: Format) -> Exit {
             Some(false) => return Exit::Done,
             None => {
                 return usage(
-                    "devices would be moved, and there is no terminal to ask: give --yes if that is safe",
+                    "devices would move, and there is no terminal to ask for confirmation; add --yes if the movement is safe",
                 );
             }
         }
@@ -149,7 +149,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, format: Format) -> Exit {
     })
 }
 
-/// Says what the table does not, and with which code that ends.
+/// Reports failures and the written file, and returns the exit code.
 fn told(
     path: &Path,
     outcomes: &[Outcome],
@@ -169,7 +169,7 @@ fn told(
             return if exit == Exit::Done { Exit::Unwritten } else { exit };
         }
         Ok(true) => console::note(&format!(
-            "wrote {}; {} names it as `latency:`, or it has no effect",
+            "wrote {}; the file takes effect only if {} names it as `latency:`",
             path.display(),
             args.fleet.display()
         )),
@@ -183,7 +183,7 @@ fn usage(reason: &str) -> Exit {
     Exit::Usage
 }
 
-/// What the file has already.
+/// Returns the existing entries of the file.
 fn kept(path: &Path) -> Result<LatencyFile, Exit> {
     if !path.exists() {
         return Ok(LatencyFile::new());
@@ -194,7 +194,7 @@ fn kept(path: &Path) -> Result<LatencyFile, Exit> {
     })
 }
 
-/// Another file is written, and then renamed, so that nobody reads half of it.
+/// The new content is written to this file first, which is then renamed, so that nobody reads an incomplete file.
 fn part_of(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
@@ -205,26 +205,26 @@ fn refused(path: &Path, error: &std::io::Error) -> String {
     format!("cannot write {}: {}", path.display(), Refusal::of(Attempt::Write(path), error))
 }
 
-/// Before anything moves.
+/// Checks this before anything moves.
 fn writable(path: &Path) -> Result<(), String> {
     let part = part_of(path);
     let tried = std::fs::write(&part, "").and_then(|()| std::fs::remove_file(&part));
     tried.map_err(|error| refused(path, &error))
 }
 
-/// Asks on the terminal; `None` where there is none.
+/// Asks on the terminal. Returns `None` if there is no terminal.
 fn confirmed() -> Option<bool> {
     if !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
         return None;
     }
-    console::note("these devices will move; is nobody and nothing in their way? [y/N]");
+    console::note("these devices will move; is the area clear of people and obstacles? [y/N]");
     let _unseen = std::io::stderr().flush();
     let mut answer = String::new();
     let _nothing_read = std::io::stdin().lock().read_line(&mut answer);
     Some(matches!(answer.trim(), "y" | "Y" | "yes"))
 }
 
-/// All robots, one after the other.
+/// Measures all robots, one after the other.
 async fn all(
     fleet: &downbeat_scripts::Fleet,
     robots: &[PlannedRobot<'_>],
@@ -270,7 +270,7 @@ fn session() -> Result<Session, String> {
     Session::with_key(name, &key).map_err(|error| error.to_string())
 }
 
-/// The devices of one robot. Whatever happens, those that may have moved are told to stay where they are.
+/// Measures the devices of one robot. In any case, devices that may have moved are ordered to stay where they are.
 async fn one(
     planned: &PlannedRobot<'_>,
     endpoint: Endpoint,
@@ -321,9 +321,7 @@ async fn one(
         });
         outcomes.push(Outcome { robot: robot.clone(), device: device.device.to_string(), result });
         if let Err(error) = held {
-            console::error(&format!(
-                "{name}: not known to be at rest: {error}; its movement ends within 2 s, with its script or its lease"
-            ));
+            console::error(&format!("{name}: may still be moving: {error}; its movement ends within 2 s"));
             return Exit::Unconfirmed;
         }
         if is_interrupted || link_lost {
@@ -333,7 +331,7 @@ async fn one(
     Exit::Done
 }
 
-/// Writes what was measured with what was there before; whether there was anything to write.
+/// Adds the measurements to the existing entries and writes the file. Returns whether there was anything to write.
 fn write(path: &Path, mut file: LatencyFile, outcomes: &[Outcome]) -> Result<bool, String> {
     let mut any = false;
     for Outcome { robot, device, result } in outcomes {
@@ -349,7 +347,7 @@ fn write(path: &Path, mut file: LatencyFile, outcomes: &[Outcome]) -> Result<boo
     Ok(any)
 }
 
-/// More digits than a hundredth of a millisecond say nothing.
+/// Digits beyond a hundredth of a millisecond are meaningless.
 fn rounded(span: Span) -> Span {
     const STEP: i64 = 10_000;
     Span::from_nanos((span.as_nanos() + STEP / 2).div_euclid(STEP) * STEP)
@@ -385,7 +383,7 @@ fn plan_text(robots: &[PlannedRobot<'_>], unplanned: &[Unplanned], args: &Calibr
             robot.robot.id.to_string(),
             device.device.to_string(),
             device.how.sensor.to_string(),
-            device.how.from.map_or_else(|| "where it is".to_owned(), |from| format!("{from}{unit}")),
+            device.how.from.map_or_else(|| "current position".to_owned(), |from| format!("{from}{unit}")),
             format!("{}{unit}", device.how.by),
             device.speed.map_or_else(|| "-".to_owned(), |speed| format!("{speed}{unit}/s")),
             args.trials.to_string(),

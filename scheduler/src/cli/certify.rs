@@ -1,4 +1,4 @@
-//! `dry-run --certify` writes a certificate; `run` and `preflight` with `--require-certificate` play nothing else.
+//! `dry-run --certify` writes a certificate. With `--require-certificate`, `run` and `preflight` accept only the certified plan.
 
 use std::path::{Path, PathBuf};
 
@@ -11,16 +11,16 @@ use super::{Exit, Format, console, load};
 use crate::certificate::{self, Certificate, Subject, Trial};
 use crate::journal::Asked;
 
-/// What is certified.
+/// The plan to be certified.
 pub(super) struct Plan<'a> {
     pub(super) choreography: &'a Choreography,
     pub(super) fleet: &'a Fleet,
     pub(super) asked: &'a Asked,
-    /// With which act it begins.
+    /// The index of the first act.
     pub(super) first_act: usize,
 }
 
-/// Plays every fault, and writes the certificate if everything held.
+/// Plays the plan against every fault, and writes the certificate if all promises held.
 pub(super) fn certify(plan: &Plan<'_>, seed: u64, path: &Path, sources: &[&Path], format: Format) -> Exit {
     if let Some(error) = load::replaces(path, sources) {
         console::error(&error.replace("the page", "the certificate"));
@@ -84,7 +84,7 @@ fn text(plan: &Plan<'_>, subject: &Subject, trials: &[Trial], written: Option<&P
     }
     match written {
         Some(path) => {
-            text.push_str("  without a fault it is done; with each fault, each act started on all its robots or on none, and all came to rest\n");
+            text.push_str("  without a fault, the mission is completed; with each fault, every act started on all of its robots or on none, and all robots came to rest\n");
             text.push_str(&format!(
                 "certified plan {} for fleet {}: `{}`\n",
                 short(subject.plan_hash),
@@ -92,17 +92,17 @@ fn text(plan: &Plan<'_>, subject: &Subject, trials: &[Trial], written: Option<&P
                 path.display()
             ));
         }
-        None => text.push_str("no certificate is written, because what is promised did not hold\n"),
+        None => text.push_str("no certificate was written, because a guarantee did not hold\n"),
     }
     text
 }
 
-/// Enough of a hash for people.
+/// Shortens a hash for people.
 fn short(hash: urrcp::ContentHash) -> String {
     hash.to_string().chars().take(12).collect()
 }
 
-/// What may be played.
+/// Restrictions on the plan.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(super) struct CertifiedArgs {
     /// Refuse to play anything but the plan and the fleet of this certificate, which `dry-run --certify` writes.
@@ -111,7 +111,7 @@ pub(super) struct CertifiedArgs {
 }
 
 impl CertifiedArgs {
-    /// Whether this may be played; says why not.
+    /// Checks whether this plan may be played, and prints the reason if not.
     pub(super) fn check(
         &self,
         choreography: &Choreography,
@@ -128,7 +128,8 @@ impl CertifiedArgs {
         if differences.is_empty() {
             return Ok(());
         }
-        let error = format!("`{}` does not certify what is to be played, so nothing is sent", path.display());
+        let error =
+            format!("`{}` does not certify this plan and this fleet, so nothing is sent", path.display());
         match format {
             Format::Json => {
                 console::print_json(&json!({ "error": error, "differences": differences }));
@@ -137,7 +138,7 @@ impl CertifiedArgs {
                 console::error(&format!("{error}:"));
                 differences.iter().for_each(|difference| console::note(&format!("  {difference}")));
                 console::note(
-                    "  `downbeat dry-run --certify` with the same options certifies it as it is now",
+                    "  `downbeat dry-run --certify` with the same options certifies the current plan and fleet",
                 );
             }
         }

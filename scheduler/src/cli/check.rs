@@ -1,4 +1,4 @@
-//! `downbeat check`: all findings at once.
+//! `downbeat check`: prints all findings at once.
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ use crate::show::requirements_table;
 pub(super) struct CheckArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Treat these as errors, too.
+    /// Also treat these as errors.
     #[arg(long, value_enum, value_name = "WHAT")]
     deny: Option<Deny>,
     /// Also write the findings as SARIF 2.1.0, which code hosts show next to the lines.
@@ -86,7 +86,7 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
     }
 }
 
-/// What is required and can be judged without playing.
+/// Judges the requirements that need no run.
 pub(super) fn of_the_plan(choreography: &Choreography) -> Vec<Judged> {
     let asked = Requirements { closest: choreography.requirements.closest, ..Requirements::default() };
     judge(&asked, &Figures { closest: closest_of(choreography), ..Figures::default() })

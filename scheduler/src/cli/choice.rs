@@ -1,4 +1,4 @@
-//! What of a scenario is played, and how fast: a rehearsal is a choreography with something left out or slowed down.
+//! The part of a scenario to be played, and its speed: a rehearsal is a choreography with parts left out or slowed down.
 
 use downbeat_scripts::{Approach, Choreography, Fleet, add_approach, did_you_mean};
 use urrcp::RobotId;
@@ -6,7 +6,7 @@ use urrcp::RobotId;
 use super::{Exit, console};
 use crate::journal::Asked;
 
-/// Options that change what is played.
+/// Options that change the choreography.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(super) struct ChoiceArgs {
     /// Play only this act.
@@ -39,7 +39,7 @@ fn listed(names: &[String]) -> String {
     names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
 }
 
-/// A question whether one of the names was meant, after a sentence.
+/// Returns the question whether a similar name was meant, to be appended to a sentence.
 fn meant(name: &str, names: &[String]) -> String {
     let question = did_you_mean(name, names.iter().map(String::as_str));
     question.map(|question| format!("; {question}")).unwrap_or_default()
@@ -49,16 +49,16 @@ fn no_act(name: &str, choreography: &Choreography, asked: &Asked) -> String {
     no_such_act(if asked.act.is_some() { "--act" } else { "--from" }, name, choreography)
 }
 
-/// What is wrong with the name that this option gives.
+/// Returns the error message for an unknown act in this option.
 pub(super) fn no_such_act(option: &str, name: &str, choreography: &Choreography) -> String {
     let acts: Vec<String> = choreography.acts.iter().map(|act| act.name.clone()).collect();
     let acts: Vec<String> = acts.into_iter().filter(|act| !act.is_empty()).collect();
     if acts.is_empty() {
         format!(
-            "there is no act `{name}`: the scenario is not divided into acts; leave out {option} to play all of it"
+            "unknown act `{name}`: the scenario is not divided into acts; leave out {option} to play all of it"
         )
     } else {
-        format!("there is no act `{name}`: the acts are {}{}", listed(&acts), meant(name, &acts))
+        format!("unknown act `{name}`: the acts are {}{}", listed(&acts), meant(name, &acts))
     }
 }
 
@@ -75,13 +75,13 @@ fn not_playing(unknown: &[RobotId], playing: &[String], fleet: &Fleet) -> String
     let group = names.iter().find_map(|name| Some((name, fleet.groups.get(name)?)));
     if let Some((name, members)) = group {
         let members: Vec<_> = members.iter().map(ToString::to_string).collect();
-        return format!("--only takes robots, and `{name}` is a group: write --only {}", members.join(","));
+        return format!("--only expects robots, but `{name}` is a group; write --only {}", members.join(","));
     }
     let near = names.first().map(|name| meant(name, playing)).unwrap_or_default();
     format!("--only: the scenario does not move {}; it moves {}{near}", listed(&names), listed(playing))
 }
 
-/// What is left to play, and with which act it begins.
+/// Returns the choreography to be played, and the index of its first act.
 pub(super) fn choose(
     choreography: Choreography,
     fleet: &Fleet,
@@ -108,7 +108,7 @@ pub(super) fn choose(
     }
     if let Some(speed) = asked.speed {
         chosen = chosen.at_speed(speed, fleet).map_err(|faults| {
-            console::error(&format!("the show does not work at {speed} times its speed:"));
+            console::error(&format!("the show is not possible at {speed} times its speed:"));
             faults.iter().for_each(|fault| console::note(&format!("  {fault}")));
             Exit::Failed
         })?;
@@ -127,7 +127,7 @@ pub(super) fn approached(
     approach: &Approach,
 ) -> Result<(Choreography, usize), Exit> {
     add_approach(chosen, first, fleet, approach).map_err(|findings| {
-        console::error(&format!("the robots cannot get to their first positions in {}:", approach.over));
+        console::error(&format!("the robots cannot reach their first positions in {}:", approach.over));
         for finding in findings {
             console::note(&format!("  {}; expected {}", finding.message, finding.expected));
         }

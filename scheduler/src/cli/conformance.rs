@@ -1,4 +1,4 @@
-//! `downbeat conformance`: does a robot do what the protocol demands?
+//! `downbeat conformance`: checks whether a robot meets the requirements of the protocol.
 
 use std::fmt::Write as _;
 use std::io::IsTerminal;
@@ -26,14 +26,14 @@ use crate::signals::{OnHangUp, Signals};
 /// Check whether a robot does what the protocol demands.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The command plays the scheduler for one robot and prints each requirement with `pass`, `fail` or `n/a`. \
+    after_help = "The command acts as the scheduler of one robot and prints each requirement with `pass`, `fail` or `n/a`. \
 `n/a` means that the robot does not declare what the check needs. A failure says what was sent, what was received and what \
 was expected.
 
 The robot moves, but only a little: to its default value (or zero, or the middle of its range) and by a five-hundredth of \
 its range. The checks send the ends of the range only in scripts that they cancel before the start. Nearly every command \
-has a lease. At the end, and after Ctrl-C, the device is brought to rest. No other scheduler should talk to the robot \
-meanwhile.
+has a lease. At the end, and after Ctrl-C, the device is brought to rest. No other scheduler should use the robot during \
+the checks.
 
 Examples:
   downbeat conformance tcp://127.0.0.1:7401
@@ -43,7 +43,7 @@ Examples:
   downbeat conformance --list
 
 Exit codes:
-  0  nothing failed
+  0  no check failed
   1  a check failed, or the robot does not answer
   2  wrong arguments
   3  ended by the operator; the robot is at rest
@@ -59,10 +59,10 @@ pub(super) struct ConformanceArgs {
     /// Check only these requirements.
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = parse_name)]
     only: Vec<String>,
-    /// The device to move. By default the first that takes scripts, or else the first that can be moved.
+    /// The device to move. By default, the first that takes scripts, or else the first that can be moved.
     #[arg(long, value_name = "ID")]
     device: Option<String>,
-    /// The identity file of another operator, with the role `observe` alone: to check that it cannot move the robot.
+    /// The identity file of another operator, with only the role `observe`: to check that it cannot move the robot.
     #[arg(long, value_name = "FILE")]
     observer: Option<PathBuf>,
     /// How long to wait for an answer.
@@ -76,10 +76,10 @@ pub(super) struct ConformanceArgs {
     clock: Clock,
 }
 
-/// By which clock a robot is judged.
+/// The clock by which a robot is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Clock {
-    /// The clock of this machine, with which the robot's has to agree.
+    /// The clock of this machine, with which the robot's clock must agree.
     Ntp,
     /// The robot's own clock, as measured.
     Measured,
@@ -91,7 +91,7 @@ fn parse_name(name: &str) -> Result<String, String> {
     }
     let near = downbeat_scripts::did_you_mean(name, requirements().map(|requirement| requirement.name));
     let near = near.map(|question| format!(" {question}")).unwrap_or_default();
-    Err(format!("no requirement `{name}`;{near} `downbeat conformance --list` shows them all"))
+    Err(format!("unknown requirement `{name}`;{near} `downbeat conformance --list` lists all requirements"))
 }
 
 pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
@@ -118,7 +118,7 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     let interrupted = Arc::new(AtomicBool::new(false));
     super::with_runtime(async {
         let told = Arc::clone(&interrupted);
-        // Ends with the process: tells the checks to stop and bring the robot to rest.
+        // Ends with the process. Signals the checks to stop and bring the robot to rest.
         tokio::spawn(async move {
             if let Ok(mut signals) = Signals::listen(OnHangUp::End) {
                 signals.next().await;
@@ -146,7 +146,7 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     })
 }
 
-/// Where the robot is, and how the test and an observer prove who they are.
+/// Returns the robot's address, and how the test and an observer authenticate.
 fn reach(
     text: &str,
     observer: Option<&Path>,
@@ -154,7 +154,7 @@ fn reach(
     let address = text.parse::<Address>();
     if let Ok(Address::Zenoh { .. }) = address {
         let message = format!(
-            "`{text}`: conformance is checked over TCP; have the robot listen at tcp://HOST:PORT for that"
+            "`{text}` is not supported: conformance is checked over TCP; let the robot listen on tcp://HOST:PORT"
         );
         return Err((message, Exit::Usage));
     }
@@ -171,7 +171,7 @@ fn reach(
     if matches!(security, Security::Nameless) {
         let scheme = protection.scheme();
         return Err(usage(format!(
-            "{scheme}:// needs to know who you are: name your identity file, DOWNBEAT_IDENTITY"
+            "{scheme}:// requires your identity; set DOWNBEAT_IDENTITY to your identity file"
         )));
     }
     let observer = observer.map(|path| Site::of_files(Some(path), None)).transpose().map_err(usage)?;
@@ -184,7 +184,9 @@ fn resolve(host: &str, port: u16) -> Result<SocketAddr, (String, Exit)> {
         (format!("no connection to {host}:{port}: {refusal}"), Exit::Failed)
     };
     let mut found = (host, port).to_socket_addrs().map_err(unknown)?;
-    found.next().ok_or_else(|| (format!("no address belongs to the name `{host}`; correct it"), Exit::Failed))
+    found
+        .next()
+        .ok_or_else(|| (format!("the host name `{host}` has no address; check the name"), Exit::Failed))
 }
 
 fn list(format: Format) {
@@ -207,7 +209,7 @@ fn width() -> usize {
     requirements().map(|requirement| requirement.name.len()).max().unwrap_or(0)
 }
 
-/// On a terminal the requirement that is being checked, and what has failed so far; nothing elsewhere.
+/// On a terminal, shows the current requirement and the failures so far. Elsewhere, shows nothing.
 struct Live {
     checked: Arc<Mutex<&'static str>>,
     on_terminal: bool,
@@ -240,7 +242,7 @@ impl Drop for Live {
     }
 }
 
-/// The name of what is being checked, in the last line of the terminal.
+/// Shows the current requirement in the last line of the terminal.
 struct Checked(Arc<Mutex<&'static str>>);
 
 impl Display for Checked {
@@ -260,7 +262,9 @@ fn finish(examined: &Examined, format: Format) -> Exit {
         Format::Text => console::print(&text(examined)),
     }
     if !examined.at_rest {
-        console::warn("the robot did not confirm that it is at rest; its lease ends what it holds");
+        console::warn(
+            "the robot did not confirm that it is at rest; it drops its commands when its lease expires",
+        );
     }
     let failed = examined.judged.iter().any(|judged| judged.verdict == Verdict::Fail);
     match (examined.interrupted, examined.at_rest) {

@@ -1,7 +1,7 @@
-//! Printing. Colour only on a terminal and without NO_COLOR; a reader that has gone is no error, a full disk is one.
+//! Prints. Colours are used only on a terminal and without NO_COLOR. A closed reader is not an error, but a full disk is.
 //!
-//! While a mission runs everything goes through a thread of its own ([`super::outlet`]), so that a terminal that stands still
-//! holds up nothing else. Commands that move nothing write at once and wait for their reader, as `less` wants it.
+//! While a mission runs, all output goes through a separate thread ([`super::outlet`]), so that a blocked terminal delays nothing else.
+//! Commands that move nothing write directly and wait for their reader, as `less` requires.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -13,32 +13,55 @@ use serde::Serialize;
 
 use super::Exit;
 use super::outlet::{self, Display, Outlet, Stream};
-use crate::show::UNBOUNDED;
 use crate::show::table::wrapped;
+use crate::show::{Detail, UNBOUNDED};
 
 const BOLD: Style = Style::new().bold();
 const RED: Style = AnsiColor::Red.on_default().bold();
 const YELLOW: Style = AnsiColor::Yellow.on_default().bold();
 
-/// At the end of a mission: if nothing can be written for this long, the rest of the output is given up.
+/// At the end of a mission: if nothing can be written for this long, the rest of the output is dropped.
 const IDLE_MAX: Duration = Duration::from_secs(3);
 
-/// The threads that write, once there are any.
+/// The writing threads, once they have started.
 static OUTLETS: OnceLock<Outlets> = OnceLock::new();
-/// Bytes of a JSON document that are printed together.
+/// Size, in bytes, of the parts in which a long JSON document is printed.
 const DOCUMENT_PART: usize = 64 * 1_024;
 
-/// Something was printed to standard output.
+/// Whether anything was printed to standard output.
 static PRINTED: AtomicBool = AtomicBool::new(false);
-/// What was printed as an error, as far as a document of it stays readable.
+/// The printed errors, at most [`ERRORS_MAX`], so that a document with them stays readable.
 static ERRORS: Mutex<Vec<String>> = Mutex::new(Vec::new());
 const ERRORS_MAX: usize = 16;
-/// Why standard output could not be written.
+/// The reason why standard output could not be written.
 static FAILURE: Mutex<Option<String>> = Mutex::new(None);
+
+/// Whether `--verbose` was given.
+static IS_VERBOSE: AtomicBool = AtomicBool::new(false);
+
+/// Options for the output of a mission.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(super) struct OutputArgs {
+    /// Also print the figures of clocks, leases and scripts, with a row per robot.
+    #[arg(long, short)]
+    verbose: bool,
+}
+
+impl OutputArgs {
+    /// Applies the options to all further output of this process.
+    pub(super) fn apply(self) {
+        IS_VERBOSE.store(self.verbose, Ordering::Relaxed);
+    }
+}
+
+/// How much of a mission to print.
+pub(super) fn detail() -> Detail {
+    if IS_VERBOSE.load(Ordering::Relaxed) { Detail::Full } else { Detail::Brief }
+}
 
 struct Outlets {
     stderr: Outlet,
-    /// `None` where both streams are one, so that one thread keeps their order.
+    /// `None` if both streams go to the same place: one thread then preserves their order.
     stdout: Option<Outlet>,
 }
 
@@ -57,7 +80,7 @@ impl Outlets {
     }
 }
 
-/// From here on nothing that is printed makes its caller wait.
+/// After this call, no output blocks its caller.
 pub(super) fn never_wait() {
     if OUTLETS.get().is_none()
         && let Ok(outlets) = Outlets::start()
@@ -66,8 +89,8 @@ pub(super) fn never_wait() {
     }
 }
 
-/// Waits for what has not been written yet, within bounds if a mission ran. Returns the exit code of the process: output
-/// that could not be written spoils a success.
+/// Waits until the remaining output is written, with a time limit if a mission ran. Returns the exit code of the process: output that
+/// could not be written turns a success into a failure.
 pub(super) fn finish(exit: Exit) -> Exit {
     if let Some(outlets) = OUTLETS.get() {
         for outlet in [Some(&outlets.stderr), outlets.stdout.as_ref()].into_iter().flatten() {
@@ -88,33 +111,33 @@ fn fail(reason: String) {
     FAILURE.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
 }
 
-/// Waits for standard error, while something can be written within this time.
+/// Waits for standard error until it is empty, or until no write succeeds within `idle`.
 pub(super) fn drain(idle: Duration) {
     if let Some(outlets) = OUTLETS.get() {
         outlets.stderr.drain(idle);
     }
 }
 
-/// Draws this below the lines on standard error until [`end_display`].
+/// Draws a display below the lines on standard error until [`end_display`].
 pub(super) fn begin_display(display: Box<dyn Display>) {
     if let Some(outlets) = OUTLETS.get() {
         outlets.stderr.display(Some(display));
     }
 }
 
-/// Takes the display off the screen.
+/// Removes the display from the screen.
 pub(super) fn end_display() {
     if let Some(outlets) = OUTLETS.get() {
         outlets.stderr.display(None);
     }
 }
 
-/// Prints to standard output: text of lines whose pieces from outside went through [`shown::shown`].
+/// Prints lines to standard output. Parts from outside must have passed [`shown::shown`].
 pub(super) fn print(text: &str) {
     let _failed = print_while_read(text);
 }
 
-/// Prints a part of an output. If it fails, nobody reads on, and the caller need not make the rest.
+/// Prints a part of an output. If it fails, nobody reads the output, and the caller need not produce the rest.
 fn print_while_read(text: &str) -> std::io::Result<()> {
     PRINTED.store(true, Ordering::Relaxed);
     let text = Stream::Stdout.coloured(&shown::block(text)).into_owned();
@@ -129,7 +152,7 @@ fn print_while_read(text: &str) -> std::io::Result<()> {
     })
 }
 
-/// Prints lines to standard error whose pieces from outside went through [`shown::shown`].
+/// Prints lines to standard error. Parts from outside must have passed [`shown::shown`].
 pub(super) fn note_block(text: &str) {
     let text = format!("{}\n", text.trim_end_matches('\n'));
     let text = Stream::Stderr.coloured(&shown::block(&text)).into_owned();
@@ -141,12 +164,12 @@ pub(super) fn note_block(text: &str) {
     }
 }
 
-/// Prints one sentence to standard error, whatever stands in it; on a terminal in lines that end between words.
+/// Prints one sentence to standard error, whatever its characters. On a terminal, lines break between words.
 pub(super) fn note(sentence: &str) {
     note_block(&fitted(sentence));
 }
 
-/// A text that says that something is wrong.
+/// Formats text that reports a fault.
 pub(super) fn red(text: &str) -> String {
     format!("{RED}{text}{RED:#}")
 }
@@ -157,7 +180,7 @@ fn fitted(sentence: &str) -> String {
     wrapped(&shown::shown(sentence), columns.unwrap_or(UNBOUNDED))
 }
 
-/// Prints a document for a command that failed without one, so that machines read one whatever happens.
+/// Prints a document for a command that failed without one, so that machines can always read one.
 pub(super) fn document_failure(exit: Exit) {
     if exit == Exit::Done || PRINTED.load(Ordering::Relaxed) {
         return;
@@ -166,7 +189,7 @@ pub(super) fn document_failure(exit: Exit) {
     print_json(&serde_json::json!({ "error": errors }));
 }
 
-/// Keeps an error for [`document_failure`].
+/// Stores an error for [`document_failure`].
 pub(super) fn remember_error(line: &str) {
     let mut errors = ERRORS.lock().unwrap_or_else(PoisonError::into_inner);
     if errors.len() < ERRORS_MAX {
@@ -174,29 +197,29 @@ pub(super) fn remember_error(line: &str) {
     }
 }
 
-/// Prints something that went wrong, in one line.
+/// Prints an error in one line.
 pub(super) fn error(line: &str) {
     remember_error(line);
     note_block(&format!("{RED}error{RED:#}{BOLD}: {}{BOLD:#}", shown::shown(line)));
 }
 
-/// Prints something to look at, in one line.
+/// Prints a warning in one line.
 pub(super) fn warn(line: &str) {
     note_block(&format!("{YELLOW}warning{YELLOW:#}{BOLD}: {}{BOLD:#}", shown::shown(line)));
 }
 
-/// Prints one JSON document, indented. A long one is printed while it is made.
+/// Prints one indented JSON document. A long one is printed while it is produced.
 pub(super) fn print_json(value: &impl Serialize) {
     let mut document = Document::default();
     match serde_json::to_writer_pretty(&mut document, value) {
         Ok(()) => document.end(),
-        // The reason is kept already.
+        // The reason is already stored.
         Err(cause) if cause.is_io() => {}
         Err(cause) => error(&format!("cannot write JSON: {cause}")),
     }
 }
 
-/// A JSON document that is being made. What of it is not printed yet ends within a line.
+/// A JSON document in progress. Its unprinted part may end within a line.
 #[derive(Default)]
 struct Document(Vec<u8>);
 
@@ -206,7 +229,7 @@ impl Document {
         let _failed = self.print(self.0.len());
     }
 
-    /// Prints its first bytes, which end with a line.
+    /// Prints the first `length` bytes, which end with a line.
     fn print(&mut self, length: usize) -> std::io::Result<()> {
         let lines: Vec<u8> = self.0.drain(..length).collect();
         let lines = String::from_utf8(lines).map_err(std::io::Error::other)?;
@@ -217,9 +240,9 @@ impl Document {
 impl std::io::Write for Document {
     fn write(&mut self, part: &[u8]) -> std::io::Result<usize> {
         self.0.extend_from_slice(part);
-        // Lines of other threads stay out of the document of a mission.
+        // The document of a mission must not be mixed with lines of other threads.
         if self.0.len() >= DOCUMENT_PART && OUTLETS.get().is_none() {
-            // Within a string a line end is written out, so this one lies between two values.
+            // Line ends within strings are escaped, so this one is between two values.
             let length = self.0.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
             self.print(length)?;
         }
@@ -231,7 +254,7 @@ impl std::io::Write for Document {
     }
 }
 
-/// The width of the terminal on standard output; elsewhere lines may be of any length.
+/// The width of the terminal on standard output. Elsewhere, lines may have any length.
 pub(super) fn columns() -> usize {
     let size = rustix::termios::tcgetwinsize(rustix::stdio::stdout());
     size.ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0).unwrap_or(UNBOUNDED)
@@ -242,7 +265,7 @@ pub(super) fn stderr_has_colour() -> bool {
     anstream::AutoStream::choice(&std::io::stderr()) != anstream::ColorChoice::Never
 }
 
-/// The log of `--log`: an event is a line on standard error, without colours.
+/// The destination of `--log`: each event is a line on standard error, without colours.
 pub(super) struct Log;
 
 impl std::io::Write for Log {

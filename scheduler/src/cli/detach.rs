@@ -1,4 +1,4 @@
-//! `downbeat run --detach`: the mission goes on as a process of its own, away from the terminal, with its own log.
+//! `downbeat run --detach`: the mission continues in its own process, independent of the terminal, with its own log.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -19,22 +19,22 @@ use crate::journal::{has_begun, state_folder};
 use crate::run::control;
 use crate::signals::{OnHangUp, Signals};
 
-/// Tells the process in the background the name of its mission.
+/// Passes the name of the mission to the background process.
 const NAME: &str = "DOWNBEAT_DETACHED_AS";
-/// Its log, in its folder.
+/// The log, in the mission's folder.
 const LOG: &str = "log";
-/// How often it is looked whether the mission has begun.
+/// Interval between checks of whether the mission has begun.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// Interval between checks that the log is still found under its name.
+/// Interval between checks that the log can still be found under its name.
 const KEEP_EVERY: Duration = Duration::from_millis(250);
-/// A mission that has begun has its socket within so many looks, or never: it plays without one, too.
+/// Number of checks after which a mission that has begun is assumed to play without a socket.
 const LOOKS_FOR_SOCKET: u32 = 25;
 
-/// The mission's name, in the process that runs in the background. It leaves the terminal here.
+/// Returns the mission's name if this process runs in the background, and detaches it from the terminal.
 pub(super) fn detached_as() -> Option<SessionId> {
     let session: SessionId = std::env::var(NAME).ok()?.parse().ok()?;
     if let Err(error) = rustix::process::setsid() {
-        console::warn(&format!("the mission still belongs to its terminal: {error}"));
+        console::warn(&format!("cannot detach the mission from its terminal: {error}"));
     }
     if let Ok(state) = state_folder() {
         let folder = state.join(session.as_str());
@@ -42,7 +42,7 @@ pub(super) fn detached_as() -> Option<SessionId> {
         let keeping =
             std::thread::Builder::new().name("log".to_owned()).spawn(move || keep_log(&state, &folder));
         if let Err(error) = keeping {
-            console::warn(&format!("if the log is removed, it is not written again: {error}"));
+            console::warn(&format!("the log is not restored if it is removed: {error}"));
         }
     }
     Some(session)
@@ -58,10 +58,10 @@ fn keep_log(state: &Path, folder: &Path) {
         match log_is_gone(written, folder) {
             Ok(true) => match write_log_again(written, state, folder) {
                 Ok(again) => log = Ok(again),
-                Err(error) => tracing::debug!("cannot write the log again: {error}"),
+                Err(error) => tracing::debug!("cannot restore the log: {error}"),
             },
             Ok(false) => {}
-            Err(error) => tracing::debug!("cannot look for the log: {error}"),
+            Err(error) => tracing::debug!("cannot check the log: {error}"),
         }
     }
 }
@@ -77,7 +77,7 @@ fn log_is_gone(written: &File, folder: &Path) -> io::Result<bool> {
     }
 }
 
-/// Copies the log to its former place, and redirects further output there. A copy of its beginning may exist there already.
+/// Copies the log to its former path, and redirects further output there. A copy of its beginning may already exist there.
 fn write_log_again(written: &File, state: &Path, folder: &Path) -> io::Result<File> {
     private::create_folder(state)?;
     private::create_folder(folder)?;
@@ -86,12 +86,12 @@ fn write_log_again(written: &File, state: &Path, folder: &Path) -> io::Result<Fi
     let copied = copy_from(written, there, &mut again)?;
     rustix::stdio::dup2_stdout(again.as_fd())?;
     rustix::stdio::dup2_stderr(again.as_fd())?;
-    // The output printed in the meantime.
+    // The output that was printed meanwhile.
     copy_from(written, copied, &mut again)?;
     Ok(again)
 }
 
-/// Copies what follows `from`; returns where that ends.
+/// Copies everything after `from` and returns the end position.
 fn copy_from(log: &File, mut from: u64, to: &mut File) -> io::Result<u64> {
     let mut bytes = [0; 8 * 1024];
     loop {
@@ -105,8 +105,8 @@ fn copy_from(log: &File, mut from: u64, to: &mut File) -> io::Result<u64> {
     }
 }
 
-/// Starts this very command again in the background, and waits until its fleet is checked and it can be stopped from other
-/// terminals. One that ends before that tells why, by what it printed and by its exit code.
+/// Starts this command again in the background. Waits until its fleet is checked and it can be stopped from other terminals. If it ends
+/// before that, prints its output and returns its exit code.
 pub(super) fn detach(session: &SessionId, state: &Path, format: Format) -> Exit {
     let folder = &state.join(session.as_str());
     let log = folder.join(LOG);
@@ -114,7 +114,7 @@ pub(super) fn detach(session: &SessionId, state: &Path, format: Format) -> Exit 
         Ok(child) => child,
         Err(error) => {
             console::error(&format!(
-                "cannot start a mission in the background with the log {}: {}; DOWNBEAT_STATE names the folder",
+                "cannot start the mission in the background with the log {}: {}; to use another folder, set DOWNBEAT_STATE",
                 log.display(),
                 Refusal::of(Attempt::Write(&log), &error)
             ));
@@ -141,7 +141,7 @@ pub(super) fn detach(session: &SessionId, state: &Path, format: Format) -> Exit 
     })
 }
 
-/// Waits a moment. Returns whether the operator wants the mission to stop, which nobody else can be told yet.
+/// Waits for a moment. Returns whether the operator wants the mission to stop, which only this process can receive yet.
 async fn asked_to_stop(signals: Option<&mut Signals>) -> bool {
     let asked = async {
         match signals {
@@ -161,7 +161,7 @@ fn start(session: &SessionId, state: &Path, folder: &Path) -> io::Result<Child> 
     command.stdin(Stdio::null()).stdout(out.try_clone()?).stderr(out).spawn()
 }
 
-/// What the process in the background has said.
+/// Returns the output of the background process.
 fn logged(folder: &Path) -> io::Result<String> {
     let mut text = String::new();
     private::file(folder, LOG, How::Read)?.read_to_string(&mut text)?;

@@ -1,4 +1,4 @@
-//! `downbeat diff`: what differs between two scenarios as they compile, or between two missions that were played.
+//! `downbeat diff`: compares two compiled scenarios, or two missions that were played.
 
 use std::path::{Path, PathBuf};
 
@@ -11,16 +11,16 @@ use crate::compare::{self, text};
 use crate::history::{History, NoHistory};
 use crate::page::{self, OtherPlan, OtherRun, Rehearsed};
 
-/// Show what differs between two scenarios as they compile, or between two missions that were played.
+/// Show the differences between two compiled scenarios, or between two missions that were played.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Scenarios are compared by what they compile to: text that means the same is the same. Recordings, journals and \
-folders of missions are compared by what was sent and what became of it. Tables have at most 20 rows; --format json has everything.
+    after_help = "Scenarios are compared in compiled form, so equivalent text counts as equal. Recordings, journals and \
+folders of missions are compared by the scripts that were sent and their results. Tables have at most 20 rows; --format json contains all rows.
 
 Exit codes:
   0  no difference
   1  they differ
-  2  one of them cannot be read, does not compile, or is of another kind than the other
+  2  one of them cannot be read, does not compile, or they are of different kinds
 
 Examples:
   downbeat diff show.yaml changed.yaml
@@ -33,23 +33,24 @@ Examples:
 pub(super) struct DiffArgs {
     /// A scenario; or a recording, a journal, or the folder of a mission.
     a: PathBuf,
-    /// Another one of the same kind.
+    /// A second one of the same kind.
     b: PathBuf,
-    /// The fleet file of both scenarios. By default the one that each names, or else ./fleet.yaml.
+    /// The fleet file of both scenarios. By default, the one that each names, or else ./fleet.yaml.
     #[arg(long, value_name = "FILE")]
     fleet: Option<PathBuf>,
-    /// The fleet file of the second scenario, if that is another one.
+    /// The fleet file of the second scenario, if it differs.
     #[arg(long, value_name = "FILE")]
     fleet_b: Option<PathBuf>,
     #[command(flatten)]
     project: ProjectArgs,
-    /// Start errors and spreads of missions that differ by no more than this count as equal.
+    /// Treat start errors and spreads of missions as equal if they differ by at most this.
     #[arg(long, value_name = "DURATION", value_parser = within)]
     within: Option<Span>,
-    /// Write a page for a browser: the second scenario or mission, the first one behind it, and what differs. It needs no network.
+    /// Write a page for a browser: the second scenario or mission, with the first one behind it, and the differences. It needs no
+    /// network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Compare what comes before the damage of a recording or a journal that is not whole.
+    /// Compare the parts before the damage of a recording or a journal that is not whole.
     #[arg(long)]
     partial: bool,
 }
@@ -73,8 +74,7 @@ fn differs(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
         (a_is_run, _) => {
             let (run, plan) = if a_is_run { (&args.a, &args.b) } else { (&args.b, &args.a) };
             Err(refused(&format!(
-                "`{}` is a mission that was played and `{}` is not: give two scenarios, or two recordings, journals or folders \
-                 of missions",
+                "`{}` is a recorded mission, but `{}` is not; expected two scenarios, or two recordings, journals or folders of missions",
                 run.display(),
                 plan.display()
             )))
@@ -97,14 +97,14 @@ fn refused(error: &str) -> Exit {
 fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
     if args.within.is_some() || args.partial {
         return Err(refused(
-            "--within and --partial are for missions that were played, and these are scenarios",
+            "--within and --partial apply only to recorded missions, but these are scenarios",
         ));
     }
     let fleet_b = args.fleet_b.as_ref().or(args.fleet.as_ref()).cloned();
     let a =
         ScenarioArgs { scenario: args.a.clone(), fleet: args.fleet.clone(), project: args.project.clone() };
     let b = ScenarioArgs { scenario: args.b.clone(), fleet: fleet_b, project: args.project.clone() };
-    // Exit code 1 says that they differ.
+    // Exit code 1 would mean that they differ.
     let load = |side: &ScenarioArgs| load::load_whole(side, format).map_err(|_| Exit::Usage);
     let ((plan_a, fleet_a, path_a, _), (plan_b, fleet_b, path_b, findings)) = (load(&a)?, load(&b)?);
     let found = compare::plans((&plan_a, &fleet_a), (&plan_b, &fleet_b));
@@ -115,7 +115,7 @@ fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
         }
         let other = OtherPlan { name: args.a.display().to_string(), choreography: &plan_a, found: &found };
         let (played, told) = dry_run::rehearse(&plan_b, &fleet_b, format).map_err(|(_, error)| {
-            refused(&format!("cannot play `{}` for the page: {error}", args.b.display()))
+            refused(&format!("cannot simulate `{}` for the page: {error}", args.b.display()))
         })?;
         let rehearsed = Rehearsed {
             choreography: &plan_b,
@@ -138,7 +138,7 @@ fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
 
 fn runs(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
     if args.fleet.is_some() || args.fleet_b.is_some() {
-        return Err(refused("--fleet is for scenarios, and these are missions that were played"));
+        return Err(refused("--fleet applies only to scenarios, but these are recorded missions"));
     }
     let (a, b) = (history(&args.a, args.partial)?, history(&args.b, args.partial)?);
     let found = compare::runs(&a, &b, args.within.unwrap_or_default());
@@ -168,10 +168,10 @@ fn history(path: &Path, partial: bool) -> Result<History, Exit> {
     let name = path.display();
     match &history.cut_off {
         Some(cut_off) if !partial || history.is_empty() => Err(refused(&format!(
-            "`{name}` is not whole: {cut_off}; --partial compares what comes before that"
+            "`{name}` is incomplete: {cut_off}; --partial compares the part before that"
         ))),
         Some(cut_off) => {
-            console::note(&format!("`{name}` is not whole: {cut_off}"));
+            console::note(&format!("`{name}` is incomplete: {cut_off}"));
             Ok(history)
         }
         None => Ok(history),

@@ -1,4 +1,4 @@
-//! What the documents say of commands, options and exit codes is so.
+//! Tests that commands, options and exit codes are as documented.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,7 @@ fn document(name: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// The codes in the first column of the table with this head.
+/// Returns the codes in the first column of the table with this head.
 fn codes(document: &str) -> Vec<u8> {
     let lines = document.lines().skip_while(|line| !line.starts_with("| code | meaning |")).skip(2);
     lines.map_while(|line| line.strip_prefix("| ")?.split(' ').next()?.parse().ok()).collect()
@@ -55,14 +55,14 @@ fn the_readme_lists_every_command_and_no_other() {
     assert_eq!(listed, commands);
 }
 
-/// Options of a command and of those below it.
+/// Collects the options of a command and of its subcommands.
 fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<String>) {
     found.extend(command.get_arguments().filter_map(|argument| argument.get_long().map(str::to_owned)));
     command.get_subcommands().for_each(|inner| options(inner, found));
 }
 
-/// Options of cargo, cargo-mutants, systemctl, zenohd, Blender, `soak` and the experiments in `lab/`, which documents call too.
-const FOREIGN: [&str; 24] = [
+/// Options of cargo, cargo-mutants, systemctl, zenohd, Blender, jq, `soak` and the experiments in `lab/`, which documents also call.
+const FOREIGN: [&str; 25] = [
     "version",
     "locked",
     "now",
@@ -87,9 +87,10 @@ const FOREIGN: [&str; 24] = [
     "iterate",
     "in-diff",
     "re",
+    "exit-status",
 ];
 
-/// Calls package managers, systemd and containers.
+/// Contains calls of package managers, systemd and containers.
 const INSTALL: &str = "docs/install.md";
 
 #[test]

@@ -13,7 +13,7 @@ pub(super) struct DriverArgs {
     /// Time for a program to answer its first line, and for a program of version 2 to start its hardware.
     #[arg(long, value_parser = timeout, default_value = "10s", value_name = "TIME")]
     driver_start_timeout: Duration,
-    /// Time for a program to answer any other line; after that the hardware counts as away.
+    /// Time for a program to answer any other line. After that, the hardware is treated as unavailable.
     #[arg(long, value_parser = timeout, default_value = "1s", value_name = "TIME")]
     driver_answer_timeout: Duration,
 }

@@ -1,4 +1,4 @@
-//! `downbeat dry-run`: the mission in virtual time.
+//! `downbeat dry-run`: plays a mission in virtual time.
 
 use std::path::{Path, PathBuf};
 
@@ -9,6 +9,7 @@ use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
 use super::certify;
 use super::choice::{self, ChoiceArgs};
+use super::console::OutputArgs;
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console, trials};
 use crate::dry_run::{Audience, Cut, Logs, Played, ROUNDS, Rehearsal};
@@ -23,13 +24,13 @@ use crate::trials::Trials;
 /// Play a scenario in virtual time with simulated robots.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "A dry run opens no connections and does not wait, so an hour of show takes moments. All robots are \
+    after_help = "A dry run opens no connections and does not wait, so an hour of a show takes only moments. All robots are \
 simulated as the fleet file describes them, with their clocks, delays and faults. An act that waits for the operator begins \
 one second after the act before it has ended. An act that waits for a sensor gets the reading for which it waits, unless \
---reading gives another. Acts that repeat forever end after a while. What the scenario requires (`require`) is judged: if something is not met, the \
+--reading sets another. Acts that repeat forever end after a while. The requirements of the scenario (`require`) are checked: if one of them is not met, the \
 exit code is 1.
 
-A world file (--world) says what the mission meets on the day: docs/world.md has its keys. With --trials many missions are played in it, and only what the scenario requires makes the exit code 1; --trial plays one of them again.
+A world file (--world) describes the conditions on the day; docs/world.md lists its keys. --trials simulates many missions in this world, and the exit code is 1 only if a requirement of the scenario is not met; --trial repeats one of them.
 
 Examples:
   downbeat dry-run show.yaml
@@ -51,30 +52,32 @@ pub(super) struct DryRunArgs {
     /// Give a sensor a reading, for example rover-1/range=0.4.
     #[arg(long, value_name = "ROBOT/SENSOR=VALUE", value_parser = reading, conflicts_with_all = ["world", "trial"])]
     reading: Vec<(RobotId, DeviceId, f64)>,
-    /// Draw what every device does over time as SVG. Several acts are written to numbered files.
+    /// Draw the movements of every device over time as SVG. Several acts are written to numbered files.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
-    /// Write a page for a browser: timeline, curves, and robots in space; with --trials, what they showed. It needs no network.
+    /// Write a page for a browser: timeline, curves, and robots in space; with --trials, their results. It needs no network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// End after this number of acts. By default after three times the number of acts of the scenario, which only a loop reaches.
+    /// End after this number of acts. By default, after three times the number of acts of the scenario, which only a loop reaches.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     acts: Option<u32>,
-    /// What the mission meets: links, clocks, sensors, the operator, and what goes wrong.
+    /// The conditions of the mission: links, clocks, sensors, the operator, and faults.
     #[arg(long, value_name = "FILE")]
     world: Option<PathBuf>,
-    /// Play this number of missions, each with another draw of the world, and say how they go.
+    /// Play this number of missions, each with another draw of the world, and report their results.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000), conflicts_with_all = ["reading", "picture"])]
     trials: Option<u32>,
-    /// Play this one of the trials alone, counted from 0.
+    /// Play only this one of the trials, counted from 0.
     #[arg(long, value_name = "K", conflicts_with = "trials")]
     trial: Option<u32>,
-    /// Play the plan against faults of every robot, and write that what is promised held, for `run --require-certificate`.
+    /// Play the plan against faults of every robot, and certify that its promises held, for `run --require-certificate`.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["reading", "picture", "html", "acts", "world", "trials", "trial"])]
     certify: Option<PathBuf>,
     /// Seed of the random delays and clock errors. The same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    #[command(flatten)]
+    output: OutputArgs,
 }
 
 fn reading(text: &str) -> Result<(RobotId, DeviceId, f64), String> {
@@ -87,6 +90,7 @@ fn reading(text: &str) -> Result<(RobotId, DeviceId, f64), String> {
 }
 
 pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
+    args.output.apply();
     let (choreography, fleet, fleet_path, findings) = match load::load_whole(&args.scenario, format) {
         Ok(loaded) => loaded,
         Err(exit) => return exit,
@@ -167,7 +171,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         }
     }
     match format {
-        Format::Text => console::print(&report_text(&played.report, console::columns())),
+        Format::Text => console::print(&report_text(&played.report, console::detail(), console::columns())),
         Format::Json => console::print_json(&played.report),
     }
     if let Some(cut) = &played.cut {
@@ -176,7 +180,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     if let Some(acts) = played.report.acts_max_reached.filter(|_| args.acts.is_none()) {
         let acts = counted(acts as usize, "act");
         console::note(&format!(
-            "the dry run ended after {acts}, {ROUNDS} times the acts of the scenario; --acts sets another limit"
+            "the dry run ended after {acts} ({ROUNDS} times the acts of the scenario); --acts sets another limit"
         ));
     }
     if unmet { Exit::Failed } else { super::run::exit_of(&played.report) }
@@ -188,7 +192,7 @@ fn not_written(path: &Path, error: &std::io::Error) -> Exit {
     Exit::Usage
 }
 
-/// What one run says of what is required.
+/// The figures of one run for the requirements.
 fn figures(choreography: &Choreography, played: &Played) -> Figures {
     Figures {
         spread_max: played.report.largest_true_spread(),
@@ -216,7 +220,7 @@ pub(super) fn rehearse(
     Ok((played?, viewers.told.unwrap_or_default()))
 }
 
-/// What the arguments say of how a dry run is played.
+/// The options of a dry run from the arguments.
 struct Choice<'a> {
     readings: &'a [(RobotId, DeviceId, f64)],
     seed: u64,
@@ -225,15 +229,15 @@ struct Choice<'a> {
 
 fn cut_text(cut: &Cut) -> String {
     format!(
-        "stopped: `{}` waits for {}, which does not come in virtual time; --reading says what sensors read",
+        "stopped: `{}` waits for {}, which never happens in virtual time; --reading sets sensor readings",
         cut.act, cut.awaits
     )
 }
 
-/// Who watches a dry run.
+/// The watchers of a dry run.
 struct Viewers {
     bar: Bar,
-    /// What the operator was told, where a page is to show it.
+    /// The progress reports to the operator, if a page needs them.
     told: Option<Vec<Told>>,
 }
 
@@ -250,7 +254,7 @@ impl Audience for Viewers {
     }
 }
 
-/// Virtual time on a terminal.
+/// Shows virtual time on a terminal.
 struct Bar(ProgressBar);
 
 impl Bar {
@@ -292,14 +296,14 @@ fn draw(path: &Path, choreography: &Choreography, fleet: &Fleet, played: &Played
     Ok(())
 }
 
-/// `swap.svg` as `swap-2.svg`.
+/// Returns `swap-2.svg` for `swap.svg`, for example.
 fn numbered(path: &Path, number: usize) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
     path.with_file_name(format!("{stem}-{number}{extension}"))
 }
 
-/// Why a reading cannot be given, and which ones can.
+/// Returns why a reading cannot be given, and which ones can.
 fn no_sensor(robot: &RobotId, sensor: &DeviceId, robots: &[&FleetRobot]) -> String {
     let sensors = robots.iter().flat_map(|robot| {
         let devices = robot.init.iter().flat_map(|init| &init.devices);
@@ -309,10 +313,10 @@ fn no_sensor(robot: &RobotId, sensor: &DeviceId, robots: &[&FleetRobot]) -> Stri
     let known: Vec<String> = sensors.collect();
     if known.is_empty() {
         format!(
-            "--reading: there is no sensor `{robot}/{sensor}`; no robot of this scenario has a sensor, so leave out --reading"
+            "--reading: unknown sensor `{robot}/{sensor}`; no robot of this scenario has a sensor, so leave out --reading"
         )
     } else {
-        format!("--reading: there is no sensor `{robot}/{sensor}`; the sensors are {}", known.join(", "))
+        format!("--reading: unknown sensor `{robot}/{sensor}`; the sensors are {}", known.join(", "))
     }
 }
 
@@ -321,7 +325,7 @@ impl DryRunArgs {
         if self.picture.is_some() || self.html.is_some() { Logs::Kept } else { Logs::Dropped }
     }
 
-    /// The words of the command that plays one of the trials again, but for `--trial K`.
+    /// Returns the command that plays one of the trials again, without `--trial K`.
     fn replay(&self) -> Vec<String> {
         let mut words = vec!["downbeat".to_owned(), "dry-run".to_owned(), named(&self.scenario.scenario)];
         let mut add = |option: &str, value: Option<String>| {

@@ -1,4 +1,4 @@
-//! `downbeat edge`: a real robot behind a driver, as a process of its own.
+//! `downbeat edge`: a real robot behind a driver, in its own process.
 #![expect(
     clippy::disallowed_methods,
     reason = "repetitions on the terminal are left out by the time between them"
@@ -21,7 +21,7 @@ use super::{Exit, Format, console};
 /// Run a real robot behind a driver.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "The command prints the address on which it listens and runs until Ctrl-C. Nothing \
-moves at its start. At its end, devices that move come to rest. If they cannot, the exit code is 4. \
+moves when the command starts. When it ends, it brings moving devices to rest; if that fails, the exit code is 4. \
 docs/edge.md describes drivers.
 
 Drivers:
@@ -40,16 +40,16 @@ pub(super) struct EdgeArgs {
     /// The driver of the hardware.
     #[arg(long)]
     driver: DriverSpec,
-    /// Samples per second of a linear movement, if the hardware does not move linearly by itself: NUMBER for all
-    /// devices, or DEVICE=NUMBER; 0.1 to 1000. Without it, as the driver declares, or 50.
+    /// Samples per second of a linear movement, if the hardware does not move linearly by itself: NUMBER for all devices, or
+    /// DEVICE=NUMBER; 0.1 to 1000. By default, as the driver declares, or 50.
     #[arg(long, value_name = "RATE", value_parser = samples)]
     samples_per_second: Vec<Samples>,
-    /// Pings per second in the second before a start, half as many while a script is held; 10 to 200. Without it, as the driver
-    /// declares, or 40.
+    /// Pings per second in the second before a start, half as many while a script is held; 10 to 200. By default, as the driver declares,
+    /// or 40.
     #[arg(long, value_name = "NUMBER", value_parser = pings)]
     pings_per_second: Option<f64>,
-    /// How often per second each sensor is read at most; requests in between are answered with the last reading. 0.01 to
-    /// 1000. Without it, as the driver declares, or as often as a reading is asked for.
+    /// Maximum reads per second of each sensor. Requests in between are answered with the last reading. 0.01 to 1000. By default, as the
+    /// driver declares, or as often as a reading is requested.
     #[arg(long, value_name = "NUMBER", value_parser = readings)]
     readings_per_second: Option<f64>,
     #[command(flatten)]
@@ -86,7 +86,7 @@ fn rate(text: &str, (least, most): (f64, f64)) -> Result<f64, String> {
         .ok_or_else(|| format!("expected a number from {least} to {most}"))
 }
 
-/// How the driver is used, as the arguments say.
+/// Returns the driver options from the arguments.
 fn options(args: &EdgeArgs, block: &InitializationBlock) -> Result<DriverOptions, String> {
     let mut options = DriverOptions::default();
     options.pings_per_second = args.pings_per_second;
@@ -100,7 +100,7 @@ fn options(args: &EdgeArgs, block: &InitializationBlock) -> Result<DriverOptions
             Some(device) => {
                 let devices: Vec<_> = block.devices.iter().map(|device| device.id.as_str()).collect();
                 return Err(format!(
-                    "--samples-per-second names the device `{device}`, expected one of {}",
+                    "--samples-per-second: unknown device `{device}`, expected one of {}",
                     devices.join(", ")
                 ));
             }
@@ -140,27 +140,27 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
     args.process.run(id, Hosted::driven(block, driver, used).watched(watch), format)
 }
 
-/// The same line is not printed again within this time, and no more than so many lines.
+/// Within this time, the same line is not printed again, and at most this many lines are printed.
 const QUIET: (Duration, usize) = (Duration::from_secs(10), 8);
 
-/// What the terminal was told of the hardware.
+/// The lines about the hardware that were printed on the terminal.
 #[derive(Debug, Default)]
 struct Told {
-    /// Of the last ten seconds.
+    /// The lines of the last ten seconds.
     lines: VecDeque<(Instant, String)>,
-    /// The last line of those that say whether the hardware is there says that it is not.
+    /// Whether the last printed line about the hardware's availability reported a loss.
     lost: bool,
     latency_told: bool,
 }
 
 impl Told {
-    /// The line to print of an event, if any. That hardware is back is always printed if it was printed that it is not there.
+    /// Returns the line to print for an event, if any. If a loss was printed, the return of the hardware is always printed.
     fn line(&mut self, robot: &str, event: &HardwareEvent, now: Instant) -> Option<String> {
         let line = match event {
             HardwareEvent::There { .. } if std::mem::take(&mut self.lost) => {
-                return Some(format!("{robot}: the hardware is back"));
+                return Some(format!("{robot}: the hardware is available again"));
             }
-            // That it is there is no news without a latency.
+            // Availability alone, without a latency, is not worth a line.
             HardwareEvent::There { latency } if latency.is_empty() || self.latency_told => return None,
             HardwareEvent::There { .. } => {
                 self.latency_told = true;
@@ -180,7 +180,7 @@ impl Told {
     }
 }
 
-/// The file that a program's command begins with, if there is no such file. What the shell finds elsewhere it finds itself.
+/// Returns the file with which a program's command begins, if it does not exist. Files that only the shell can find are not checked.
 fn missing_program(driver: &DriverSpec) -> Option<&str> {
     let DriverSpec::Program { command } = driver else { return None };
     let file = command.split_whitespace().next()?;
@@ -197,17 +197,17 @@ mod tests {
     #[test]
     fn the_terminal_is_told_once_that_hardware_is_lost_and_once_that_it_is_back() {
         let (begin, mut told) = (Instant::now(), Told::default());
-        let lost = HardwareEvent::Lost("the hardware is away: no port".to_owned());
+        let lost = HardwareEvent::Lost("the hardware is not available: no port".to_owned());
         let there = HardwareEvent::There { latency: BTreeMap::new() };
         let mut at = |seconds, event| told.line("r", event, begin + Duration::from_secs(seconds));
         assert_eq!(at(0, &there), None, "that it is there at first is no news");
-        assert_eq!(at(1, &lost).as_deref(), Some("r: the hardware is away: no port"));
+        assert_eq!(at(1, &lost).as_deref(), Some("r: the hardware is not available: no port"));
         assert_eq!(at(2, &lost), None);
-        assert_eq!(at(3, &there).as_deref(), Some("r: the hardware is back"));
+        assert_eq!(at(3, &there).as_deref(), Some("r: the hardware is available again"));
         assert_eq!(at(4, &lost), None);
         assert_eq!(at(5, &there), None, "that it was away again was not told");
         assert_eq!(at(6, &lost), None);
-        assert_eq!(at(11, &lost).as_deref(), Some("r: the hardware is away: no port"));
+        assert_eq!(at(11, &lost).as_deref(), Some("r: the hardware is not available: no port"));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! `downbeat explain`: what a code of a finding means.
+//! `downbeat explain`: explains the code of a finding.
 
 use downbeat_scripts::{Code, Severity};
 
@@ -21,7 +21,7 @@ pub(super) fn explain(args: &ExplainArgs, format: Format) -> Exit {
         let numbered = wanted.parse::<u32>().ok().map(|number| format!("DB{number:04}"));
         let meant = numbered.filter(|code| Code::ALL.iter().any(|known| known.as_str() == code));
         let meant = meant.map(|code| format!("did you mean `{code}`? ")).unwrap_or_default();
-        console::error(&format!("there is no code `{wanted}`; {meant}`downbeat explain` lists all codes"));
+        console::error(&format!("unknown code `{wanted}`; {meant}`downbeat explain` lists all codes"));
         return Exit::Usage;
     };
     match format {

@@ -1,4 +1,4 @@
-//! `downbeat export`: what a scenario compiles to, as files of other tools.
+//! `downbeat export`: converts a compiled scenario into files of other tools.
 
 use std::path::PathBuf;
 
@@ -31,12 +31,12 @@ pub(super) struct ExportArgs {
     /// Replace files that exist.
     #[arg(long)]
     force: bool,
-    /// Lines per second of a drone-csv, 10 by default.
+    /// Lines per second of a drone-csv. By default, 10.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
 }
 
-/// A format as it is typed.
+/// A format, as given on the command line.
 #[derive(Clone, Copy, Debug)]
 struct To(ExportFormat);
 

@@ -1,4 +1,4 @@
-//! `downbeat fleet`: who is there, and what they say of themselves.
+//! `downbeat fleet`: asks the robots of a fleet for their descriptions and clocks.
 
 use std::path::PathBuf;
 
@@ -25,13 +25,13 @@ use crate::mission::Event;
 use crate::server_clock::ServerClock;
 use crate::show::table::Rows;
 
-/// Ask the robots of a fleet what they are.
+/// Ask the robots of a fleet for their descriptions and clocks.
 #[derive(Debug, Subcommand)]
 pub(super) enum FleetCommand {
     /// Ask every robot for an answer and compare clocks.
     #[command(
-        after_help = "The command fails if a robot does not answer, if another robot than the expected one answers, or if \
-a clock is further off than the tolerance (except with `clock: measured`).
+        after_help = "The command fails if a robot does not answer, if a different robot answers, or if \
+the error of a clock exceeds the tolerance (except with `clock: measured`).
 
 Examples:
   downbeat fleet ping
@@ -45,7 +45,7 @@ Examples:
     )]
     Show(FleetArgs),
     /// Ask one robot for its description and print it as an init file.
-    #[command(after_help = "docs/edge.md says which lines of the file to adapt.
+    #[command(after_help = "docs/edge.md explains which lines of the file to adapt.
 
 Examples:
   downbeat fleet describe thrift://tank.local:9090 > tank.yaml
@@ -55,7 +55,7 @@ Examples:
 
 #[derive(Debug, Args)]
 pub(super) struct DescribeArgs {
-    /// Its address, tcp://host:port or thrift://host:port.
+    /// The robot's address, tcp://host:port or thrift://host:port.
     #[arg(value_parser = parse_address)]
     address: Address,
     /// How long to wait for an answer.
@@ -82,8 +82,7 @@ pub(super) struct FleetArgs {
 /// Whether programs are started.
 #[derive(Clone, Copy, Debug, Args)]
 pub(super) struct ProgramArgs {
-    /// Start the programs that the fleet file names as drivers (`address: program:COMMAND`). By default their robots are not
-    /// available.
+    /// Start the programs that the fleet file names as drivers (`address: program:COMMAND`). By default, their robots are not available.
     #[arg(long)]
     start_programs: bool,
 }
@@ -98,7 +97,7 @@ impl ProgramArgs {
 pub(super) struct PingArgs {
     #[command(flatten)]
     asked: FleetArgs,
-    /// How far off a robot's clock may be, beyond the uncertainty of the measurement.
+    /// Maximum clock error of a robot, beyond the uncertainty of the measurement.
     #[arg(long, value_parser = parse_span, default_value = "10ms", value_name = "TIME")]
     tolerance: Span,
 }
@@ -113,10 +112,10 @@ fn parse_address(text: &str) -> Result<Address, String> {
     })
 }
 
-/// Exchanges with each robot.
+/// Number of exchanges with each robot.
 const SAMPLES: u32 = 8;
 
-/// What one robot answered.
+/// The answer of one robot.
 #[derive(Debug, Serialize)]
 struct Answer {
     robot: RobotId,
@@ -172,11 +171,11 @@ fn show_problems(answers: &[Answer]) {
     }
 }
 
-/// What is wrong with a robot that answers: it is another one, or its clock is off.
+/// Returns the fault of a robot that answers: it is a different one, or its clock is off.
 fn wrong_with(answer: &Answer, robot: &FleetRobot, tolerance: Option<Span>) -> Option<String> {
     let expected = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
     if let Some(block) = answer.block.as_ref().filter(|block| block.id != *expected) {
-        return Some(format!("another robot: it calls itself `{}`, expected `{expected}`", block.id));
+        return Some(format!("another robot: its id is `{}`, expected `{expected}`", block.id));
     }
     let (reading, tolerance) = (answer.clock.as_ref()?, tolerance?);
     let off = robot.mission.clock == ClockMode::Ntp && reading.offset.abs() - reading.uncertainty > tolerance;
@@ -215,12 +214,12 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
             Err(error) => {
                 let text = error.to_string();
                 let text = text.split(" (os error").next().unwrap_or_default();
-                Err(format!("{text}; check that the robot is on, and its address"))
+                Err(format!("{text}; check the robot's address, and that the robot is switched on"))
             }
         },
         Address::Simulated | Address::Program { .. } => {
             console::error(&format!(
-                "`{}` cannot describe itself; give the address of a robot, tcp://HOST:PORT or thrift://HOST:PORT",
+                "`{}` cannot be described; expected the address of a robot, tcp://HOST:PORT or thrift://HOST:PORT",
                 args.address
             ));
             return Exit::Usage;
@@ -267,7 +266,7 @@ async fn ask_all(fleet: &Fleet, drivers: Drivers, patience: Span) -> Result<Vec<
         let (events, happened) = mpsc::channel(64);
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let id = robot.id.clone();
-        // One task a robot, so that a silent one keeps no other waiting; ends after `patience`.
+        // One task per robot, so that a silent robot delays no other. Ends after `patience`.
         tokio::spawn(ask(id, link, happened, clock, patience))
     });
     let mut answers = Vec::new();
@@ -332,8 +331,7 @@ async fn ask(
         Some("the link ended".to_owned())
     };
     let problem = tokio::time::timeout(patience.to_duration(), talk).await;
-    let silent =
-        || format!("no answer within {patience}; check that a robot listens there, not another program");
+    let silent = || format!("no answer within {patience}; check that the program at this address is a robot");
     answer.problem = problem.unwrap_or_else(|_| Some(silent()));
     answer.clock = estimate.reading();
     answer

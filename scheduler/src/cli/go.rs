@@ -1,4 +1,4 @@
-//! `downbeat go`: the operator's word from another terminal.
+//! `downbeat go`: begins an act from another terminal.
 
 use urrcp::SessionId;
 
@@ -10,8 +10,8 @@ use crate::run::control;
 /// Begin the act that waits for the operator.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The command prints the act that begins. If no act waits for the operator, or another act than the one \
-that you name, nothing happens: the command says why and ends with exit code 1.
+    after_help = "The command prints the act that starts. If no act waits for the operator, or a different act than the one \
+that you name, nothing happens: the command prints the reason, and the exit code is 1.
 
 Examples:
   downbeat go
@@ -20,7 +20,7 @@ Examples:
   DOWNBEAT_IDENTITY=keys/operators/cleo.pem downbeat go finale"
 )]
 pub(super) struct GoArgs {
-    /// The act to begin. By default the one that waits.
+    /// The act to begin. By default, the act that waits.
     act: Option<String>,
     /// The mission. Needed only if several run.
     #[arg(long)]

@@ -1,4 +1,4 @@
-//! `downbeat graph`: acts, cues and relations for Graphviz.
+//! `downbeat graph`: writes acts, cues and relations for Graphviz.
 
 use super::{Exit, Format, ScenarioArgs, choice, console, load};
 use crate::show::graph::Graph;
@@ -6,7 +6,7 @@ use crate::show::graph::Graph;
 /// Write acts, cues and their relations as a graph, for Graphviz.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Acts are boxes, with the course from act to act between them. Each cue shows its start, its duration and its \
+    after_help = "Acts are boxes; the edges between them show which act follows. Each cue shows its start, its duration and its \
 slack; the critical path is bold and red. With --format json, nodes and edges are printed.
 
 Examples:

@@ -1,4 +1,4 @@
-//! Who this terminal is to robots with TLS: the identity file of the fleet file, unless the environment names another.
+//! The identity of this terminal for robots with TLS: the identity file in the fleet file, unless the environment names another.
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +12,16 @@ use crate::keys::calendar;
 use crate::link::Site;
 use crate::run::desk::{Desk, Presented};
 
-/// Names an operator's identity file: several people may use one fleet file.
+/// Names an operator's identity file, because several people may use one fleet file.
 const IDENTITY: &str = "DOWNBEAT_IDENTITY";
-/// Names the configuration of the Zenoh network, which differs from machine to machine where a fleet file does not.
+/// Names the configuration of the Zenoh network. It may differ between machines, even if they use the same fleet file.
 const ZENOH: &str = "DOWNBEAT_ZENOH";
 
-/// Days before the end of a certificate from which on it is told of.
+/// Number of days before the expiry of a certificate at which warnings begin.
 const SOON: i64 = 30;
 const DAY: i64 = 24 * 3_600;
 
-/// The files, with paths that count in any folder.
+/// Returns the files, with absolute paths.
 pub(super) fn keys(fleet: &Fleet) -> OpenedKeys {
     let own = named_by(IDENTITY);
     let whole = |path: PathBuf| std::path::absolute(&path).unwrap_or(path);
@@ -36,40 +36,40 @@ fn named_by(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).filter(|path| !path.is_empty()).map(PathBuf::from)
 }
 
-/// The configuration of Zenoh that the command line names, or else the environment.
+/// Returns the Zenoh configuration from the command line, or else from the environment.
 pub(super) fn zenoh(named: Option<&Path>) -> Option<PathBuf> {
     named.map(Path::to_owned).or_else(|| named_by(ZENOH))
 }
 
-/// How the robots of a fleet are spoken to.
+/// Returns the credentials and networks for the robots of a fleet.
 pub(super) fn site(fleet: &Fleet) -> Result<Site, String> {
     site_of(&keys(fleet))
 }
 
-/// How a robot is spoken to that no fleet file names: the environment names the files.
+/// Returns those for a robot that no fleet file names. The environment names the files.
 pub(super) fn site_of_terminal() -> Result<Site, String> {
     site(&Fleet::default())
 }
 
-/// Who decides at the socket of a mission with these keys. Where they cannot be used, nobody that presents itself is heard as such.
+/// Returns the desk of a mission with these keys. If they cannot be used, presented identities are ignored.
 pub(super) fn desk(keys: &OpenedKeys) -> Option<Desk> {
     Desk::of(keys).unwrap_or_else(|error| {
-        console::warn(&format!("what operators say from other terminals is not told apart: {error}"));
+        console::warn(&format!("operators at other terminals cannot be identified: {error}"));
         None
     })
 }
 
-/// The identity that this terminal presents to missions: what the environment names.
+/// Returns the identity that this terminal presents to missions, from the environment.
 ///
 /// # Errors
-/// The file cannot be used, as a sentence.
+/// Returns the reason as a sentence if the file cannot be used.
 pub(super) fn presented() -> Result<Option<Presented>, String> {
     let own = named_by(IDENTITY);
     let own = own.map(|path| Credentials::read(&path).map(Presented::new)).transpose();
     own.map_err(|error| error.to_string())
 }
 
-/// The same with files that are known.
+/// Same as [`site`], with known files.
 pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
     let site = Site::of_files(keys.identity.as_deref(), keys.revoked.as_deref())?;
     let site = site.with_zenoh(keys.zenoh.clone());
@@ -80,7 +80,7 @@ pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
     if let Some(held) = soon.iter().find(|held| !with_identity(held)) {
         let days = (held.claim.expires - now) / DAY;
         console::warn(&format!(
-            "the pass for robot {} counts for {days} more days: copy the file of passes that `downbeat keys renew` has written",
+            "the pass for robot {} expires in {days} days; copy the new file of passes that `downbeat keys renew` writes",
             held.robot
         ));
     }
@@ -89,7 +89,7 @@ pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
         if days < SOON {
             let name = &identity.name;
             console::warn(&format!(
-                "the certificate of {name} counts for {days} more days: `downbeat keys renew` makes a new one"
+                "the certificate of {name} expires in {days} days; `downbeat keys renew` makes a new one"
             ));
         }
     }

@@ -1,4 +1,4 @@
-//! `downbeat import`: other people's choreography files become a scenario and its fleet.
+//! `downbeat import`: converts choreography files of other tools into a scenario and its fleet.
 
 mod describe;
 mod write;
@@ -30,20 +30,20 @@ pub(super) struct ImportArgs {
     /// The files, or folders of them.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Write DIR/scenario.yaml, DIR/fleet.yaml and DIR/robots/. By default the scenario is printed.
+    /// Write DIR/scenario.yaml, DIR/fleet.yaml and DIR/robots/. By default, the scenario is printed.
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Replace files that exist.
     #[arg(long, requires = "output")]
     force: bool,
-    /// The description of the robots. By default one is made from the range of the data.
+    /// The description of the robots. By default, one is made from the range of the data.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
-    /// Sample curves at this rate. By default they stay curves if possible. For a csv with frame numbers or timecodes: the frames per
+    /// Sample curves at this rate. By default, they stay curves if possible. For a csv with frame numbers or timecodes: the frames per
     /// second.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
-    /// Largest number of polynomial pieces per robot and scene. A Crazyflie has 4 KB for pieces of 132 bytes.
+    /// Maximum number of polynomial pieces per robot and scene. A Crazyflie has 4 KB for pieces of 132 bytes.
     #[arg(long, value_name = "N", default_value_t = 31)]
     max_pieces: usize,
     /// Put all scenes into one list of cues, one after the other.
@@ -70,7 +70,7 @@ pub(super) struct ImportArgs {
     /// Leave out the first lines of a csv, for example a title.
     #[arg(long, value_name = "LINES")]
     skip: Option<usize>,
-    /// The decimal mark of a csv. By default the one on which its numbers agree.
+    /// The decimal mark of a csv. By default, the mark that fits all numbers.
     #[arg(long, value_name = "point|comma")]
     decimal: Option<Decimal>,
     /// The column of a csv, or the channel of an fseq, that moves a device. Several columns are separated by commas. A `*` stands
@@ -111,7 +111,7 @@ Examples:
     )
 }
 
-/// A format as it is typed.
+/// A format, as given on the command line.
 #[derive(Clone, Copy, Debug)]
 enum From {
     /// A choreography.
@@ -142,7 +142,7 @@ impl clap::ValueEnum for From {
     }
 }
 
-/// How many a second.
+/// Parses a rate in Hz.
 pub(super) fn rate(text: &str) -> Result<f64, String> {
     let rate = text.parse::<f64>().ok().filter(|rate| *rate >= 0.001 && *rate <= 1_000.0);
     rate.ok_or_else(|| "expected a rate from 0.001 to 1000 Hz".to_owned())
@@ -176,20 +176,20 @@ struct Done<'a> {
     robots: usize,
     scenes: usize,
     steps: usize,
-    /// How many of the steps repeat the one before, for pauses and for what a file leaves out.
+    /// Number of steps that repeat the previous one, for pauses and for values that a file leaves out.
     held: usize,
     duration_ms: Span,
     #[serde(flatten)]
     told: Told<'a>,
 }
 
-/// What every import tells: of its rules, of what is wrong, and what became of it.
+/// The common part of every import's output: notes on conversion rules, findings and written files.
 #[derive(Serialize)]
 struct Told<'a> {
     notes: &'a [String],
     findings: &'a [Finding],
     files: &'a [String],
-    /// What is imported, where it is written to no file.
+    /// The imported text, if it is not written to files.
     #[serde(skip_serializing_if = "Option::is_none")]
     text: Option<&'a str>,
 }
@@ -252,7 +252,7 @@ fn exit_of(findings: &[Finding]) -> Exit {
     }
 }
 
-/// What is wrong with the options for a format.
+/// Returns the fault in the options for a format.
 fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> {
     let for_csv = [
         args.time.is_some(),
@@ -261,25 +261,25 @@ fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> 
         args.decimal.is_some(),
         !args.hold.is_empty(),
     ];
-    // What a star stands for may say the robot.
+    // The text that a star stands for may name the robot.
     let whose = |(to, _): &(String, String)| to.contains('/');
     let nobodys = |(to, _): &(String, String)| !to.contains(['/', '*']);
     if from == ImportFormat::Csv && args.map.is_empty() {
         Some(
-            "csv needs to know which column moves which device: add --map ROBOT/DEVICE=COLUMN, or --map DEVICE=COLUMN if each file is a robot",
+            "csv requires the column of each device; add --map ROBOT/DEVICE=COLUMN, or --map DEVICE=COLUMN if each file contains one robot",
         )
     } else if from != ImportFormat::Csv && for_csv.contains(&true) {
-        Some("--time, --time-unit, --skip, --decimal and --hold are options of csv only: leave them out")
+        Some("--time, --time-unit, --skip, --decimal and --hold apply only to csv; leave them out")
     } else if !from.facts().is_mapped && !args.map.is_empty() {
-        Some("--map is an option of csv and fseq only: leave it out")
+        Some("--map applies only to csv and fseq; leave it out")
     } else if args.map.iter().any(whose) && args.map.iter().any(nobodys) {
-        Some("name a robot in every --map, or in none if each file is a robot")
+        Some("name a robot in every --map, or in none if each file contains one robot")
     } else {
         None
     }
 }
 
-/// The block that the user names, and its text.
+/// The block in the file that the user names, and its text.
 struct Init {
     block: urrcp::InitializationBlock,
     text: String,

@@ -1,4 +1,4 @@
-//! `downbeat init`: a folder with a fleet, its robots and a scenario that run at once.
+//! `downbeat init`: writes a folder with a fleet, its robots and a scenario that run at once.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -37,7 +37,7 @@ enum Template {
     Edge,
 }
 
-/// The files of one template: their paths in the folder, and what is in them.
+/// The files of one template: their paths in the folder, and their contents.
 type Files = &'static [(&'static str, &'static str)];
 
 macro_rules! files {
@@ -59,7 +59,7 @@ impl Template {
     }
 }
 
-/// Completion and checks in an editor; see `docs/editors.md`.
+/// Configures completion and checks in an editor; see `docs/editors.md`.
 const SETTINGS: &str = r#"{
   "yaml.schemas": {
     "./schemas/scenario.schema.json": ["show.yaml", "shows/*.yaml"],
@@ -83,7 +83,7 @@ pub(super) fn init(args: &InitArgs, format: Format) -> Exit {
         .collect();
     if !taken.is_empty() {
         console::error(&format!(
-            "nothing was written, because these exist: {}. Name another folder, as in `downbeat init show-2`",
+            "nothing was written, because these files already exist: {}; choose another folder, for example `downbeat init show-2`",
             taken.join(", ")
         ));
         return Exit::Usage;
@@ -126,7 +126,8 @@ fn what_next(folder: &Path, template: Template, files: &[(&str, &str)]) -> Strin
     }
     text += "  downbeat check show.yaml\n  downbeat dry-run show.yaml --picture show.svg\n  downbeat run show.yaml\n";
     if template == Template::Edge {
-        text += "\nThe driver needs `python3`. It writes what it would set to `driven.txt`.\n";
+        text +=
+            "\nThe driver needs `python3`. It records the values in `driven.txt` instead of setting them.\n";
     }
     text
 }

@@ -1,4 +1,4 @@
-//! `downbeat keys`: an authority of one's own, and keys for robots and operators.
+//! `downbeat keys`: the site's own authority, and keys for robots and operators.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -13,9 +13,9 @@ use super::{Exit, Format, console};
 use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, calendar};
 use crate::show::table::Rows;
 
-/// Days for which a certificate counts unless something else is asked for.
+/// Default validity of a certificate in days.
 const DAYS: i64 = 365;
-/// The longest that can be asked for: longer than the authority itself lasts is of no use.
+/// Maximum validity in days. It would be useless to exceed that of the authority.
 const DAYS_MAX: i64 = 3_650;
 const DAY: i64 = 24 * 3_600;
 
@@ -23,7 +23,7 @@ const DAY: i64 = 24 * 3_600;
 #[derive(Debug, Subcommand)]
 #[command(
     after_help = "Begin with `downbeat keys init`. Copy each robot's file, and `revoked.pem`, to the robot; keep `authority.key` \
-to yourself. docs/security.md says more.
+secret. See docs/security.md.
 
 Examples:
   downbeat keys init
@@ -35,21 +35,21 @@ Examples:
 pub(super) enum KeysCommand {
     /// Make the authority whose certificates all robots and operators of a site trust.
     Init(FolderArgs),
-    /// Make keys for robots, by the ids with which they introduce themselves.
+    /// Make keys for robots, by the ids that they report.
     Robot(RobotKeysArgs),
     /// Make a key for an operator.
     Operator(OperatorArgs),
     /// Make secrets for robots without TLS, such as microcontrollers at `hmac://` addresses.
     Secret(SecretArgs),
-    /// Make a new key for a robot or an operator; the old one counts until it expires or is revoked.
+    /// Make a new key for a robot or an operator. The old one remains valid until it expires or is revoked.
     Renew(RenewArgs),
-    /// Revoke all keys of a robot or an operator, its secret and passes among them.
+    /// Revoke all keys of a robot or an operator, including its secret and passes.
     Revoke(NamedArgs),
     /// List all certificates and secrets.
     List(FolderArgs),
 }
 
-/// Where the authority is.
+/// The location of the authority.
 #[derive(Debug, clap::Args)]
 pub(super) struct FolderArgs {
     /// The folder of the authority.
@@ -59,7 +59,7 @@ pub(super) struct FolderArgs {
 
 #[derive(Debug, clap::Args)]
 pub(super) struct DaysArgs {
-    /// For how many days the certificate counts.
+    /// Number of days for which the certificate is valid.
     #[arg(long, value_name = "DAYS", default_value_t = DAYS, value_parser = clap::value_parser!(i64).range(1..=DAYS_MAX))]
     days: i64,
 }
@@ -87,7 +87,7 @@ Example:
 pub(super) struct SecretArgs {
     #[command(flatten)]
     folder: FolderArgs,
-    /// Put a new secret in place of the one that a robot has.
+    /// Replace a secret that a robot already has.
     #[arg(long)]
     renew: bool,
     /// The robots' ids.
@@ -97,10 +97,10 @@ pub(super) struct SecretArgs {
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Roles:
-  observe  ask robots what they are, what they do and what their sensors read
+  observe  read the identity, the state and the sensors of robots
   drive    play missions
-  stop     stop any robot, also in a mission of others
-  seize    take robots from a mission of others
+  stop     stop any robot, also in missions of other operators
+  seize    take over robots from missions of other operators
 
 Example:
   downbeat keys operator anna --role observe,drive,stop")]
@@ -109,7 +109,7 @@ pub(super) struct OperatorArgs {
     folder: FolderArgs,
     #[command(flatten)]
     days: DaysArgs,
-    /// Who it is.
+    /// The operator's name.
     #[arg(value_parser = operator_name)]
     name: String,
     /// What the operator may do: observe, drive, stop, seize.
@@ -144,13 +144,13 @@ pub(super) struct RenewArgs {
     days: DaysArgs,
 }
 
-/// Longest name of an operator, in characters: that of a robot's id.
+/// Maximum length of an operator's name in characters, as for a robot's id.
 const OPERATOR_NAME_MAX: usize = 256;
 
 fn operator_name(text: &str) -> Result<String, String> {
     let length = text.chars().count();
     if text.trim().is_empty() || length > OPERATOR_NAME_MAX || text.chars().any(char::is_control) {
-        return Err(format!("a name has 1 to {OPERATOR_NAME_MAX} characters, without line breaks"));
+        return Err(format!("expected a name of 1 to {OPERATOR_NAME_MAX} characters, without line breaks"));
     }
     Ok(text.to_owned())
 }
@@ -195,9 +195,9 @@ fn init(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
             console::print_json(&serde_json::json!({ "keys": folder, "revoked": authority.revoked() }));
         }
         Format::Text => console::print(&format!(
-            "made an authority in {}\n\
+            "created an authority in {}\n\
              next: `downbeat keys robot ID` for each robot, `downbeat keys operator NAME --role observe,drive,stop` for yourself\n\
-             keep {folder}/authority.key to yourself, and a copy in a safe: with it anybody can make keys\n",
+             keep {folder}/authority.key secret, and a copy of it in a safe place: anyone who has it can make keys\n",
             shown(&folder)
         )),
     }
@@ -254,7 +254,7 @@ fn tell<'a>(made: impl Iterator<Item = (&'a Name, &'a PathBuf)>, days: i64, form
         }
         Format::Text => {
             for (name, path) in made {
-                let line = format!("{name}: {}, counts for {days} days", path.display());
+                let line = format!("{name}: {}, valid for {days} days", path.display());
                 console::print(&format!("{}\n", shown(&line)));
             }
         }
@@ -271,7 +271,7 @@ fn revoke(args: &NamedArgs, format: Format) -> Result<(), KeysError> {
             &serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list, "serials": serials }),
         ),
         Format::Text => console::print(&format!(
-            "revoked {revoked} of {}; now copy {} to every robot, and {} to those with a secret: one that has the old list still accepts it\n",
+            "revoked {revoked} of {}; now copy {} to every robot, and {} to robots with a secret: a robot with an old list still accepts what was revoked\n",
             shown(&name.to_string()),
             shown(&list.display().to_string()),
             shown(&serials.display().to_string())
@@ -307,6 +307,6 @@ fn state(entry: &Entry) -> String {
     match entry.revoked {
         Some(_) => "revoked".to_owned(),
         None if left < 0 => "expired".to_owned(),
-        None => format!("counts for {} days", left / DAY),
+        None => format!("valid for {} days", left / DAY),
     }
 }

@@ -12,19 +12,19 @@ use urrcp::RobotId;
 use super::identity;
 use super::robot::GuardArgs;
 
-/// What every place begins with that is a key.
+/// The prefix of a place that is a key.
 const ZENOH: &str = "zenoh:";
 
-/// By which network robots of this process are reached.
+/// The network on which robots of this process can be reached.
 #[derive(Debug, clap::Args)]
 pub(super) struct NetworkArgs {
-    /// The configuration of Zenoh, JSON5 or YAML, for robots at zenoh: addresses; otherwise DOWNBEAT_ZENOH names it.
+    /// The configuration of Zenoh, JSON5 or YAML, for robots at zenoh: addresses. By default, DOWNBEAT_ZENOH names it.
     #[arg(long = "zenoh", value_name = "FILE")]
     file: Option<PathBuf>,
 }
 
 impl NetworkArgs {
-    /// The way to Zenoh that the command line names, the environment, or else the fleet file.
+    /// Returns the Zenoh access from the command line, the environment, or else the fleet file.
     pub(super) fn way(&self, of_fleet: Option<&Path>) -> Way {
         let file = identity::zenoh(self.file.as_deref());
         Way {
@@ -35,7 +35,7 @@ impl NetworkArgs {
     }
 }
 
-/// A way into a Zenoh network, which is gone once it is needed.
+/// Access to a Zenoh network, which is joined when it is first needed.
 #[derive(Debug)]
 pub(super) struct Way {
     #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "named, though this build has no Zenoh"))]
@@ -44,7 +44,7 @@ pub(super) struct Way {
     joined: Option<zenoh::Networks>,
 }
 
-/// A robot's place, not yet served.
+/// A robot's place that is not served yet.
 #[derive(Debug)]
 pub(super) enum Listening {
     Tcp(TcpListener, Door),
@@ -53,7 +53,7 @@ pub(super) enum Listening {
 }
 
 impl Listening {
-    /// Takes the place that `--listen` names.
+    /// Opens the place that `--listen` names.
     pub(super) async fn at(
         place: &str,
         robot: &RobotId,
@@ -73,13 +73,13 @@ impl Listening {
         Ok(Self::Tcp(listener, door))
     }
 
-    /// A socket at HOST:PORT.
+    /// Opens a socket at HOST:PORT.
     pub(super) async fn bind(place: &str) -> Result<TcpListener, String> {
         let refused = |error| format!("cannot listen on {place}: {}", Refusal::of(Attempt::Listen, &error));
         TcpListener::bind(place).await.map_err(refused)
     }
 
-    /// Where the robot is reached now; `None` for a socket that the system has taken back.
+    /// Returns the robot's current place. `None` if the system has closed the socket.
     pub(super) fn place(&self) -> Option<String> {
         match self {
             Self::Tcp(listener, _) => listener.local_addr().ok().map(|address| address.to_string()),
@@ -88,7 +88,7 @@ impl Listening {
         }
     }
 
-    /// Serves a robot there until its host stops.
+    /// Serves a robot at this place until its host stops.
     pub(super) async fn serve(self, host: HostHandle, robot: usize) -> std::io::Result<()> {
         match self {
             Self::Tcp(listener, door) => serve_behind(listener, host, robot, door).await,
@@ -100,21 +100,20 @@ impl Listening {
 
 #[cfg(feature = "zenoh")]
 impl Way {
-    /// Takes a key. `anyone`: the operator knows that anyone who reaches the network could drive the robot.
+    /// Listens at a key. `anyone` means that the operator accepts that anyone on the network could drive the robot.
     pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
         let networks = match &self.joined {
             Some(networks) => networks.clone(),
             None => {
                 let file = self.file.clone();
-                // It waits for routers.
+                // Joining waits for routers.
                 let joining = tokio::task::spawn_blocking(move || crate::link::join(file.as_deref()));
                 joining.await.map_err(|error| error.to_string())??
             }
         };
         if let Some(endpoint) = networks.open_endpoint().filter(|_| !anyone) {
             return Err(format!(
-                "the configuration of Zenoh speaks with {endpoint}, where anyone in between could drive the robot; use tls/, or \
-                 give --insecure in a network of its own"
+                "the Zenoh configuration uses {endpoint}, where anyone on the network path could drive the robot; use tls/, or add --insecure if the network is isolated"
             ));
         }
         self.joined = Some(networks.clone());

@@ -1,4 +1,4 @@
-//! Reading a scenario with its fleet, for every command that takes one.
+//! Reads a scenario with its fleet, for every command that takes one.
 
 use std::path::{Path, PathBuf};
 
@@ -8,18 +8,18 @@ use downbeat_scripts::{
 
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, console};
 
-/// A scenario that was read, whatever became of it.
+/// The result of reading a scenario, with or without errors.
 pub(super) struct Loaded {
     pub(super) scenario: String,
     pub(super) fleet: Option<Fleet>,
     pub(super) fleet_path: PathBuf,
     pub(super) choreography: Option<Choreography>,
     pub(super) findings: Vec<Finding>,
-    /// A file could not be read at all.
+    /// Whether a file could not be read at all.
     pub(super) unreadable: bool,
 }
 
-/// Reads and compiles; findings are collected from all files.
+/// Reads and compiles a scenario. Collects the findings from all files.
 pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     let mut loaded = Loaded {
         scenario: args.scenario.display().to_string(),
@@ -33,7 +33,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
         Ok(source) => source,
         Err(mut finding) => {
             finding.hint.get_or_insert_with(|| {
-                "check the path; `downbeat init first-show` writes a scenario to begin with".to_owned()
+                "check the path; `downbeat init first-show` creates an example scenario".to_owned()
             });
             loaded.unreadable = true;
             loaded.findings.push(finding);
@@ -54,23 +54,23 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     loaded
 }
 
-/// Where the cues of a scenario that compiles are written.
+/// Returns where the cues of a compiled scenario are written.
 pub(super) fn outline(args: &ScenarioArgs, fleet: &Fleet) -> Outline {
     let Ok(source) = Source::read(&args.scenario) else { return Outline::default() };
     downbeat_scripts::outline(&source, fleet, &folder(args))
 }
 
-/// Why a page or another file cannot be written there: it would replace what it is made from, or it is no file.
+/// Returns why a page or another output cannot be written to this path: it would replace its own source, or it is not a file.
 pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
     let whole = |path: &Path| path.canonicalize().ok();
     if page == Path::new("-") {
-        return Some("`-` is not a file; give a name, such as show.html".to_owned());
+        return Some("`-` is not a file; expected a name such as show.html".to_owned());
     }
     let replaced = sources.iter().find(|source| whole(page).is_some() && whole(page) == whole(source))?;
-    Some(format!("this would replace `{}`, from which it is made; give another name", replaced.display()))
+    Some(format!("this would replace its own source `{}`; choose another name", replaced.display()))
 }
 
-/// Where its includes are.
+/// The folder of the scenario's includes.
 fn folder(args: &ScenarioArgs) -> Folder {
     Folder::within(folder_of(args).to_path_buf(), args.project.of(&args.scenario))
 }
@@ -79,7 +79,7 @@ fn folder_of(args: &ScenarioArgs) -> &Path {
     args.scenario.parent().unwrap_or(Path::new(""))
 }
 
-/// The fleet file, and what it says. One that the scenario names has to be in the project.
+/// Reads the fleet file. If the scenario names it, it must be in the project.
 fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>, Vec<Finding>)) {
     let project = args.project.of(&args.scenario);
     let named = match &args.fleet {
@@ -98,19 +98,19 @@ fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>,
         return (path, (fleet, findings));
     }
     let path = args.fleet.clone().unwrap_or_else(|| PathBuf::from("fleet.yaml"));
-    // One in the project of the scenario belongs to it, though it may lie deeper.
+    // A file within the scenario's project belongs to that project, even if a deeper folder has its own.
     let project = if project.holds(&path) { project } else { args.project.of(&path) };
     let read = downbeat_scripts::read_fleet_within(&path, &project);
     (path, read)
 }
 
 impl ProjectArgs {
-    /// The project of a file that the operator has named.
+    /// Returns the project of a file that the operator has named.
     pub(super) fn of(&self, file: &Path) -> Project {
         self.project.clone().unwrap_or_else(|| Project::of(file))
     }
 
-    /// The project that a journal remembers.
+    /// Restores the project from a journal.
     pub(super) fn remembered(folder: Option<&Path>) -> Self {
         Self { project: folder.and_then(|folder| Project::within(folder).ok()) }
     }
@@ -121,8 +121,8 @@ impl ProjectArgs {
     }
 }
 
-/// The same for commands that need what the scenario compiles to, with the fleet and its file: errors end the command,
-/// warnings are shown.
+/// Same as [`load`], for commands that need the compiled scenario, with the fleet and its file. Errors end the command; warnings are
+/// printed.
 pub(super) fn load_choreography(
     args: &ScenarioArgs,
     format: Format,
@@ -130,7 +130,7 @@ pub(super) fn load_choreography(
     load_whole(args, format).map(|(choreography, fleet, fleet_path, _)| (choreography, fleet, fleet_path))
 }
 
-/// The same with the warnings.
+/// Same as [`load_choreography`], with the warnings.
 pub(super) fn load_whole(
     args: &ScenarioArgs,
     format: Format,
@@ -150,7 +150,7 @@ pub(super) fn load_whole(
     }
 }
 
-/// Adds to the hint for a fleet file that does not exist how another one is named.
+/// If a fleet file does not exist, adds how to name another one to the hint.
 fn say_how_to_name_it(findings: &mut [Finding], how: &str) {
     for hint in findings.iter_mut().filter_map(|finding| finding.hint.as_mut()) {
         if hint.starts_with("a fleet file lists your robots") {
@@ -159,12 +159,12 @@ fn say_how_to_name_it(findings: &mut [Finding], how: &str) {
     }
 }
 
-/// Reads a fleet file alone.
+/// Reads only a fleet file.
 pub(super) fn load_fleet(path: &Path, project: &ProjectArgs, format: Format) -> Result<Fleet, Exit> {
     shown_fleet(downbeat_scripts::read_fleet_within(path, &project.of(path)), format)
 }
 
-/// The same for a fleet whose latencies are yet to be measured.
+/// Same as [`load_fleet`], for a fleet whose latencies are still to be measured.
 pub(super) fn load_fleet_to_measure(
     path: &Path,
     project: &ProjectArgs,

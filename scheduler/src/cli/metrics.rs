@@ -1,4 +1,4 @@
-//! `--metrics`: an endpoint for Prometheus and for whoever asks for health, next to what the command does.
+//! `--metrics`: an endpoint for Prometheus and for health checks, while the command runs.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
@@ -10,11 +10,11 @@ use crate::link::Endpoint;
 use crate::run::watch::Watches;
 use crate::server_clock::ServerClock;
 
-/// Where metrics are served.
+/// The address of metrics.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
 pub(super) struct MetricsArgs {
-    /// Serve metrics for Prometheus at http://ADDRESS/metrics, and health at /healthz and /readyz. ADDRESS is IP:PORT, or a
-    /// port of this machine alone, as in 9464.
+    /// Serve metrics for Prometheus at http://ADDRESS/metrics, and health at /healthz and /readyz. ADDRESS is IP:PORT, or only a port, as
+    /// in 9464, for clients on this machine.
     #[arg(long, value_name = "ADDRESS", value_parser = parse)]
     metrics: Option<SocketAddr>,
 }
@@ -26,7 +26,7 @@ fn parse(text: &str) -> Result<SocketAddr, String> {
     })
 }
 
-/// The endpoint, where there is one.
+/// The endpoint, if there is one.
 #[derive(Default)]
 pub(super) struct Metrics {
     #[cfg(feature = "metrics")]
@@ -34,10 +34,10 @@ pub(super) struct Metrics {
 }
 
 impl MetricsArgs {
-    /// Begins to serve, if that is asked for. Nothing has been moved before.
+    /// Starts the endpoint if requested. Must be called before anything moves.
     ///
     /// # Errors
-    /// The address cannot be listened on, or this program has no metrics.
+    /// Fails if the address cannot be listened on, or if this program has no metrics.
     #[cfg(feature = "metrics")]
     pub(super) fn serve(self, format: Format) -> Result<Metrics, String> {
         let Some(address) = self.metrics else { return Ok(Metrics::default()) };
@@ -53,7 +53,7 @@ impl MetricsArgs {
         Ok(Metrics { board: Some(board) })
     }
 
-    /// The same in a program without metrics.
+    /// Same, in a program without metrics.
     #[cfg(not(feature = "metrics"))]
     pub(super) fn serve(self, _: Format) -> Result<Metrics, String> {
         match self.metrics {
@@ -70,7 +70,7 @@ impl MetricsArgs {
     expect(clippy::unused_self, reason = "there is nothing to tell of without the feature")
 )]
 impl Metrics {
-    /// Tells of the robots of a host from now on, by these names in its order.
+    /// Adds the robots of a host, with these names in the host's order.
     pub(super) fn add_host(&self, host: &Host, names: Vec<RobotId>) {
         #[cfg(feature = "metrics")]
         if let Some(board) = &self.board {
@@ -80,7 +80,7 @@ impl Metrics {
         let _nothing_to_tell = (host, names);
     }
 
-    /// Tells from now on of a mission with these robots, of which the host runs those that are reached in this process.
+    /// Adds a mission with these robots. The host runs those that are reached in this process.
     pub(super) fn add_mission(
         &self,
         clock: ServerClock,

@@ -1,4 +1,4 @@
-//! `downbeat missions`: missions that other processes run, or ran.
+//! `downbeat missions`: lists missions that other processes run or ran.
 
 use std::io;
 use std::path::Path;
@@ -86,7 +86,7 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-/// The missions of this machine; those that cannot be read, and what is not for this user alone, are named.
+/// Returns the missions of this machine. Prints unreadable missions, and paths to which other users have access.
 pub(super) fn listed() -> Result<Missions, Exit> {
     let told = |message: &str| {
         console::error(message);
@@ -110,18 +110,18 @@ pub(super) fn listed() -> Result<Missions, Exit> {
     Ok(missions)
 }
 
-/// Why missions cannot be looked for.
+/// Returns why missions cannot be listed.
 pub(super) fn unusable(state: &Path, error: &io::Error) -> String {
     match NotPrivate::of(error) {
-        Some(refused) => format!("the missions of this machine cannot be used: {refused}"),
+        Some(refused) => format!("cannot use the missions of this machine: {refused}"),
         None => {
             let refusal = Refusal::of(Attempt::Read(state), error).reason;
-            format!("the missions in {} cannot be read: {refusal}", state.display())
+            format!("cannot read the missions in {}: {refusal}", state.display())
         }
     }
 }
 
-/// The one mission that is meant, of those that run or were cut off.
+/// Returns the requested mission with this state.
 pub(super) fn one(named: Option<&str>, life: Life, format: Format) -> Result<Found, Exit> {
     let (what, what_several) = match life {
         Life::Running => ("runs", "run"),
@@ -133,7 +133,7 @@ pub(super) fn one(named: Option<&str>, life: Life, format: Format) -> Result<Fou
     match (fitting.pop(), fitting.is_empty()) {
         (Some(found), true) => Ok(found),
         (Some(last), false) => {
-            let text = format!("several missions {what_several}, name one of them");
+            let text = format!("several missions {what_several}; name one of them");
             let several: Vec<_> = fitting.iter().chain([&last]).map(|found| &found.opened.session).collect();
             match format {
                 Format::Json => console::print_json(&json!({"error": text, "missions": several})),
@@ -148,12 +148,12 @@ pub(super) fn one(named: Option<&str>, life: Life, format: Format) -> Result<Fou
     }
 }
 
-/// Whether a mission bears this name, if one is given.
+/// Whether a mission has this name, if one is given.
 pub(super) fn is_called(found: &Found, named: Option<&str>) -> bool {
     named.is_none_or(|name| found.opened.session.as_str() == name)
 }
 
-/// Says that there is no such mission.
+/// Prints that there is no such mission.
 pub(super) fn none(named: Option<&str>, what: &str, format: Format) -> Exit {
     let text = match named {
         Some(name) => format!("no mission `{name}` {what}; `downbeat missions --all` lists all missions"),

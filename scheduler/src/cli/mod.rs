@@ -1,9 +1,9 @@
 //! The command line: one file per subcommand. Only this module prints.
 //!
-//! Exit codes: 0 done; 1 findings or differences, or the mission failed or did not start; 2 usage, or a file that cannot be read or written;
-//! 3 stopped by the operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that
-//! failed, or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output
-//! or the recording could not be written.
+//! Exit codes: 0 done; 1 findings or differences, or the mission failed or did not start; 2 usage, or a file that cannot be read or
+//! written; 3 stopped by the operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that
+//! failed, or without acts whose wait timed out; 6 played to its end, but not as promised or not known; 7 done, but standard output or
+//! the recording could not be written.
 
 mod advice;
 mod calibrate;
@@ -88,7 +88,7 @@ It is not an error if the reader of a pipe ends first, as in `downbeat plan show
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Print text for people, or JSON for machines.
+    /// Output format: text for people, or JSON for machines.
     #[arg(long, global = true, value_enum, default_value_t = Format::Text)]
     format: Format,
     /// Log to standard error, for example `info` or `downbeat=debug`.
@@ -96,7 +96,7 @@ pub struct Cli {
     log: Targets,
 }
 
-/// What is printed.
+/// The output format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
     /// For people.
@@ -115,7 +115,7 @@ enum Command {
     Explain(explain::ExplainArgs),
     /// List the moves and sequences of a scenario with their parameters, devices and documentation.
     Moves(moves::MovesArgs),
-    /// Show when each cue takes place and what each robot is sent.
+    /// Show when each cue takes place and which requests each robot receives.
     Plan(plan::PlanArgs),
     /// Write acts, cues and their relations as a graph, for Graphviz.
     Graph(graph::GraphArgs),
@@ -135,9 +135,9 @@ enum Command {
     Missions(missions::MissionsArgs),
     /// Show a mission that was played, from its journal or its recording.
     Report(report::ReportArgs),
-    /// Show what differs between two scenarios as they compile, or between two missions that were played.
+    /// Show the differences between two compiled scenarios, or between two missions that were played.
     Diff(diff::DiffArgs),
-    /// Write a world file from a recording: delays, losses and clocks as they were measured.
+    /// Write a world file from a recording: delays, losses and clocks as measured.
     World(world::WorldArgs),
     /// Measure how long devices take from a command to visible motion.
     Calibrate(calibrate::CalibrateArgs),
@@ -159,7 +159,7 @@ enum Command {
     Completions(completions::CompletionsArgs),
     /// Write the man pages, one for each command.
     Man(completions::ManArgs),
-    /// Ask the robots of a fleet what they are.
+    /// Ask the robots of a fleet for their descriptions and clocks.
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
     /// Make keys and certificates for robots and operators.
@@ -179,11 +179,11 @@ pub struct ScenarioArgs {
     project: ProjectArgs,
 }
 
-/// In which folder the files have to be that scenarios and fleets name.
+/// The folder that must contain the files named by scenarios and fleets.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ProjectArgs {
-    /// The folder in which files have to be that scenarios and fleets name. By default the nearest one with .git, or else
-    /// with fleet.yaml, or else their own.
+    /// The folder that must contain all files named by scenarios and fleets. By default, the nearest folder with .git, or else with
+    /// fleet.yaml, or else that of the files themselves.
     #[arg(long, value_name = "DIR", value_parser = parse_project)]
     project: Option<Project>,
 }
@@ -191,13 +191,13 @@ pub struct ProjectArgs {
 fn parse_project(text: &str) -> Result<Project, String> {
     let folder = Path::new(text);
     Project::within(folder).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => "there is no such folder".to_owned(),
-        std::io::ErrorKind::NotADirectory => "this is not a folder".to_owned(),
+        std::io::ErrorKind::NotFound => "the folder does not exist".to_owned(),
+        std::io::ErrorKind::NotADirectory => "it is not a folder".to_owned(),
         _ => Refusal::of(Attempt::Read(folder), &error).to_string(),
     })
 }
 
-/// How a command ended, as scripts see it.
+/// The exit code of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(test, derive(strum::VariantNames))]
 pub enum Exit {
@@ -205,23 +205,22 @@ pub enum Exit {
     Done = 0,
     /// Findings, differences, or a mission that failed or did not start.
     Failed = 1,
-    /// Usage or unreadable input.
+    /// Wrong usage or unreadable input.
     Usage = 2,
-    /// Stopped by the operator and confirmed by all.
+    /// Stopped by the operator, and confirmed by all robots.
     Stopped = 3,
-    /// The stop of some robots is not confirmed.
+    /// The stop of at least one robot is not confirmed.
     Unconfirmed = 4,
-    /// Done, without robots that failed on the way, or without acts whose wait ran out.
+    /// Done, without robots that failed on the way, or without acts whose wait timed out.
     DoneWithout = 5,
-    /// Played to its end, but not everything is known to have gone as promised: robots were too far apart, or cannot say what
-    /// they did.
+    /// Played to its end, but not known to be as promised: robots were too far apart, or cannot report what they did.
     Uncertain = 6,
-    /// Done, and what was to be written could not be: standard output, or the recording.
+    /// Done, but standard output or the recording could not be written.
     Unwritten = 7,
 }
 
 impl Exit {
-    /// All, in the order of their codes.
+    /// All exit codes, in ascending order.
     const ALL: [Self; 8] = [
         Self::Done,
         Self::Failed,
@@ -233,13 +232,13 @@ impl Exit {
         Self::Unwritten,
     ];
 
-    /// What another process of this program ended with.
+    /// Returns the exit code of another process of this program.
     fn of_code(code: i32) -> Self {
         Self::ALL.into_iter().find(|exit| *exit as i32 == code).unwrap_or(Self::Failed)
     }
 }
 
-/// Reads the arguments, does what they say and tells the shell how it went.
+/// Parses the arguments, runs the command and returns its exit code.
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -288,14 +287,14 @@ pub fn main() -> ExitCode {
     ExitCode::from(console::finish(exit) as u8)
 }
 
-/// Whether JSON is asked for by arguments that cannot be read.
+/// Whether arguments that cannot be parsed request JSON.
 fn wants_json() -> bool {
     let args: Vec<_> = std::env::args().collect();
     let apart = args.windows(2).any(|two| two[0] == "--format" && two[1] == "json");
     apart || args.iter().any(|arg| arg == "--format=json")
 }
 
-/// Prints help, a version or what is wrong with the arguments, and returns with which code that ends.
+/// Prints help, a version or the fault of the arguments, and returns the exit code.
 fn told_by_clap(error: &clap::Error) -> Exit {
     let exit = if error.use_stderr() { Exit::Usage } else { Exit::Done };
     if exit == Exit::Usage && wants_json() {
@@ -325,14 +324,14 @@ fn start_log(filter: Targets) {
     }
 }
 
-/// A runtime for the commands that talk to robots.
+/// Runs a command that communicates with robots.
 fn with_runtime(work: impl Future<Output = Exit>) -> Exit {
     crate::open_files::raise_limit();
     console::never_wait();
     match tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build() {
         Ok(runtime) => {
             let exit = runtime.block_on(work);
-            // Listening sockets and silent links must not keep the process.
+            // Listening sockets and silent links must not keep the process alive.
             runtime.shutdown_background();
             exit
         }

@@ -1,4 +1,4 @@
-//! `downbeat moves`: what cues can use.
+//! `downbeat moves`: lists the moves and sequences for cues.
 
 use std::path::PathBuf;
 

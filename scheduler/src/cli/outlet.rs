@@ -1,8 +1,8 @@
 //! A thread that writes to a terminal, a pipe or a file, so that nothing else waits for it.
 //!
-//! What a mission says while it runs waits in a bounded queue. A reader that stands still, as a terminal after Ctrl-S or a
-//! full pipe, holds up this thread alone; lines that find the queue full are dropped, and their number is written in their
-//! place once there is room again. On a terminal the thread also draws the live display below the lines.
+//! The output of a running mission waits in a bounded queue. A blocked reader, such as a terminal after Ctrl-S or a full pipe, delays
+//! only this thread. If the queue is full, lines are dropped. Their number is written in their place once there is room again. On a
+//! terminal, the thread also draws the live display below the lines.
 
 use std::borrow::Cow;
 use std::collections::VecDeque;
@@ -14,14 +14,14 @@ use rustix::event::{PollFd, PollFlags};
 use rustix::fd::BorrowedFd;
 use rustix::io::Errno;
 
-/// Lines that may wait to be written.
+/// Maximum number of lines that may wait to be written.
 const WAITING_MAX: usize = 1_024;
-/// Bytes that are written at once: a pipe with room takes as many without making the writer wait.
+/// Number of bytes per write. A pipe with room takes this many without blocking the writer.
 const CHUNK: usize = 4_096;
-/// Between two frames of the display.
+/// Interval between two frames of the display.
 const FRAME_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Where something is written.
+/// The destination of output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stream {
     Stdout,
@@ -36,7 +36,7 @@ impl Stream {
         }
     }
 
-    /// Whether both are one terminal, one pipe or one file, where the order of what is written counts.
+    /// Whether both streams go to one terminal, pipe or file, so that the order of their output matters.
     pub(super) fn are_one() -> bool {
         let place = |stream: Self| {
             rustix::fs::fstat(stream.fd()).ok().map(|stat| (stat.st_dev, stat.st_ino, stat.st_rdev))
@@ -44,7 +44,7 @@ impl Stream {
         place(Self::Stdout) == place(Self::Stderr)
     }
 
-    /// The text with colours where they are wanted, otherwise without.
+    /// Returns the text with colours if they are wanted, otherwise without.
     pub(super) fn coloured(self, text: &str) -> Cow<'_, str> {
         let choice = match self {
             Self::Stdout => anstream::AutoStream::choice(&io::stdout()),
@@ -57,17 +57,17 @@ impl Stream {
     }
 }
 
-/// What is drawn below the lines. Each call returns bytes to be written at once.
+/// The display below the lines. Each call returns bytes to be written at once.
 pub(super) trait Display: Send {
-    /// Takes the last frame off the screen, so that lines can follow in its place.
+    /// Removes the last frame from the screen, so that lines can take its place.
     fn lift(&mut self) -> Vec<u8>;
-    /// Draws what has changed since the last frame.
+    /// Draws the changes since the last frame.
     fn draw(&mut self) -> Vec<u8>;
 }
 
 enum Entry {
     Text(Stream, String),
-    /// So many lines are missing here.
+    /// The number of lines that are missing here.
     Dropped(usize),
     /// The display begins or ends here.
     Display(Option<Box<dyn Display>>),
@@ -76,15 +76,15 @@ enum Entry {
 #[derive(Default)]
 struct Queue {
     entries: VecDeque<Entry>,
-    /// Lines that found no room since the last entry.
+    /// Number of lines dropped since the last entry.
     dropped: usize,
-    /// The thread is writing.
+    /// Whether the thread is writing.
     busy: bool,
-    /// A display is drawn.
+    /// Whether a display is drawn.
     drawing: bool,
-    /// Grows with every write that succeeds.
+    /// Increases with every successful write.
     progress: u64,
-    /// Why standard output cannot be written.
+    /// The reason why standard output cannot be written.
     failure: Option<String>,
     /// Streams whose reader is gone.
     closed: Vec<Stream>,
@@ -122,13 +122,13 @@ impl Shared {
     }
 }
 
-/// The queue to a thread that writes. The thread ends with the process.
+/// The queue to a writing thread. The thread ends with the process.
 #[derive(Clone)]
 pub(super) struct Outlet(Arc<Shared>);
 
 impl Outlet {
     /// # Errors
-    /// No thread can be started.
+    /// Fails if the thread cannot be started.
     pub(super) fn start(name: &str) -> io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let written = Arc::clone(&shared);
@@ -136,7 +136,7 @@ impl Outlet {
         Ok(Self(shared))
     }
 
-    /// Hands over text, whole lines. It is dropped if too much waits already.
+    /// Queues text that consists of whole lines. Drops it if the queue is full.
     pub(super) fn offer(&self, stream: Stream, text: String) {
         let mut queue = self.0.lock();
         if queue.entries.len() >= WAITING_MAX {
@@ -148,7 +148,7 @@ impl Outlet {
         self.0.changed.notify_all();
     }
 
-    /// Hands over text that is kept, however much waits: a report.
+    /// Queues text that is never dropped, for example a report.
     pub(super) fn keep(&self, stream: Stream, text: String) {
         let mut queue = self.0.lock();
         queue.mark_dropped();
@@ -164,8 +164,8 @@ impl Outlet {
         self.0.changed.notify_all();
     }
 
-    /// Waits until everything is written, or until nothing could be written for this long. Returns why standard output
-    /// could not be written, if that is so.
+    /// Waits until everything is written, or until no write has succeeded for `idle`. Returns the reason if standard output could not be
+    /// written.
     pub(super) fn drain(&self, idle: Duration) -> Option<String> {
         let mut queue = self.0.lock();
         queue.mark_dropped();
@@ -188,7 +188,7 @@ impl Outlet {
     }
 }
 
-/// The thread: takes what waits, writes it, and draws the display in between.
+/// The thread's loop: writes the queued entries, and draws the display in between.
 fn write_on(shared: &Shared) {
     let mut display: Option<Box<dyn Display>> = None;
     loop {
@@ -213,7 +213,7 @@ fn write_on(shared: &Shared) {
     }
 }
 
-/// Waits for entries, or with a display for the next frame.
+/// Waits for entries or, if there is a display, for the next frame.
 fn next_entries(shared: &Shared) -> VecDeque<Entry> {
     let mut queue = shared.lock();
     while queue.entries.is_empty() {
@@ -229,7 +229,7 @@ fn next_entries(shared: &Shared) -> VecDeque<Entry> {
         };
     }
     queue.busy = true;
-    // Their place is behind what is written now, whether or not another line ever follows.
+    // The note about dropped lines belongs after these entries, even if no other line follows.
     queue.mark_dropped();
     std::mem::take(&mut queue.entries)
 }
@@ -257,16 +257,16 @@ fn write(shared: &Shared, stream: Stream, bytes: &[u8]) {
     }
 }
 
-/// Writes past Rust's own buffers, whose locks would hold up others. Waits as long as the reader does.
+/// Writes without Rust's own buffers, whose locks would block others. Waits for the reader without a limit.
 ///
 /// # Errors
-/// What the system says; a closed pipe is [`io::ErrorKind::BrokenPipe`].
+/// Returns the operating system's error. For a closed pipe, that is [`io::ErrorKind::BrokenPipe`].
 pub(super) fn write_all(stream: Stream, mut bytes: &[u8]) -> io::Result<()> {
     while !bytes.is_empty() {
         match rustix::io::write(stream.fd(), bytes) {
             Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
             Err(Errno::INTR) => {}
-            // Another process has set the terminal that it shares with this one so.
+            // Another process has made the shared terminal non-blocking.
             Err(Errno::AGAIN) => {
                 let mut room = [PollFd::from_borrowed_fd(stream.fd(), PollFlags::OUT)];
                 let _interrupted = rustix::event::poll(&mut room, None);
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn lines_that_find_no_room_are_counted_in_their_place() {
-        // Without its thread: nothing is read.
+        // Without the thread, so that nothing is read.
         let outlet = Outlet(Arc::default());
         let offer = |lines| (0..lines).for_each(|_| outlet.offer(Stream::Stderr, "line\n".to_owned()));
         offer(WAITING_MAX + 7);

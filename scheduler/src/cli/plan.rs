@@ -1,4 +1,4 @@
-//! `downbeat plan`: the control requests that a scenario compiles to.
+//! `downbeat plan`: shows the control requests of a compiled scenario.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ use crate::requirements::{Judged, any_unmet};
 use crate::show::gantt::gantt;
 use crate::show::{plan_table, requirements_table};
 
-/// Show when each cue takes place and what each robot is sent.
+/// Show when each cue takes place and which requests each robot receives.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "With --format json, each act has its times, its devices, and the control requests of each robot. \
@@ -38,7 +38,7 @@ pub(super) struct PlanArgs {
 pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
     if args.gantt && format == Format::Json {
         console::error(
-            "--gantt draws for people; leave it out, because --format json has the times of all cues",
+            "--gantt is not supported with --format json; leave it out: the JSON contains the times of all cues",
         );
         return Exit::Usage;
     }
@@ -100,14 +100,14 @@ struct PlannedAct<'a> {
 pub(super) struct ActFigures<'a> {
     act: &'a str,
     duration_ms: Span,
-    /// How much later the act's motions are than written, where devices have a latency.
+    /// By how much the act's motions are delayed compared with the scenario, if devices have a latency.
     #[serde(skip_serializing_if = "Option::is_none")]
     lead_in_ms: Option<Span>,
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     latencies: &'a BTreeMap<RobotId, BTreeMap<DeviceId, DeviceLatency>>,
     cues: &'a [PlannedCue],
     devices: &'a [DeviceUse],
-    /// Where the fleet file describes bodies.
+    /// `None` if the fleet file describes no bodies.
     #[serde(skip_serializing_if = "Option::is_none")]
     closest: Option<&'a Closest>,
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
@@ -150,7 +150,7 @@ fn planned_act<'a>(act: &'a Act, choreography: &'a Choreography) -> PlannedAct<'
     }
 }
 
-/// The requests of each robot. They are made robot by robot while they are written, because a plan may have millions of steps.
+/// The requests of each robot. They are created robot by robot during the output, because a plan may have millions of steps.
 struct Requests<'a>(&'a Plan);
 
 impl Serialize for Requests<'_> {

@@ -1,4 +1,4 @@
-//! `--realtime`: what the thread that wakes this process's robots asks the system for, and what it got.
+//! `--realtime`: the scheduling that the thread that wakes this process's robots requests, and what it obtained.
 
 use clap::ValueEnum;
 use downbeat_robot::realtime::Realtime;
@@ -7,7 +7,7 @@ use downbeat_robot::{Host, HostError};
 use super::{Exit, Format, console};
 use crate::fleet::EndpointError;
 
-/// Whether robots of this process run under real-time scheduling.
+/// Options for the real-time scheduling of robots in this process.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct RealtimeArgs {
     /// Whether the robots of this process use real-time scheduling (SCHED_FIFO) and locked memory.
@@ -17,9 +17,9 @@ pub(super) struct RealtimeArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum RealtimeArg {
-    /// Use it if it is permitted, and say what was obtained.
+    /// Use it if it is permitted, and print the result.
     Auto,
-    /// Do not ask for it.
+    /// Do not request it.
     Off,
     /// End with exit code 2 if it is not permitted.
     Required,
@@ -34,7 +34,7 @@ impl RealtimeArgs {
         }
     }
 
-    /// Says what the robots of this host got; for machines only that something is missing.
+    /// Prints the scheduling of this host's robots. With JSON output, prints it only if something is missing.
     pub(super) fn tell(self, host: &Host, format: Format) {
         let scheduling = host.scheduling();
         let asked = self.realtime() != Realtime::Off;
@@ -44,7 +44,7 @@ impl RealtimeArgs {
     }
 }
 
-/// How the program ends where the robots of this process cannot be run.
+/// Returns the exit code if the robots of this process cannot run.
 pub(super) const fn exit_of(error: &EndpointError) -> Exit {
     match error {
         EndpointError::Host(HostError::Realtime(_)) => Exit::Usage,

@@ -1,4 +1,4 @@
-//! `downbeat report`: a mission that was played, from its journal or its recording.
+//! `downbeat report`: shows a mission that was played, from its journal or its recording.
 
 use std::path::{Path, PathBuf};
 
@@ -12,8 +12,8 @@ use crate::page::{self, Written};
 /// Show a mission that was played, from its journal or its recording.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "A recording (`downbeat run --record`) knows requests, values and clocks, a journal the decisions alone. A file \
-that is not whole, as after a power failure, is refused: --partial shows what comes before the damage.
+    after_help = "A recording (`downbeat run --record`) contains requests, values and clocks; a journal contains only the decisions. An incomplete \
+file, for example after a power failure, is refused; --partial shows the part before the damage.
 
 Examples:
   downbeat report show.mcap --html show.html
@@ -30,12 +30,12 @@ pub(super) struct ReportArgs {
     /// The scenario that was played: the page then has its cues, its lines and its bodies.
     #[arg(long, value_name = "FILE", requires = "html")]
     scenario: Option<PathBuf>,
-    /// The fleet file of that scenario. By default the one that the scenario names, or else ./fleet.yaml.
+    /// The fleet file of that scenario. By default, the one that the scenario names, or else ./fleet.yaml.
     #[arg(long, value_name = "FILE", requires = "scenario")]
     fleet: Option<PathBuf>,
     #[command(flatten)]
     project: ProjectArgs,
-    /// Show what comes before the damage of a file that is not whole.
+    /// Show the part before the damage of a file that is not whole.
     #[arg(long)]
     partial: bool,
 }
@@ -61,7 +61,7 @@ pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-/// What a file has kept of a mission. A file that is not whole is refused unless a part will do, of which the command `does` this.
+/// Reads the history of a mission. Refuses an incomplete file unless `partial`. `does` is the verb of the command for the hint.
 pub(super) fn read(file: &Path, partial: bool, does: &str) -> Result<History, Exit> {
     let history = match History::read(file) {
         Ok(history) => history,
@@ -75,15 +75,15 @@ pub(super) fn read(file: &Path, partial: bool, does: &str) -> Result<History, Ex
     let name = file.display();
     if !partial {
         return Err(refused(&format!(
-            "`{name}` is not whole: {cut_off}; --partial {does} what comes before that"
+            "`{name}` is incomplete: {cut_off}; --partial {does} the part before that"
         )));
     }
     if history.is_empty() {
         return Err(refused(&format!(
-            "`{name}` is not whole: {cut_off}, so nothing can be read of it; give the mission's journal, if it is still there"
+            "`{name}` is incomplete: {cut_off}, so none of it can be read; use the mission's journal if it still exists"
         )));
     }
-    console::note(&format!("`{name}` is not whole: {cut_off}"));
+    console::note(&format!("`{name}` is incomplete: {cut_off}"));
     Ok(history)
 }
 
@@ -121,7 +121,7 @@ fn refused(error: &str) -> Exit {
 
 fn text(report: &HistoryReport<'_>) -> String {
     let name = report.scenario.unwrap_or("a mission");
-    let outcome = report.outcome.map_or_else(|| "its end is not known".to_owned(), ToString::to_string);
+    let outcome = report.outcome.map_or_else(|| "outcome unknown".to_owned(), ToString::to_string);
     let mut text = format!("{}: {outcome}\n", shown(name));
     for act in &report.acts {
         let robots = downbeat_scripts::counted(act.robots.len(), "robot");

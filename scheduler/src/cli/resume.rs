@@ -1,4 +1,4 @@
-//! `downbeat resume`: takes up a mission whose scheduler was killed.
+//! `downbeat resume`: continues a mission whose scheduler was killed.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -7,6 +7,7 @@ use downbeat_robot::{Host, HostOptions};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot};
 use urrcp::SessionId;
 
+use super::console::OutputArgs;
 use super::drivers::DriverArgs;
 use super::live::{Live, Speaker};
 use super::metrics::{Metrics, MetricsArgs};
@@ -34,12 +35,12 @@ use crate::signals::OnHangUp;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "The command reads the journal, connects to the robots again, learns what they did meanwhile, and plays \
-the mission to its end. If the start of an act was not decided yet, the command takes the act back instead. It refuses if \
-the fleet file has another address for a robot than the one to which its scripts were sent, or if the plan is no longer the one \
-with which the mission began.
+the mission to its end. If the start of an act was not decided yet, the command withdraws the act instead. It refuses \
+to resume if the fleet file has a different address for a robot than when its scripts were sent, or if the plan has changed \
+since the mission began.
 
-It starts the programs again that drive robots (`address: program:COMMAND`), as the fleet file says, never as a journal says: \
-the file that you name with --fleet, or the file of the mission if it is yours and names the same programs as before.
+It restarts the programs that drive robots (`address: program:COMMAND`). It takes them from the fleet file, never from a journal: \
+from the file that you name with --fleet, or from the file of the mission if you own it and it names the same programs as before.
 
 Examples:
   downbeat resume
@@ -49,7 +50,7 @@ Examples:
 pub(super) struct ResumeArgs {
     /// The mission. Needed only if several were cut off.
     mission: Option<String>,
-    /// The fleet file. By default the one with which the mission began.
+    /// The fleet file. By default, the one with which the mission began.
     #[arg(long, value_name = "FILE")]
     fleet: Option<PathBuf>,
     #[command(flatten)]
@@ -62,9 +63,12 @@ pub(super) struct ResumeArgs {
     traces: TracesArgs,
     #[command(flatten)]
     drivers: DriverArgs,
+    #[command(flatten)]
+    output: OutputArgs,
 }
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
+    args.output.apply();
     console::never_wait();
     let found = match one(args.mission.as_deref(), Life::CutOff, format) {
         Ok(found) => found,
@@ -75,7 +79,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
         Err(reason) => return failed(&format!("{}: {reason}", found.opened.session)),
     };
     if let Fate::Withdraw(why) = taken.contents.kept.fate() {
-        console::note(&format!("{why}: withdrawing what was promised"));
+        console::note(&format!("{why}: withdrawing the mission"));
         let rest = taken.contents.kept.stopping.as_ref().map(|stopping| stopping.rest).unwrap_or_default();
         let ending = taken.contents.kept.ending(why);
         let programs = programs_to_reach(&taken.contents.opened, args, format);
@@ -115,7 +119,7 @@ fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Fo
     }
 }
 
-/// A mission that goes on.
+/// A mission to be continued.
 struct Resumption<'a> {
     found: Found,
     contents: Contents,
@@ -144,7 +148,7 @@ impl<'a> Resumption<'a> {
             return Err(failed(&moved.join("; ")));
         }
         if found.opened.plan_hash != Some(certificate::plan_hash(&choreography, &found.opened.asked)) {
-            let what = "this is not the plan with which the mission began".to_owned();
+            let what = "the plan differs from the one with which the mission began".to_owned();
             return Err(failed(&Changed { what }.to_string()));
         }
         may_start(&found.opened, &fleet::robots_in(&fleet, &choreography), args)
@@ -239,13 +243,13 @@ impl<'a> Resumption<'a> {
     }
 }
 
-/// The fleet file that the operator names, or else that of the mission.
+/// Returns the fleet file that the operator names, or else that of the mission.
 fn fleet_file<'a>(opened: &'a Opened, args: &'a ResumeArgs) -> &'a Path {
     args.fleet.as_deref().unwrap_or(&opened.fleet)
 }
 
-/// Whether the programs that drive these robots may be started. A fleet file that the operator names says so by itself. That of
-/// the mission has to be one that only the operator writes, with the programs that the operator has started before.
+/// Checks whether the programs that drive these robots may be started. A fleet file that the operator names is permission enough. The
+/// mission's own file must be writable only by the operator, and name the same programs as before.
 fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Result<(), String> {
     let mut programs = robots.iter().filter(|robot| matches!(robot.address, Address::Program { .. }));
     let Some(first) = programs.next() else { return Ok(()) };
@@ -253,11 +257,11 @@ fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Resu
         return Ok(());
     }
     let path = opened.fleet.display();
-    let look = format!("look at it, then name it with `--fleet {path}`");
-    let found = rustix::fs::stat(&opened.fleet).map_err(|error| format!("cannot look at {path}: {error}"))?;
+    let look = format!("check it, then name it with `--fleet {path}`");
+    let found = rustix::fs::stat(&opened.fleet).map_err(|error| format!("cannot check {path}: {error}"))?;
     if found.st_uid != rustix::process::geteuid().as_raw() || found.st_mode & 0o002 != 0 {
         return Err(format!(
-            "the fleet file {path} says which programs to start, and is not yours alone: {look}"
+            "the fleet file {path} names programs to start, but other users own it or can write to it: {look}"
         ));
     }
     let is_as_before = |robot: &FleetRobot| {
@@ -266,14 +270,14 @@ fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Resu
     };
     match [first].into_iter().chain(programs).find(|robot| !is_as_before(robot)) {
         Some(other) => Err(format!(
-            "the fleet file {path} says another program for robot `{}` than when the mission began: {look}",
+            "the fleet file {path} names a different program for robot `{}` than when the mission began: {look}",
             other.id
         )),
         None => Ok(()),
     }
 }
 
-/// The programs of a mission that is withdrawn, as far as they may be started; why others may not is told.
+/// Returns the programs of a withdrawn mission that may be started. Prints why others may not.
 fn programs_to_reach(opened: &Opened, args: &ResumeArgs, format: Format) -> Programs {
     let is_program = |robot: &&OpenedRobot| matches!(robot.address.parse(), Ok(Address::Program { .. }));
     let driven: Vec<_> = opened.robots.iter().filter(is_program).map(|robot| &robot.robot).collect();
@@ -282,7 +286,7 @@ fn programs_to_reach(opened: &Opened, args: &ResumeArgs, format: Format) -> Prog
     }
     let project = ProjectArgs::remembered(opened.project.as_deref());
     let Ok(fleet) = load::load_fleet(fleet_file(opened, args), &project, format) else {
-        console::warn("without its fleet file no program is started");
+        console::warn("no program is started, because the fleet file cannot be loaded");
         return Programs::new();
     };
     let robots: Vec<_> = fleet.robots.iter().filter(|robot| driven.contains(&&robot.id)).collect();
@@ -293,7 +297,7 @@ fn programs_to_reach(opened: &Opened, args: &ResumeArgs, format: Format) -> Prog
     robots.into_iter().map(|robot| (robot.id.clone(), robot.address.clone())).collect()
 }
 
-/// Robots that are no longer where they were sent their scripts, each with both addresses.
+/// Returns the robots whose address has changed since their scripts were sent, each with both addresses.
 fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
     let is_now = |id| fleet.robots.iter().find(|robot: &&FleetRobot| robot.id == id);
     let moved = |opened: &OpenedRobot| {
@@ -301,17 +305,17 @@ fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
         match is_now(robot.clone()).map(|robot| robot.address.to_string()) {
             Some(now) if now == *was => None,
             Some(now) => Some(format!(
-                "robot `{robot}` was sent its scripts at {was}, and the fleet file says {now} now"
+                "the scripts of robot `{robot}` were sent to {was}, but its address in the fleet file is now {now}"
             )),
             None => Some(format!(
-                "robot `{robot}` was sent its scripts at {was}, and is not in the fleet file now"
+                "the scripts of robot `{robot}` were sent to {was}, but the robot is no longer in the fleet file"
             )),
         }
     };
     opened.iter().filter_map(moved).collect()
 }
 
-/// Plays what is left of it; returns the report.
+/// Plays the rest of the mission and returns the report.
 async fn go_on(
     found: &Found,
     (mut keep, metrics, traces): (Keep, &Metrics, Traces),

@@ -1,4 +1,4 @@
-//! `downbeat robot`: one simulated robot as a process of its own.
+//! `downbeat robot`: one simulated robot in its own process.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -38,7 +38,7 @@ pub(super) struct RobotArgs {
     /// How far its uncorrected clock is ahead of the true time. A negative time means behind.
     #[arg(long, value_parser = parse_offset, default_value = "0s", value_name = "TIME", allow_hyphen_values = true)]
     clock_offset: Span,
-    /// How far off its clock is after NTP has corrected it.
+    /// Error of its clock after NTP has corrected it.
     #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
     ntp_error: Span,
     /// Do not correct its clock by NTP.
@@ -58,7 +58,7 @@ pub(super) struct RobotArgs {
     seed: u64,
 }
 
-/// A robot as a process of its own, whatever it drives.
+/// Options of a robot in its own process, simulated or real.
 #[derive(Debug, clap::Args)]
 pub(super) struct ProcessArgs {
     /// The description of the robot, YAML or JSON.
@@ -72,7 +72,7 @@ pub(super) struct ProcessArgs {
     listen: String,
     #[command(flatten)]
     network: NetworkArgs,
-    /// Write every value that it sets to this file, one JSON line each.
+    /// Write every value that the robot sets to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     #[command(flatten)]
@@ -83,26 +83,26 @@ pub(super) struct ProcessArgs {
     metrics: MetricsArgs,
 }
 
-/// Who may drive what listens.
+/// Options for who may drive a listening robot.
 #[derive(Debug, clap::Args)]
 pub(super) struct GuardArgs {
-    /// Hear only operators of the authority that made this identity file (`downbeat keys robot`), by TLS.
+    /// Accept only operators of the authority that made this identity file (`downbeat keys robot`), by TLS.
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
-    /// Hear only operators with a pass that is made from the secret in this file (`downbeat keys secret`): for robots without TLS.
+    /// Accept only operators with a pass made from the secret in this file (`downbeat keys secret`): for robots without TLS.
     #[arg(long, value_name = "FILE", conflicts_with = "identity")]
     secret: Option<PathBuf>,
-    /// Refuse those on this list (`downbeat keys revoke`): revoked.pem with --identity, revoked.serials with --secret. It is
-    /// read again when it changes.
+    /// Refuse the operators on this list (`downbeat keys revoke`): revoked.pem with --identity, revoked.serials with --secret. The list
+    /// is read again when it changes.
     #[arg(long, value_name = "FILE")]
     revoked: Option<PathBuf>,
-    /// Let anyone drive the robot who reaches its port, without TLS: for a network of its own.
+    /// Let anyone who reaches the robot's port drive it, without TLS: for an isolated network.
     #[arg(long, conflicts_with_all = ["identity", "secret"])]
     insecure: bool,
 }
 
 impl GuardArgs {
-    /// The robot's door. What listens for more than this machine needs one that is not open.
+    /// Returns the robot's door. If it listens beyond this machine, it must not be open without `--insecure`.
     pub(super) fn door(&self, robot: &RobotId, listener: &TcpListener) -> Result<Door, String> {
         match (&self.identity, &self.secret) {
             (Some(path), _) => self.by_identity(robot, path),
@@ -113,25 +113,24 @@ impl GuardArgs {
                 Ok(Door::Sealed(Arc::new(sealed::Guard::new(robot.clone(), secret, revoked))))
             }
             (None, None) if self.revoked.is_some() => {
-                Err("--revoked needs --identity or --secret: nobody is asked who he is".to_owned())
+                Err("--revoked requires --identity or --secret; without them, peers are not identified"
+                    .to_owned())
             }
             (None, None) => match listener.local_addr() {
                 Ok(address) if !address.ip().to_canonical().is_loopback() && !self.insecure => Err(format!(
-                    "anyone who reaches {address} could drive the robot; give --identity FILE, which `downbeat keys robot` makes, \
-                     or --insecure in a network of its own"
+                    "anyone who reaches {address} could drive the robot; add --identity FILE, which `downbeat keys robot` creates, or --insecure if the network is isolated"
                 )),
                 _ => Ok(Door::Open),
             },
         }
     }
 
-    /// Who may drive a robot at a key is for the network to say.
+    /// At a key of a Zenoh network, the network decides who may drive a robot.
     pub(super) fn refuse_at_key(&self) -> Result<(), String> {
         let given = [("identity", &self.identity), ("secret", &self.secret), ("revoked", &self.revoked)];
         match given.into_iter().find(|(_, file)| file.is_some()) {
             Some((name, _)) => Err(format!(
-                "--{name} guards TCP; who may drive a robot at a zenoh: address is for the access control of its routers to say \
-                 (docs/zenoh.md)"
+                "--{name} applies only to TCP; the access control of the routers decides who may drive a robot at a zenoh: address (docs/zenoh.md)"
             )),
             None => Ok(()),
         }
@@ -158,7 +157,7 @@ impl GuardArgs {
 }
 
 impl ProcessArgs {
-    /// What the robot says of itself.
+    /// Reads the robot's description.
     pub(super) fn block(&self) -> Result<InitializationBlock, Exit> {
         let mut block = downbeat_scripts::read_init(&self.init).map_err(|findings| {
             super::load::show_findings(&findings);
@@ -171,7 +170,7 @@ impl ProcessArgs {
         Ok(block)
     }
 
-    /// Runs the robot until it is interrupted. Moves nothing before it has its socket.
+    /// Runs the robot until it is interrupted. Nothing moves before the robot has its socket.
     pub(super) fn run(&self, id: RobotId, robot: Hosted, format: Format) -> Exit {
         let mut options = HostOptions::default().with_realtime(self.realtime.realtime());
         options.log.clone_from(&self.log_file);
@@ -204,7 +203,7 @@ impl ProcessArgs {
     }
 }
 
-/// Tells at once when the log of what robots set ends ahead of them.
+/// Reports immediately if the robots' log ends before the robots do.
 pub(super) struct LogWatch(Option<JoinHandle<bool>>);
 
 impl LogWatch {
@@ -220,7 +219,7 @@ impl LogWatch {
         Self(host.log_lost().map(watch))
     }
 
-    /// The exit code once the host has stopped: a log that is not whole is no success.
+    /// Returns the exit code after the host has stopped. An incomplete log is not a success.
     pub(super) async fn spoils(self, exit: Exit) -> Exit {
         let lost = match self.0 {
             Some(watch) => watch.await.unwrap_or(false),
@@ -230,7 +229,7 @@ impl LogWatch {
     }
 }
 
-/// What a simulated robot does wrong.
+/// The fault of a simulated robot.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FaultArg {
     /// Refuses every script.
@@ -265,7 +264,7 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
         let sensors = block.devices.iter().filter(|device| is_sensor(&device.id));
         let known: Vec<String> = sensors.map(|device| format!("`{}`", device.id)).collect();
         let known = if known.is_empty() {
-            "it has none, so leave out --reading".to_owned()
+            "it has no sensors, so leave out --reading".to_owned()
         } else {
             format!("its sensors are {}", known.join(", "))
         };
@@ -299,7 +298,7 @@ pub(super) fn failed(message: &str) -> Exit {
     Exit::Usage
 }
 
-/// Why the robots of this process cannot be run.
+/// Returns why the robots of this process cannot run.
 pub(super) fn not_hosted(error: &HostError) -> String {
     match error {
         HostError::Log { path, error } => {
@@ -318,14 +317,14 @@ pub(super) fn stop(host: Host) -> bool {
     not_at_rest.is_empty()
 }
 
-/// Stops the host of a mission's own robots. The report says which of them may not have come to rest.
+/// Stops the host of a mission's own robots. Adds the robots that may not have come to rest to the report.
 pub(super) fn stop_for(report: &mut Report, host: Option<Host>) {
     let not_at_rest = host.map(Host::stop).unwrap_or_default();
     report.not_at_rest = not_at_rest.iter().map(ToString::to_string).collect();
     report.not_at_rest.iter().for_each(|robot| console::error(robot));
 }
 
-/// Says where a robot listens.
+/// Prints where a robot listens.
 pub(super) fn announce(host: &Host, index: usize, listening: &Listening, format: Format) {
     let robot = host.handle().robots()[index].clone();
     let Some(place) = listening.place() else { return };
@@ -340,7 +339,7 @@ pub(super) fn announce(host: &Host, index: usize, listening: &Listening, format:
     }
 }
 
-/// Serves robots, each at its place in the order of the host, until a signal asks the program to end.
+/// Serves robots, in the order of the host, until a signal asks the program to end.
 pub(super) async fn serve_until_asked_to_end(
     places: Vec<Listening>,
     host: &Host,

@@ -1,5 +1,5 @@
-//! `downbeat run`: a mission on the fleet. `approach` asks robots where they are, `opening` begins its journal, `others` looks for
-//! missions that have its robots.
+//! `downbeat run`: a mission on the fleet. `approach` asks robots for their positions, `opening` begins the journal, `others`
+//! finds missions that have the same robots.
 
 mod approach;
 mod opening;
@@ -16,6 +16,7 @@ use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::certify::CertifiedArgs;
 use super::choice::{self, ChoiceArgs};
+use super::console::OutputArgs;
 use super::drivers::DriverArgs;
 use super::fleet::ProgramArgs;
 use super::live::{Live, Speaker};
@@ -46,8 +47,8 @@ use crate::zone::{SkippedTime, Zone};
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Ctrl-C stops the mission: every robot slows down, stays where it is, and confirms it. A second Ctrl-C \
-exits at once and lists the robots that may still move. Closing the terminal stops the mission, too, unless it runs with \
---detach. From another terminal, `downbeat stop` stops it, and `downbeat go` (or Enter here) begins an act that waits for \
+exits at once and lists the robots that may still move. Closing the terminal also stops the mission, unless it runs with \
+--detach. From another terminal, `downbeat stop` stops it, and `downbeat go` (or Enter here) starts an act that waits for \
 the operator.
 
 Examples:
@@ -81,22 +82,22 @@ pub(super) struct RunArgs {
     /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
-    /// By how much an act may start later than `--at`, or than the time for which it waits, if it could not start otherwise: 10s,
-    /// for example. Without this option, the act fails before anything moves.
+    /// Maximum delay of an act after `--at`, or after the time for which it waits, if it could not start otherwise: 10s, for example.
+    /// Without this option, the act fails before anything moves.
     #[arg(long, value_parser = parse_span, value_name = "TIME", default_value = "0s", hide_default_value = true)]
     start_within: Span,
     /// Time from sending the scripts to the start, for example 1500ms or 3s. By default it is computed.
     #[arg(long, value_parser = parse_span, value_name = "TIME", conflicts_with = "at")]
     lead: Option<Span>,
-    /// First move all robots to their first positions, in this time, for example 5s. Without it, a start at which a device
-    /// would have to jump is refused.
+    /// First move all robots to their first positions, in this time, for example 5s. Without this option, a start at which a device would
+    /// have to jump is refused.
     #[arg(long, value_parser = approach::parse, value_name = "TIME", conflicts_with_all = ["seize", "require_certificate"])]
     approach: Option<Span>,
     /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
     join: JoinArg,
-    /// Take robots from other missions: their commands end, and they come to rest first. Your certificate needs the
-    /// role `seize`, and the robots `tls://` addresses.
+    /// Take robots from other missions: their commands end, and they come to rest first. Your certificate needs the role `seize`, and the
+    /// robots need `tls://` addresses.
     #[arg(long)]
     seize: bool,
     /// Read the sensors of devices with the key `calibrate` around the first movement of each act, and report when motions began.
@@ -111,6 +112,8 @@ pub(super) struct RunArgs {
     /// Run in the background, independent of this terminal. The log is written to the mission's folder.
     #[arg(long, conflicts_with = "no_journal")]
     detach: bool,
+    #[command(flatten)]
+    output: OutputArgs,
 }
 
 /// Check whether every robot of a scenario is ready, without moving anything.
@@ -118,8 +121,8 @@ pub(super) struct RunArgs {
 #[command(
     after_help = "The command asks every robot of the scenario for its identity, its clock, the positions of its devices \
 and the readings of its sensors, and prints a table with one row per robot and one column per check. It also measures how \
-late this host wakes the robots of its own process. It starts no program that the fleet file names: with --start-programs \
-it does.
+late this host wakes the robots of its own process. It starts the programs in the fleet file only with \
+--start-programs.
 
 Examples:
   downbeat preflight show.yaml
@@ -143,7 +146,7 @@ pub(super) struct PreflightArgs {
     drivers: DriverArgs,
 }
 
-/// How the fleet is talked to.
+/// Options for the communication with the fleet.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct HowArgs {
     /// How long to wait for connections, greetings and stop confirmations.
@@ -160,7 +163,7 @@ enum JoinArg {
     NextAct,
 }
 
-/// When to start.
+/// The start given by `--at`.
 #[derive(Clone, Copy, Debug)]
 enum StartAt {
     TimeOfDay(Span),
@@ -183,9 +186,10 @@ fn parse_start(text: &str) -> Result<StartAt, String> {
 }
 
 pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
+    args.output.apply();
     if args.no_journal {
         console::warn(
-            "no journal is kept: no other terminal can stop this mission or say go, and it cannot be resumed; Ctrl-C here stops it",
+            "no journal is kept: other terminals cannot stop this mission or send a go, and it cannot be resumed; Ctrl-C here stops it",
         );
     }
     let place = match (args.detach, args.detach.then(detach::detached_as).flatten()) {
@@ -253,15 +257,15 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
 #[derive(Clone)]
 enum Place {
     Terminal,
-    /// In a process that has yet to be started.
+    /// In a process that is not started yet.
     Detaching,
-    /// In this process, which belongs to no terminal, under this name.
+    /// In this process, which belongs to no terminal, with this session name.
     Background(SessionId),
-    /// Ahead of a mission in the same process: robots are asked where their devices are.
+    /// Before a mission in the same process: robots are asked for the positions of their devices.
     Asking,
 }
 
-/// Why a mission did not begin, and with which code that ends.
+/// The reason why a mission did not begin, and the exit code.
 type Stopped = (String, Exit);
 
 fn failed(message: String) -> Stopped {
@@ -272,7 +276,7 @@ fn usage(message: String) -> Stopped {
     (message, Exit::Usage)
 }
 
-/// A mission that has its journal and whose robots have not been reached.
+/// A mission with its journal, before its robots are contacted.
 struct Prepared<'a> {
     choreography: Arc<Choreography>,
     fleet: &'a Fleet,
@@ -280,13 +284,13 @@ struct Prepared<'a> {
     clock: ServerClock,
     options: MissionOptions,
     keep: Keep,
-    /// By which the operator speaks.
+    /// The stop lane, the operator's commands and the control socket.
     with: (StopLane, mpsc::Receiver<Operator>, Option<Control>),
     metrics: Metrics,
     traces: Traces,
 }
 
-/// One mission as it was asked for.
+/// The requested mission.
 #[derive(Clone)]
 struct Work<'a> {
     scenario: &'a ScenarioArgs,
@@ -298,7 +302,7 @@ struct Work<'a> {
     traces: TracesArgs,
     at: Option<StartAt>,
     start_within: Span,
-    /// The act that starts at that time. `None`: the first one.
+    /// The act that starts at that time. `None` for the first one.
     starts_with: Option<usize>,
     lead: Option<Span>,
     join: Join,
@@ -329,7 +333,7 @@ impl Work<'_> {
         }
         if self.seize && fleet::greeting(&fleet) == Greeting::Skip {
             console::error(
-                "--seize takes robots when they are greeted, and this fleet file says `handshake: skip`; expected `handshake: full`",
+                "--seize requires `handshake: full`, but this fleet file contains `handshake: skip`; robots are seized during the handshake",
             );
             return Exit::Usage;
         }
@@ -337,7 +341,7 @@ impl Work<'_> {
             let mut settings = fleet::robots_in(&fleet, &choreography).into_iter();
             if settings.all(|robot| robot.mission.calibrate.is_empty()) {
                 console::error(
-                    "--verify-motion reads the sensors that `calibrate` names, and no robot of this scenario has that key; add `calibrate: {DEVICE: {sensor: SENSOR, by: AMOUNT}}` to a robot of the fleet file",
+                    "--verify-motion reads the sensors listed under `calibrate`, but no robot of this scenario has that key; add `calibrate: {DEVICE: {sensor: SENSOR, by: AMOUNT}}` to a robot of the fleet file",
                 );
                 return Exit::Usage;
             }
@@ -371,7 +375,7 @@ impl Work<'_> {
         })
     }
 
-    /// Plays it; returns its report.
+    /// Plays the mission and returns its report.
     async fn play(
         &self,
         choreography: Choreography,
@@ -399,7 +403,7 @@ impl Work<'_> {
             .map_err(|why| failed(format!("{}: {why}", self.scenario.scenario.display())))?;
         let mut keep = self.keep(fleet, clock)?;
         let lane = match self.place {
-            // Nothing moves, so a signal may end the process. A second lane would hear the signals of the mission, too.
+            // Nothing moves, so a signal may end the process. A second lane would also receive the signals for the mission.
             Place::Asking => StopLane::deaf().map_err(|error| failed(error.to_string())),
             _ => stop_lane(self.on_hang_up()).map_err(failed),
         };
@@ -419,7 +423,7 @@ impl Work<'_> {
             .await
     }
 
-    /// Where its journal is to be, if no other mission there has its robots. A mission without a journal need not know.
+    /// Returns the state folder, if no other mission in it has these robots. A mission without a journal can do without.
     fn state(&self, robots: &[&FleetRobot]) -> Result<Option<PathBuf>, Stopped> {
         let read = journal::state_folder().map_err(|error| error.to_string()).and_then(|state| {
             let missions = Missions::of(&state).map_err(|error| unusable(&state, &error))?;
@@ -432,7 +436,7 @@ impl Work<'_> {
             }
             Err(error) if self.journal => Err(usage(format!("{error}, or run with --no-journal"))),
             Err(error) => {
-                console::warn(&format!("other missions that may have these robots are not known: {error}"));
+                console::warn(&format!("cannot check whether other missions use these robots: {error}"));
                 Ok(None)
             }
         }
@@ -460,7 +464,7 @@ impl Work<'_> {
             preflight_only: self.preflight_only,
             zone: ZONE,
             transfer: Some(fleet::transfer(fleet)),
-            // A show continues even if a statement does not hold.
+            // A show continues even if an invariant is violated.
             check_invariants: false,
         }
     }
@@ -471,7 +475,7 @@ impl Work<'_> {
         Ok(FixedStarts { operator, within: self.start_within })
     }
 
-    /// The instant of `--at`, in the time zone of this machine.
+    /// Returns the instant of `--at`, in the time zone of this machine.
     fn start(&self, now: Timestamp<Server>) -> Result<Option<Timestamp<Server>>, Stopped> {
         let Some(at) = self.at else { return Ok(None) };
         let start = at.instant(now, ZONE).map_err(|skipped| usage(format!("--at: {}", refusal(skipped))))?;
@@ -481,7 +485,7 @@ impl Work<'_> {
         Ok(Some(start))
     }
 
-    /// What goes with it, but for its journal and its stop lane.
+    /// Creates the mission's resources, except for the journal and the stop lane.
     fn keep(&self, fleet: &Fleet, clock: ServerClock) -> Result<Keep, Stopped> {
         let ntp = fleet.ntp.clone().map(|server| NtpWatch::start(server, clock, NTP_WATCH_INTERVAL));
         let mut keep = Keep { ntp, ..Keep::default() };
@@ -503,7 +507,7 @@ impl Work<'_> {
         }
     }
 
-    /// The first line of its journal.
+    /// Returns the first line of the journal.
     fn opened(
         &self,
         (session, key): (SessionId, SessionKey),
@@ -532,7 +536,7 @@ impl Work<'_> {
         }
     }
 
-    /// Reaches the robots, plays, and lets all go that went with it.
+    /// Connects to the robots, plays the mission and releases its resources.
     async fn perform(&self, prepared: Prepared<'_>) -> Result<Report, Stopped> {
         let Prepared { choreography, fleet, robots, clock, options, mut keep, with, metrics, traces } =
             prepared;
@@ -548,7 +552,7 @@ impl Work<'_> {
         if let Some(host) = &host {
             tokio::select! {
                 () = fleet::await_hardware(host, self.drivers) => {}
-                // The mission has sent nothing yet, and handles the stop.
+                // The mission has not sent anything yet, and handles the stop.
                 () = stopped => {}
             }
         }
@@ -563,7 +567,7 @@ impl Work<'_> {
             .map_err(|error| failed(error.to_string()))?;
         traces.add_mission(clock, &mission, &mut keep.watches);
         let live = if self.preflight_only {
-            // A table shows the result of a preflight, once.
+            // The result of a preflight is printed once, as a table.
             Live::lines(Format::Json)
         } else {
             let ids = robots.iter().map(|robot| robot.id.clone());
@@ -598,7 +602,7 @@ impl StartAt {
         }
     }
 
-    /// States which instant `--at` means, if the clocks show its time of day twice.
+    /// States which instant `--at` means if the clocks show its time of day twice.
     fn choice_of_two(self, at: Timestamp<Server>, zone: Zone) -> Option<String> {
         let other = zone.repeated(at).filter(|_| matches!(self, Self::TimeOfDay(_)))?;
         let which = if at < other { "the first" } else { "the second" };
@@ -611,7 +615,7 @@ impl StartAt {
     }
 }
 
-/// Refuses a scenario with an act that would wait for a time that the clocks skip.
+/// Rejects a scenario with an act that would wait for a time that the clocks skip.
 fn check_waits(
     choreography: &Choreography,
     options: &MissionOptions,
@@ -636,21 +640,21 @@ fn check_waits(
 }
 
 fn refusal(skipped: SkippedTime) -> String {
-    format!("{skipped}; the nearest times that exist are {}", skipped.nearest())
+    format!("{skipped}; the nearest existing times are {}", skipped.nearest())
 }
 
-/// Where it fails, the mission still plays.
+/// If it fails, the mission plays without a control socket.
 pub(super) fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> Option<Control> {
     let listening = Control::listen(folder, lane, desk);
     let failed = |error: &std::io::Error| {
         console::warn(&format!(
-            "`downbeat go` will not reach this mission, `downbeat stop` only its robots: {error}"
+            "`downbeat go` cannot reach this mission, and `downbeat stop` can reach only its robots: {error}"
         ));
     };
     listening.inspect_err(failed).ok()
 }
 
-/// A name that no other run bears: the scenario, this machine, this process, this moment.
+/// Returns a unique name: from the scenario, this machine, this process, and the current time.
 fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
     let plain: String =
         scenario.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(20).collect();
@@ -658,7 +662,7 @@ fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
     let host: String = uname.nodename().to_string_lossy().chars().take(12).collect();
     let now = chrono::DateTime::from_timestamp_nanos(clock.now().as_nanos()).format("%Y%m%dT%H%M%S%3f");
     let name = format!("{plain}@{host}-{}-{now}", std::process::id());
-    // Never empty, and so short that the mission's socket, whose path may have 107 bytes, has room below most state folders.
+    // Never empty, and so short that the path of the mission's socket, at most 107 bytes, fits below most state folders.
     name.parse().unwrap_or_else(|_| unnamed())
 }
 
@@ -667,26 +671,26 @@ fn unnamed() -> SessionId {
     "downbeat".parse().expect("a constant below every limit")
 }
 
-/// How late this host wakes its robots; takes a moment.
+/// Measures how late this host wakes its robots. Takes a moment.
 async fn measured_wake_up(realtime: RealtimeArgs) -> Option<WakeUp> {
     let measure = move || WakeUp::measure(realtime.realtime());
     tokio::task::spawn_blocking(measure).await.ok()?.ok()
 }
 
-/// The server's time: by NTP when the fleet file names a server, else the system's.
+/// Returns the server's time: by NTP if the fleet file names a server, else from the system clock.
 pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(ServerClock, Span), String> {
     let Some(server) = &fleet.ntp else { return Ok((ServerClock::anchored(Span::ZERO), Span::ZERO)) };
     let reading = server_clock::ask_ntp(server).await.map_err(|error| error.to_string())?;
     if format == Format::Text {
         console::note(&format!(
-            "server time by NTP from {server}: this machine is off by {} (+-{}), stratum {}",
+            "NTP time from {server}: this machine is off by {} (+-{}), stratum {}",
             reading.offset, reading.uncertainty, reading.stratum
         ));
     }
     Ok((ServerClock::anchored(reading.offset), reading.uncertainty))
 }
 
-/// The stop lane, and what the operator says.
+/// Starts the stop lane and returns it with the receiver of the operator's commands.
 pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receiver<Operator>), String> {
     StopLane::start(on_hang_up).map_err(|error| format!("cannot prepare to stop the robots: {error}"))
 }
@@ -694,12 +698,12 @@ pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receive
 pub(super) fn finish(report: &Report, format: Format) -> Exit {
     match format {
         Format::Json => console::print_json(report),
-        Format::Text => console::print(&report_text(report, console::columns())),
+        Format::Text => console::print(&report_text(report, console::detail(), console::columns())),
     }
     exit_of(report)
 }
 
-/// How a mission ended, as scripts see it.
+/// Returns the exit code for a mission's report.
 pub(super) fn exit_of(report: &Report) -> Exit {
     let unconfirmed = report.robots.iter().any(|robot| robot.stop.is_unconfirmed());
     if !report.not_at_rest.is_empty() {

@@ -1,4 +1,4 @@
-//! `downbeat schema`: JSON Schemas for editors.
+//! `downbeat schema`: prints JSON Schemas for editors.
 
 use clap::ValueEnum;
 
@@ -15,7 +15,7 @@ Examples:
   downbeat schema report > report.schema.json
   downbeat schema protocol > urrcp.schema.json")]
 pub(super) struct SchemaArgs {
-    /// What the schema describes.
+    /// The subject of the schema.
     #[arg(value_enum)]
     of: Of,
 }
@@ -26,11 +26,11 @@ enum Of {
     Scenario,
     /// The robots.
     Fleet,
-    /// What a dry run meets.
+    /// The conditions of a dry run.
     World,
-    /// What `run`, `dry-run` and `preflight` print with `--format json`.
+    /// The output of `run`, `dry-run` and `preflight` with `--format json`.
     Report,
-    /// What goes to a robot and comes from it, a message a line.
+    /// The messages to and from a robot, one message per line.
     Protocol,
 }
 

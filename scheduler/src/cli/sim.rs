@@ -1,4 +1,4 @@
-//! `downbeat sim`: all robots of a fleet that are processes of their own, as simulated ones in this process.
+//! `downbeat sim`: simulates all robots of a fleet that would run in their own processes.
 
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub(super) struct SimArgs {
     network: NetworkArgs,
     #[command(flatten)]
     project: ProjectArgs,
-    /// Write every value that they set to this file, one JSON line each.
+    /// Write every value that the robots set to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     #[command(flatten)]
@@ -49,7 +49,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     };
     if let (None, Some(robot)) = (&args.keys, fleet.robots.iter().find(|robot| takes_keys(&robot.address))) {
         console::error(&format!(
-            "`{}` is at {}: name the folder of the keys with --keys, or simulate it with `address: sim`",
+            "the address of `{}` is {}, which requires keys; set their folder with --keys, or simulate the robot with `address: sim`",
             robot.id, robot.address
         ));
         return Exit::Usage;
@@ -81,7 +81,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     }
     if machines.is_empty() {
         console::error(
-            "no robot of this fleet has `address: tcp://host:port` or `address: zenoh:KEY`; `downbeat run` simulates those with `address: sim` itself",
+            "no robot of this fleet has `address: tcp://host:port` or `address: zenoh:KEY`; `downbeat run` itself simulates robots with `address: sim`",
         );
         return Exit::Failed;
     }
@@ -123,7 +123,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     })
 }
 
-/// Takes the place that a fleet file names. Simulated robots move nothing, so anyone may.
+/// Opens the place that a fleet file names. Anyone may drive simulated robots, because they move nothing.
 async fn listening(address: &Address, door: Door, way: &mut Way) -> Result<Listening, String> {
     match address {
         Address::Zenoh { key } => way.listen(key, true).await,

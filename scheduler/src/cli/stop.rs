@@ -1,4 +1,4 @@
-//! `downbeat stop`: missions that run, from any terminal; those whose scheduler is gone or does not answer, by their journals.
+//! `downbeat stop`: stops running missions from any terminal. If the scheduler is gone or does not answer, uses the journal.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -36,11 +36,11 @@ use crate::signals;
     after_help = "Without a name, the command stops all missions that run or were cut off. It stops a running mission \
 through its scheduler and waits for the report. If the scheduler was killed, or does not answer within one second, the \
 command stops the robots directly: the journal names them, and no other file is read. A stop starts no program: if a program \
-drove a robot, `downbeat resume` starts it again and brings the robot to rest. The command says which robots \
+drove a robot, `downbeat resume` starts it again and brings the robot to rest. The command lists which robots \
 confirmed the stop, which did not, and when their leases end. A mission can be stopped again, even after it has ended.
 
 With --fleet no journal is needed: all robots with a `tcp://`, `tls://` or `hmac://` address are stopped, in missions of all \
-operators, from any machine. Robots at tls:// and hmac:// obey if you have the role `stop`, others while they are free.
+operators, from any machine. Robots at tls:// and hmac:// accept the stop if you have the role `stop`; other robots accept it while they are free.
 
 Examples:
   downbeat stop
@@ -60,26 +60,26 @@ pub(super) struct StopArgs {
     fleet: Option<PathBuf>,
     #[command(flatten)]
     project: ProjectArgs,
-    /// Count a mission that was cut off as ended even if a robot does not confirm, for example because it is gone for good.
+    /// Treat a mission that was cut off as ended even if a robot does not confirm, for example because it is gone for good.
     #[arg(long, requires = "mission")]
     forget: bool,
-    /// Then move all robots to their default positions, in an act that is planned from the positions at which they rest. If the
-    /// scheduler of the mission has ended, each robot goes there on its own.
+    /// Then move all robots to their default positions, in an act that is planned from the positions at which they rest. If the scheduler
+    /// of the mission has ended, each robot moves there on its own.
     #[arg(long)]
     home: bool,
     #[command(flatten)]
     how: HowArgs,
 }
 
-/// What became of one mission.
+/// The result for one mission.
 struct Stopped {
     mission: SessionId,
-    /// Of a direct stop: when it began.
+    /// When a direct stop began. `None` for other stops.
     begun: Option<Timestamp<Server>>,
-    /// Otherwise why it was not stopped.
+    /// The report, or the reason why the mission was not stopped.
     report: Result<Ended, String>,
     inside: Vec<Inside>,
-    /// Robots that have not confirmed, of a mission that counts as ended all the same.
+    /// Unconfirmed robots of a mission that is recorded as ended nevertheless.
     forgotten: Vec<RobotId>,
     exit: Exit,
 }
@@ -87,7 +87,7 @@ struct Stopped {
 /// The report of a mission that has ended.
 struct Ended {
     report: Withdrawal,
-    /// All of it.
+    /// The whole report.
     document: Value,
 }
 
@@ -127,16 +127,16 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let patience = args.how.patience;
     let drivers = StartPrograms::No.into();
     let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, drivers, told };
-    // A stop waits for no key.
+    // A stop does not depend on a key.
     let presented = identity::presented().unwrap_or_else(|error| {
-        console::warn(&format!("the stop names nobody: {error}"));
+        console::warn(&format!("the stop is sent without an identity: {error}"));
         None
     });
     let stops = stop_all(found, unread, (how, presented.map(Arc::new)), shown, format);
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
 }
 
-/// Without a journal: by the certificate of who says so.
+/// Stops without a journal, with the operator's certificate.
 fn stop_all_of(path: &Path, args: &StopArgs, format: Format) -> Exit {
     let fleet = match load::load_fleet(path, &args.project, format) {
         Ok(fleet) => fleet,
@@ -155,14 +155,14 @@ fn fleet_as_mission() -> SessionId {
     SessionId::new("the fleet").expect("a constant below every limit")
 }
 
-/// A mission whose journal cannot be read, and whose scheduler may hear all the same.
+/// A mission whose journal cannot be read, but whose scheduler may still listen.
 struct Unread {
     mission: SessionId,
     folder: PathBuf,
 }
 
 impl Unread {
-    /// Nothing where it is another one than was named, or left nothing to speak to.
+    /// Returns `None` if another mission was named, or if there is no socket.
     fn of(journal: &Path, named: Option<&str>) -> Option<Self> {
         let folder = journal.parent()?.to_path_buf();
         let name = folder.file_name()?.to_str()?;
@@ -186,7 +186,7 @@ impl Unread {
     }
 }
 
-/// Whether one mission was meant, or however many there are.
+/// Whether the output has the form for one mission or for several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shown {
     One,
@@ -230,7 +230,7 @@ async fn stop_all(
     exit
 }
 
-/// What a script has to look at first: robots whose stop is not confirmed.
+/// Returns the exit code that a script must handle first: that of robots whose stop is not confirmed.
 fn worst(one: Exit, other: Exit) -> Exit {
     let rank = |exit: Exit| match exit {
         Exit::Done => 0,
@@ -244,7 +244,7 @@ async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> 
     match found.life {
         Life::Running => match control::stop(&found.folder, how.rest, presented.as_deref()).await {
             Ok(ending) => heard(&found, how, &ending).await,
-            // It is not stopped by its journal instead.
+            // After a refusal, the mission is not stopped from its journal either.
             Err(refused @ Unheard::Refused(_)) => {
                 Stopped::of(found.opened.session.clone(), Err(refused.to_string()))
             }
@@ -256,13 +256,13 @@ async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> 
 }
 
 /// The reason if a mission did not carry out a stop.
-const ENDED_AHEAD: &str = "it ended by an earlier stop before it took this one";
+const ENDED_AHEAD: &str = "it was ended by an earlier stop before this one took effect";
 /// How long the process of a mission may take to end after its report.
 const ENDS_WITHIN: Duration = Duration::from_secs(2);
 /// The interval at which the command checks whether the process has ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// The parts of a report that say how robots came to rest. The report of a direct stop has neither `home` nor `standing`.
+/// The parts of a report that state how robots came to rest. The report of a direct stop has neither `home` nor `standing`.
 #[derive(Deserialize)]
 struct Rested {
     robots: Vec<RestedRobot>,
@@ -282,7 +282,7 @@ fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
         Rest::Home => StopState::Confirmed,
     };
     let Ok(report) = serde_json::from_str::<Rested>(&ending.report) else { return true };
-    // The mission has tried to plan the way home.
+    // The mission has attempted to plan the way home.
     let is_home = rest == Rest::Home && report.home.is_some();
     let rests_otherwise = |robot: &RestedRobot| robot.standing != Some(Standing::Out) && robot.stop == other;
     !ending.superseded && !is_home && report.robots.iter().any(rests_otherwise)
@@ -293,7 +293,7 @@ async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
     if !leaves_undone(ending, how.rest) {
         return Stopped::by_itself(found.opened.session.clone(), &ending.report);
     }
-    // Hardware that the mission's process drives is reachable once that process has ended.
+    // Hardware that the mission's process drives can be reached only once that process has ended.
     let gone = async {
         while Found::look_at(&found.folder).ok().flatten().is_some_and(|found| found.life == Life::Running) {
             tokio::time::sleep(LOOK_EVERY).await;
@@ -307,7 +307,7 @@ async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
         .await
 }
 
-/// A mission that was there and gave no report.
+/// Handles a running mission that gave no report.
 async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     let now = Found::look_at(&found.folder).ok().flatten().map_or(Life::Ended, |found| found.life);
     match now {
@@ -322,10 +322,10 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     let how = How { scheduler: Scheduler::Silent, ..how };
     let stopped =
         directly(found, how, &format!("{process}: {unheard}; its robots are stopped directly")).await;
-    // Once it goes on, it stops for good.
+    // If the process continues, it stops the mission for good.
     if let Some(sent) = pid.and_then(|pid| signals::stop(pid, how.rest)) {
         let session = &found.opened.session;
-        console::note(&format!("{session}: {process} was sent {sent}; if it continues, it ends"));
+        console::note(&format!("{session}: {process} was sent {sent}; if it continues, it will end"));
     }
     stopped
 }
@@ -336,23 +336,23 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
         Ok(taken) => {
             Stopped::of(mission, withdraw_and_record(taken, &Programs::new(), by_operator(), how).await)
         }
-        // By another stop, most likely, which is told of by its socket.
+        // Most likely another stop holds it. Its socket reports the result.
         Err(NotTaken::Held) => match control::stop(&found.folder, how.rest, None).await {
             Ok(ending) => heard(found, how, &ending).await,
             Err(unheard) => {
-                directly(found, how, &format!("another process has its journal: {unheard}")).await
+                directly(found, how, &format!("another process holds its journal: {unheard}")).await
             }
         },
         Err(not_taken) => directly(found, how, &not_taken.to_string()).await,
     }
 }
 
-/// Without its journal's lock, and without writing to it.
+/// Stops the robots without the journal's lock, and without writing to it.
 async fn directly(found: &Found, how: How, why: &str) -> Stopped {
     let mission = found.opened.session.clone();
     console::warn(&format!("{mission}: {why}"));
     let journal = found.clone();
-    // The other missions are stopped meanwhile.
+    // On another thread, so that the other missions are stopped meanwhile.
     let read = tokio::task::spawn_blocking(move || journal.read().map_err(|error| error.to_string()));
     let contents: Result<Contents, String> = read.await.map_err(|error| error.to_string()).flatten();
     match contents {
@@ -361,8 +361,8 @@ async fn directly(found: &Found, how: How, why: &str) -> Stopped {
     }
 }
 
-/// The scheduler that holds the lock of a mission's journal, as far as this process may see it: the one that began it, or
-/// another process of this program that has taken it up.
+/// Returns the scheduler that holds the lock of a mission's journal, if this process may see it: the one that began it, or another
+/// process of this program that has taken it over.
 fn holder(found: &Found) -> Option<Pid> {
     let journal = std::fs::canonicalize(found.folder.join("journal")).ok()?;
     let program = std::env::current_exe().ok()?;
@@ -388,7 +388,7 @@ fn holder(found: &Found) -> Option<Pid> {
 }
 
 impl Stopped {
-    /// The mission has stopped itself and says so.
+    /// Creates the result for a mission that has stopped itself and reported that.
     fn by_itself(mission: SessionId, report: &str) -> Self {
         let report = Ended::of(report).map_err(|error| error.to_string());
         let not_at_rest = report.iter().flat_map(|ended| &ended.report.not_at_rest);
@@ -466,7 +466,7 @@ impl Stopped {
     }
 }
 
-/// `begun`: when a direct stop began, of a mission whose leases may have run out long before.
+/// `begun` is when a direct stop began; the mission's leases may have run out long before.
 fn robot_line(robot: &WithdrawnRobot, begun: Option<Timestamp<Server>>) -> String {
     let name = &robot.robot;
     match robot.stop {
@@ -484,7 +484,7 @@ fn robot_line(robot: &WithdrawnRobot, begun: Option<Timestamp<Server>>) -> Strin
     }
 }
 
-/// Why a robot has not confirmed, or has failed the mission before.
+/// Returns why a robot has not confirmed, or why it failed earlier.
 fn failure_line(failure: &Failure) -> String {
     format!("{}: {}", failure.robot, failure.kind)
 }
@@ -493,7 +493,7 @@ fn forgotten_line(robots: &[RobotId]) -> String {
     let names: Vec<_> = robots.iter().map(RobotId::as_str).collect();
     let (have, their) = if robots.len() == 1 { ("has", "its") } else { ("have", "their") };
     format!(
-        "forgotten: the mission counts as ended, though {} {have} not confirmed {their} stop",
+        "forgotten: the mission is considered ended, although {} {have} not confirmed {their} stop",
         names.join(", ")
     )
 }
@@ -504,17 +504,17 @@ fn inside_line(inside: &Inside) -> String {
         InsideWhat::Simulated => format!("{robot}: was simulated in the scheduler's own process"),
         InsideWhat::Unmoved => format!("{robot}: nothing had been sent to it"),
         InsideWhat::Program => format!(
-            "{robot}: stop NOT confirmed; a program drove it, and a stop starts no program: `downbeat resume` starts it as the fleet file says, and brings the robot to rest"
+            "{robot}: stop NOT confirmed; it was driven by a program, which a stop does not start: `downbeat resume` starts the program in the fleet file and brings the robot to rest"
         ),
         InsideWhat::Driver => {
             format!(
-                "{robot}: stop NOT confirmed; the scheduler's own process drives it, end that and stop again"
+                "{robot}: stop NOT confirmed; the scheduler's own process drives it; end that process, then stop again"
             )
         }
     }
 }
 
-/// Tells what became of a mission that was taken back instead of resumed.
+/// Prints the result of a mission that was withdrawn instead of resumed.
 pub(super) fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Format) -> Exit {
     let stopped = Stopped::of(mission, withdrawn);
     stopped.tell(Shown::One, format);

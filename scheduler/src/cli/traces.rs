@@ -1,13 +1,13 @@
-//! `--traces`: the mission as a trace of OpenTelemetry.
+//! `--traces`: the mission as an OpenTelemetry trace.
 
 use crate::mission::Mission;
 use crate::run::watch::Watches;
 use crate::server_clock::ServerClock;
 
-/// Where traces are sent.
+/// The destination of traces.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(super) struct TracesArgs {
-    /// Send the mission as a trace of OpenTelemetry, by OTLP over HTTP, to the collector at URL, such as http://localhost:4318.
+    /// Send the mission as an OpenTelemetry trace, by OTLP over HTTP, to the collector at URL, such as http://localhost:4318.
     #[arg(long, value_name = "URL", value_parser = parse)]
     traces: Option<String>,
 }
@@ -16,13 +16,12 @@ fn parse(text: &str) -> Result<String, String> {
     let rest = text.strip_prefix("http://").map(|rest| rest.trim_end_matches('/'));
     let is_there = rest.is_some_and(|rest| !rest.is_empty() && !rest.contains(char::is_whitespace));
     is_there.then(|| text.to_owned()).ok_or_else(|| {
-        "expected http://HOST:PORT of a collector, such as http://localhost:4318; one that is elsewhere is best reached through a \
-         collector on this machine"
+        "expected http://HOST:PORT of a collector, such as http://localhost:4318; to reach a remote collector, run one on this machine that forwards to it"
             .to_owned()
     })
 }
 
-/// The way to a collector, where there is one.
+/// The connection to a collector, if there is one.
 #[derive(Debug, Default)]
 pub(super) struct Traces {
     #[cfg(feature = "traces")]
@@ -31,7 +30,7 @@ pub(super) struct Traces {
 
 impl TracesArgs {
     /// # Errors
-    /// The URL is none, or this program has no traces.
+    /// Fails if the URL is invalid, or if this program has no traces.
     #[cfg(feature = "traces")]
     pub(super) fn open(&self) -> Result<Traces, String> {
         let to = self.traces.as_ref().map(|url| {
@@ -41,7 +40,7 @@ impl TracesArgs {
         Ok(Traces { to: to.transpose()? })
     }
 
-    /// The same in a program without traces.
+    /// Same, in a program without traces.
     #[cfg(not(feature = "traces"))]
     pub(super) fn open(&self) -> Result<Traces, String> {
         match self.traces {
@@ -58,7 +57,7 @@ impl TracesArgs {
     expect(clippy::unused_self, reason = "there is nothing to tell of without the feature")
 )]
 impl Traces {
-    /// Tells of this mission from now on.
+    /// Adds a mission to the trace.
     pub(super) fn add_mission(&self, clock: ServerClock, mission: &Mission, watches: &mut Watches) {
         #[cfg(feature = "traces")]
         if let Some(to) = &self.to {
@@ -73,11 +72,11 @@ impl Traces {
         let _nothing_to_tell = (clock, mission, watches);
     }
 
-    /// Sends what has not been sent, for some seconds at most. The mission is over.
+    /// Sends the remaining spans, for at most a few seconds. The mission must be over.
     pub(super) fn end(self) {
         #[cfg(feature = "traces")]
         if let Some(Err(error)) = self.to.map(crate::operations::Traces::end) {
-            super::console::warn(&format!("the trace is not complete: {error}"));
+            super::console::warn(&format!("the trace is incomplete: {error}"));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! `downbeat dry-run --world` and `--trials`: the mission in a world of its own, once or many times.
+//! `downbeat dry-run --world` and `--trials`: plays the mission in a world from a file, once or many times.
 
 use std::path::Path;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::mission::MissionOptions;
 use crate::show::trials_text;
 use crate::trials::{Results, Trials};
 
-/// Reads a world file, or the world in which everything is as the fleet file says.
+/// Reads a world file. Without a file, returns the world that follows the fleet file.
 pub(super) fn world(
     path: Option<&Path>,
     fleet: &Fleet,
@@ -32,7 +32,7 @@ pub(super) fn world(
     world.ok_or(if unreadable { Exit::Usage } else { Exit::Failed })
 }
 
-/// Plays all of them with a bar on the terminal.
+/// Plays all trials, with a progress bar on the terminal.
 pub(super) fn play(
     (choreography, fleet, world): (&Choreography, &Fleet, &World),
     options: MissionOptions,
@@ -65,7 +65,7 @@ fn bar(count: u32, format: Format) -> ProgressBar {
     bar
 }
 
-/// Prints what they showed.
+/// Prints the results.
 pub(super) fn print(results: &Results, format: Format) {
     match format {
         Format::Text => console::print(&trials_text(results, console::columns())),

@@ -1,4 +1,4 @@
-//! Takes back what a mission left on its robots, by its journal alone: files may have changed since it began.
+//! Withdraws what a mission left on its robots, from its journal alone, because files may have changed since it began.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,32 +23,32 @@ use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
 use crate::stop_lane::{Operator, StopLane};
 
-/// So long the disk may take to write down that a mission was stopped.
+/// Maximum time for the disk to record that a mission was stopped.
 const RECORD_MAX: Duration = Duration::from_secs(5);
 
-/// The journal of a mission whose scheduler is gone, under its lock.
+/// The locked journal of a mission whose scheduler is gone.
 pub(super) struct Taken {
     pub(super) contents: Contents,
     disk: FileDisk,
     folder: PathBuf,
 }
 
-/// A mission is not there to be taken up.
+/// The reason why a mission cannot be taken over.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NotTaken {
-    /// Another process has it.
+    /// Another process holds the journal's lock.
     #[error("another process has resumed it")]
     Held,
-    /// It has ended meanwhile.
-    #[error("another process has ended it meanwhile")]
+    /// The mission has ended meanwhile.
+    #[error("another process has already ended it")]
     Ended,
-    /// Its journal cannot be opened or read.
+    /// The journal cannot be opened or read.
     #[error("{0}")]
     Journal(String),
 }
 
 impl Taken {
-    /// Takes the journal, and reads it under its lock.
+    /// Locks the journal and reads it under the lock.
     pub(super) fn of(found: &Found) -> Result<Self, NotTaken> {
         let path = found.folder.join("journal");
         let disk = FileDisk::take_up(&found.folder).map_err(|error| match error.kind() {
@@ -65,7 +65,7 @@ impl Taken {
         Ok(Self { contents, disk, folder: found.folder.clone() })
     }
 
-    /// The journal, to be written further.
+    /// Returns the journal for further records.
     pub(super) fn journal(self) -> Result<(Contents, Journal), String> {
         let journal = Journal::taken_up(self.disk, self.folder.join("journal"), self.contents.clone());
         Ok((self.contents, journal.map_err(|error| error.to_string())?))
@@ -76,25 +76,25 @@ fn torn_text(torn: Torn) -> String {
     let Torn { line, bytes, whole_after } = torn;
     match whole_after {
         0 => format!(
-            "the last record of the journal, line {line}, was not written to its end: its {bytes} bytes are cut off, what it said is not known"
+            "the last record of the journal (line {line}) is incomplete: its {bytes} bytes are discarded, and its content is lost"
         ),
         after => format!(
-            "the journal is damaged from line {line} on: its last {bytes} bytes are cut off, also {} after the damage",
+            "the journal is damaged from line {line} on: its last {bytes} bytes are discarded, including {} after the damage",
             counted(after, "whole record")
         ),
     }
 }
 
-/// The process that drove a mission.
+/// The state of the process that drove a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scheduler {
-    /// It is gone, and what ran in it as well.
+    /// It is gone, and everything that ran in it as well.
     Gone,
-    /// It is there and does not answer.
+    /// It exists but does not answer.
     Silent,
 }
 
-/// A robot that nothing can be said to, because it runs or ran in the scheduler's own process.
+/// A robot that cannot be reached, because it runs or ran in the scheduler's own process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Inside {
     pub(super) robot: RobotId,
@@ -106,28 +106,28 @@ pub(super) struct Inside {
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub(super) enum InsideWhat {
-    /// A simulated robot: it ended, or stands still, with the process.
+    /// A simulated robot: it ended, or is suspended, with the process.
     Simulated,
     /// A driver of hardware.
     Driver,
-    /// A program that ended with the process, and that only the fleet file can have started again.
+    /// A program that ended with the process. Only the fleet file says how to start it again.
     Program,
-    /// A driver of hardware to which the mission had sent nothing.
+    /// A driver of hardware to which the mission had not sent anything.
     Unmoved,
 }
 
-/// What became of it.
+/// The result of withdrawing a mission.
 pub(super) struct Withdrawn {
     /// When the stops were first sent.
     pub(super) begun: Timestamp<Server>,
     pub(super) report: Report,
     pub(super) inside: Vec<Inside>,
-    /// Robots that have not confirmed, of a mission that counts as ended all the same.
+    /// Unconfirmed robots of a mission that is recorded as ended nevertheless.
     pub(super) forgotten: Vec<RobotId>,
 }
 
 impl Withdrawn {
-    /// Robots that may still move.
+    /// Returns the robots that may still move.
     fn unconfirmed(&self) -> Vec<RobotId> {
         let robots = self.report.robots.iter().filter(|robot| robot.stop.is_unconfirmed());
         let driven = |inside: &&Inside| matches!(inside.what, InsideWhat::Driver | InsideWhat::Program);
@@ -141,33 +141,33 @@ impl Withdrawn {
     }
 }
 
-/// What becomes of a mission of which a robot does not confirm its stop.
+/// What to do with a mission if a robot does not confirm its stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unconfirmed {
-    /// It has not ended, and can be stopped again.
+    /// It stays open and can be stopped again.
     Kept,
-    /// It counts as ended.
+    /// It is recorded as ended.
     Forgotten,
 }
 
-/// How a mission is withdrawn.
+/// The options for withdrawing a mission.
 #[derive(Clone, Copy)]
 pub(super) struct How {
     pub(super) scheduler: Scheduler,
-    /// What becomes of the mission then.
+    /// What to do if a robot does not confirm.
     pub(super) unconfirmed: Unconfirmed,
     /// How robots come to rest.
     pub(super) rest: Rest,
     pub(super) patience: Span,
     pub(super) drivers: Drivers,
-    /// What is told meanwhile: nothing with JSON.
+    /// The format of progress reports. With JSON, there are none.
     pub(super) told: Format,
 }
 
-/// The programs that this process may start again, by their robots: as the fleet file says. A journal has none started.
+/// The programs that this process may start again, by robot, as given in the fleet file. A journal alone permits none.
 pub(super) type Programs = BTreeMap<RobotId, Address>;
 
-/// Stops what a mission left behind, and writes that down afterwards, where the journal is taken: a stop waits for no disk.
+/// Stops the robots of a mission. Records that afterwards in the locked journal: a stop does not wait for the disk.
 pub(super) async fn withdraw_and_record(
     taken: Taken,
     programs: &Programs,
@@ -175,7 +175,7 @@ pub(super) async fn withdraw_and_record(
     how: How,
 ) -> Result<Withdrawn, String> {
     let (lane, operator) = stop_lane(OnHangUp::End)?;
-    // A stop from another terminal meanwhile is answered with the result of this one.
+    // A stop from another terminal meanwhile receives the result of this one.
     let control = listen(&taken.folder, &lane, None);
     let mut withdrawn = withdraw_as(&taken.contents, programs, ending, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
@@ -196,7 +196,7 @@ pub(super) async fn withdraw_and_record(
     Ok(withdrawn)
 }
 
-/// Stops what a mission left behind. Starts no programs.
+/// Stops the robots of a mission. Starts no programs.
 pub(super) async fn withdraw(contents: &Contents, how: How) -> Result<Withdrawn, String> {
     withdraw_as(contents, &Programs::new(), by_operator(), how, stop_lane(OnHangUp::End)?).await
 }
@@ -233,7 +233,7 @@ async fn withdraw_as(
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
-/// Stops every device of a fleet, whichever mission its robots play: their certificates tell robots who may do so.
+/// Stops every device of a fleet, whichever mission it plays. The operator's certificate tells robots whether this is permitted.
 pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String> {
     let is_reached = |robot: &&FleetRobot| robot.address.is_served();
     let (robots, inside): (Vec<&FleetRobot>, Vec<&FleetRobot>) = of.robots.iter().partition(is_reached);
@@ -263,7 +263,7 @@ pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
-/// Whatever others have sent it.
+/// Covers everything that others may have sent to the robot.
 fn anything_on(robot: &FleetRobot) -> LeftOn {
     let devices = robot.init.iter().flat_map(|init| init.devices.iter());
     let is_driven = |device: &&Device| {
@@ -295,14 +295,14 @@ async fn carry_out(
     Ok(report)
 }
 
-/// The name of its scenario. Where the journal does not have it, the session begins with as much of it as it could keep.
+/// Returns the scenario's name. If the journal does not contain it, returns the beginning of the session's name.
 fn scenario_of(mission: &Opened) -> String {
     let session = mission.session.as_str();
     let kept = session.split_once('@').map_or(session, |(scenario, _)| scenario);
     mission.name.clone().unwrap_or_else(|| kept.to_owned())
 }
 
-/// The robots of a journal as far as this process can reach them, and the others.
+/// Returns the robots of a journal that this process can reach, and the others.
 fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
     for opened in &mission.robots {
@@ -330,7 +330,7 @@ fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (V
     (reached, inside)
 }
 
-/// A program that drives a robot is started in the folder in which its mission was: its command may name files there.
+/// Starts a program in the folder in which its mission ran, because the command may name files there.
 pub(super) fn started_in(folder: Option<&Path>, address: Address) -> Address {
     match (folder.and_then(Path::to_str), address) {
         (Some(folder), Address::Program { command }) => {
@@ -341,13 +341,13 @@ pub(super) fn started_in(folder: Option<&Path>, address: Address) -> Address {
     }
 }
 
-/// As much of it as a stop needs. Every robot understands JSON.
+/// Creates a robot with the parts that a stop needs. Every robot understands JSON.
 fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
     let robot = FleetRobot::new(opened.robot.clone(), address, opened.init.clone());
     FleetRobot { limits: opened.limits.clone(), ..robot }
 }
 
-/// A mission of which a robot may still move has not ended: it can be stopped again.
+/// A mission with a robot that may still move has not ended: it can be stopped again.
 fn records_of(withdrawn: &Withdrawn, How { unconfirmed, rest, .. }: How) -> Vec<Record> {
     let report = &withdrawn.report;
     let confirmed =
@@ -365,7 +365,7 @@ fn write_down(taken: Taken, begun: Timestamp<Server>, records: &[Record]) -> Res
     let clock = ServerClock::anchored(taken.contents.opened.clock_offset);
     let (_, mut journal) = taken.journal()?;
     let at = |record: &Record| match record {
-        // Leases run out from then on.
+        // Leases run out from this time.
         Record::Stopping { .. } => begun,
         _ => clock.now(),
     };

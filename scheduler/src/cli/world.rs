@@ -1,4 +1,4 @@
-//! `downbeat world`: a world file from a mission that was recorded, so that trials use its network.
+//! `downbeat world`: writes a world file from a recorded mission, so that trials use its network.
 
 use std::path::{Path, PathBuf};
 
@@ -8,12 +8,12 @@ use super::{Exit, Format, console, load, report};
 use crate::measured::{self, Measured};
 use crate::page;
 
-/// Write a world file from a recording: delays, losses and clocks as they were measured.
+/// Write a world file from a recording: delays, losses and clocks as measured.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "A recording (`downbeat run --record`) has what robots answered, and when. A journal has only the offsets of clocks that do \
-not follow NTP. What was measured, how often, and what was not, is in the comments of the file. A file that is not whole, as \
-after a power failure, is refused: --partial measures what comes before the damage.
+    after_help = "A recording (`downbeat run --record`) contains the answers of the robots and their times. A journal contains only the offsets of \
+clocks that do not follow NTP. The comments of the file list what was measured, how often, and what was not. An incomplete file, \
+for example after a power failure, is refused; --partial measures the part before the damage.
 
 Examples:
   downbeat world show.mcap
@@ -24,13 +24,13 @@ pub(super) struct WorldArgs {
     /// A recording, a journal, or the folder of a mission.
     #[arg(value_name = "RUN")]
     file: PathBuf,
-    /// The file to write. By default the world is printed.
+    /// The file to write. By default, the world is printed.
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Replace the file if it exists.
     #[arg(long, requires = "output")]
     force: bool,
-    /// Measure what comes before the damage of a file that is not whole.
+    /// Measure the part before the damage of a file that is not whole.
     #[arg(long)]
     partial: bool,
 }
@@ -66,7 +66,7 @@ fn save(args: &WorldArgs, path: &Path, text: &str) -> Result<(), String> {
         return Err(error);
     }
     if !args.force && path.is_file() {
-        return Err(format!("`{}` exists; --force replaces it", path.display()));
+        return Err(format!("`{}` already exists; --force replaces it", path.display()));
     }
     page::save(path, text).map_err(|error| {
         let refusal = Refusal::of(Attempt::Write(path), &error);

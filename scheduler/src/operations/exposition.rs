@@ -1,4 +1,4 @@
-//! The page of metrics, in the text format of Prometheus.
+//! The metrics page, in the text format of Prometheus.
 
 use downbeat_robot::figures::{BOUNDS_US, Distribution};
 use prometheus::TextEncoder;
@@ -8,16 +8,16 @@ use prometheus::proto::{
 
 use super::names::{Kind, Metric};
 
-/// The content type of what [`Page::text`] gives.
+/// The content type of [`Page::text`].
 pub(super) const CONTENT_TYPE: &str = prometheus::TEXT_FORMAT;
 
-/// What has metrics.
+/// A source of metrics.
 pub(crate) trait Source: Send + Sync {
-    /// Writes their values of this moment.
+    /// Writes the current values.
     fn write(&self, page: &mut Page);
 }
 
-/// Metrics as text, written one after the other, so that the values of all robots are never in memory at once but as text.
+/// Metrics as text. They are written one after the other, so that the values of all robots are in memory only as text.
 #[derive(Debug, Default)]
 pub(crate) struct Page(String);
 
@@ -26,21 +26,21 @@ impl Page {
         self.family(metric, vec![number(metric, Vec::new(), value)]);
     }
 
-    /// A value, unless it is not known.
+    /// Writes a value, unless it is unknown.
     pub(super) fn known(&mut self, metric: &Metric, value: f64) {
         if !value.is_nan() {
             self.one(metric, value);
         }
     }
 
-    /// A value for each label; values that are not known are left out.
+    /// Writes a value for each label, except for unknown values.
     pub(super) fn each<'a>(&mut self, metric: &Metric, values: impl Iterator<Item = (&'a str, f64)>) {
         let known = values.filter(|(_, value)| !value.is_nan());
         let values = known.map(|(label, value)| number(metric, labelled(metric.label, label), value));
         self.family(metric, values.collect());
     }
 
-    /// 1 for one of the labels, 0 for the others.
+    /// Writes 1 for the current label, and 0 for the others.
     pub(super) fn state(&mut self, metric: &Metric, labels: &[&str], now: &str) {
         self.each(metric, labels.iter().map(|label| (*label, f64::from(u8::from(*label == now)))));
     }
@@ -81,7 +81,7 @@ impl Page {
         }
     }
 
-    /// What all of these say, each metric once.
+    /// Returns the metrics of all sources.
     pub(super) fn text<'a>(sources: impl Iterator<Item = &'a dyn Source>) -> String {
         let mut page = Self::default();
         page.each(&super::names::BUILD_INFO, std::iter::once((env!("CARGO_PKG_VERSION"), 1.0)));

@@ -1,19 +1,19 @@
-//! Whether what this process does is alive and ready.
+//! Whether the parts of this process are alive and ready.
 
 use std::future::Future;
 use std::pin::Pin;
 
-/// What can be asked for its health.
+/// A part of the process that can report its health.
 pub(crate) trait Health: Send + Sync {
-    /// As it is now.
+    /// Checks the current state.
     fn now(&self) -> Pin<Box<dyn Future<Output = Checked> + Send + '_>>;
 }
 
-/// The answer to both questions, for people, each with what is wrong.
+/// The results of both checks, as text for people. Each error names the fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Checked {
-    /// It works; if not, it has to be started again.
+    /// Whether it works. If not, it must be restarted.
     pub(crate) alive: Result<String, String>,
-    /// It can do now what it is for.
+    /// Whether it can currently do its job.
     pub(crate) ready: Result<String, String>,
 }

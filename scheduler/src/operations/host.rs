@@ -14,16 +14,16 @@ use super::exposition::{Page, Source};
 use super::health::{Checked, Health};
 use super::names;
 
-/// If the thread that moves robots does not answer within this time, it stands still.
+/// If the thread that moves robots does not answer within this time, it is considered blocked.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// So many robots are named whose hardware does not answer.
+/// Maximum number of named robots in a message about hardware that does not answer.
 const NAMED_MAX: usize = 10;
 
 /// The robots of a host.
 pub(crate) struct HostMetrics {
     handle: HostHandle,
     figures: Arc<Figures>,
-    /// Of its robots, in their order: those of the fleet file, where that has several robots of one description.
+    /// The ids of its robots, in order. They come from the fleet file, because several robots may share one description.
     names: Vec<RobotId>,
     is_realtime: bool,
 }
@@ -91,7 +91,7 @@ impl Health for HostMetrics {
     }
 }
 
-/// The name of a reason as a label: `made_room` for `MadeRoom`.
+/// Returns a reason as a label: `made_room` for `MadeRoom`.
 fn label(reason: Reason) -> String {
     let mut label = String::new();
     for (index, letter) in format!("{reason:?}").chars().enumerate() {

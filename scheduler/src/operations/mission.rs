@@ -1,4 +1,4 @@
-//! Metrics and health of a mission. The mission's loop writes numbers, a few robots at a time; the endpoint's thread reads them.
+//! Metrics and health of a mission. The mission's loop writes numbers, for a few robots at a time; the endpoint's thread reads them.
 
 use std::collections::VecDeque;
 use std::future::Future;
@@ -18,19 +18,19 @@ use crate::mission::{Failure, Mission, Progress};
 use crate::run::watch::Watch;
 use crate::server_clock::ServerClock;
 
-/// From one look at all robots to the next.
+/// Interval between updates of all robots.
 const LOOK_EVERY: Span = Span::from_millis(500);
-/// Between the parts of a look.
+/// Interval between the parts of an update.
 const PART_EVERY: Span = Span::from_millis(5);
-/// Robots in a part: at least so many, and at least this share of all. A part of 100 robots takes some 20 us of the loop.
+/// Robots per part: at least this number, and at least 1/100 of all. A part of 100 robots takes the loop some 20 us.
 const PART: (usize, usize) = (32, 100);
-/// A loop that has not turned for this long stands still; it turns every half second at least.
+/// If the loop has not turned for this long, it is considered stalled. It turns at least every half second.
 const STANDS_STILL: Span = Span::from_millis(3_000);
 
 const PHASES: [&str; 5] = ["starting", "greeting", "performing", "stopping", "ended"];
 const STAGES: [&str; 3] = ["waiting", "preparing", "playing"];
 
-/// A number that one thread writes and another one reads.
+/// A number that one thread writes and another reads.
 #[derive(Debug)]
 struct Number(AtomicU64);
 
@@ -47,7 +47,7 @@ impl Number {
         self.0.store(value.to_bits(), Ordering::Relaxed);
     }
 
-    /// A counter never goes back, also where the mission learns that less has happened.
+    /// A counter never decreases, even if the mission learns that fewer events occurred.
     fn raise(&self, count: u64) {
         self.set(self.get().max(number(count)));
     }
@@ -57,7 +57,7 @@ impl Number {
     }
 }
 
-/// The metrics of each robot, in the order of their cells.
+/// The metrics of each robot, in the order of its cells.
 static CELLS: [&Metric; 15] = [
     &names::R_LINKED,
     &names::R_TAKES_PART,
@@ -80,9 +80,9 @@ static CELLS: [&Metric; 15] = [
 #[derive(Debug)]
 struct Numbers {
     clock: ServerClock,
-    /// Nanoseconds by the server's clock; 0 before the first turn.
+    /// Nanoseconds on the server's clock. 0 before the first turn.
     turned_at: AtomicI64,
-    /// Index in [`PHASES`].
+    /// The index in [`PHASES`].
     phase: AtomicU64,
     greeted: AtomicU64,
     lateness: Distribution,
@@ -106,7 +106,7 @@ struct Numbers {
 pub(crate) struct MissionMetrics(Arc<Numbers>);
 
 impl MissionMetrics {
-    /// Of a mission that has not begun, with these robots in the order of the mission.
+    /// Creates the metrics of a mission that has not begun, with these robots in the mission's order.
     pub(crate) fn new(clock: ServerClock, robots: impl Iterator<Item = RobotId>) -> Self {
         let cell = |metric: &Metric| match metric.kind {
             names::Kind::Counter => Number::new(0.0),
@@ -134,7 +134,7 @@ impl MissionMetrics {
         }))
     }
 
-    /// What writes them, for the mission.
+    /// Returns the watcher that writes the metrics in the mission's loop.
     pub(crate) fn watch(&self) -> MissionWatch {
         let now = self.0.clock.now();
         MissionWatch {
@@ -151,10 +151,10 @@ impl MissionMetrics {
 #[derive(Debug)]
 pub(crate) struct MissionWatch {
     numbers: Arc<Numbers>,
-    /// The robot at which the next part of the look begins.
+    /// The first robot of the next part of the update.
     next: usize,
     part_at: Timestamp<Server>,
-    /// When records were handed over that are not on the disk yet.
+    /// The times at which records were handed to the journal that are not on the disk yet.
     filed: VecDeque<Timestamp<Server>>,
     recorded: u64,
 }
@@ -198,7 +198,7 @@ impl MissionWatch {
     }
 }
 
-/// In the order of [`CELLS`].
+/// Returns the values in the order of [`CELLS`].
 fn values(robot: &RobotFigures) -> [f64; CELLS.len()] {
     let (totals, clock) = (&robot.totals, robot.clock.as_ref());
     let flag = |is: bool| f64::from(u8::from(is));
@@ -325,7 +325,7 @@ impl Numbers {
         PHASES.get(phase).copied().unwrap_or(PHASES[0])
     }
 
-    /// `None` before the first turn.
+    /// Time since the loop last turned. `None` before the first turn.
     fn loop_age(&self) -> Option<Span> {
         let turned_at = self.turned_at.load(Ordering::Relaxed);
         (turned_at != 0).then(|| (self.clock.now() - Timestamp::from_nanos(turned_at)).max(Span::ZERO))
@@ -336,8 +336,10 @@ impl Numbers {
         let is_ended = phase == "ended";
         let alive = match self.loop_age().filter(|_| !is_ended) {
             None => Ok(format!("mission: {phase}")),
-            Some(age) if age <= STANDS_STILL => Ok(format!("mission: {phase}, its loop turned {age} ago")),
-            Some(age) => Err(format!("mission: {phase}, its loop has stood still for {age}")),
+            Some(age) if age <= STANDS_STILL => {
+                Ok(format!("mission: {phase}, last loop iteration {age} ago"))
+            }
+            Some(age) => Err(format!("mission: {phase}, its loop has been stalled for {age}")),
         };
         let is_ready = phase == "performing" && self.greeted.load(Ordering::Relaxed) == 1;
         let ready = if is_ready { alive.clone() } else { Err(format!("mission: {phase}")) };

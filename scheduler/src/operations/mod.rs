@@ -1,9 +1,8 @@
-//! For operators of a fleet: metrics for Prometheus and health over HTTP (feature `metrics`), traces of OpenTelemetry
-//! (feature `traces`).
+//! For operators of a fleet: metrics for Prometheus and health over HTTP (feature `metrics`), traces of OpenTelemetry (feature `traces`).
 //! `docs/operations.md` describes them.
 //!
-//! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]). The thread
-//! of the endpoint (`server.rs`) reads the numbers, also while someone asks for them too often or reads too slowly.
+//! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]). The thread of the endpoint (`server.rs`)
+//! reads the numbers, so clients that request too often or read too slowly do not disturb them.
 
 #[cfg(feature = "metrics")]
 mod exposition;

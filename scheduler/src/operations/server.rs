@@ -1,5 +1,5 @@
-//! The endpoint: metrics and health over HTTP/1.1, on a thread with a runtime of its own that runs after all others. Whoever asks costs
-//! a mission nothing: connections are few and short, requests small, and a page is written again only after a while.
+//! The endpoint: metrics and health over HTTP/1.1, on a low-priority thread with its own runtime. Clients do not slow down a mission:
+//! connections are few and short, requests are small, and a page is cached for a while.
 #![expect(clippy::disallowed_methods, reason = "paces those who ask in real time")]
 
 use std::convert::Infallible;
@@ -20,26 +20,26 @@ use tokio::sync::Semaphore;
 use super::exposition::{self, Page, Source};
 use super::health::{Checked, Health};
 
-/// Connections at the same time; more are closed at once.
+/// Maximum number of simultaneous connections. Any more are closed immediately.
 const CONNECTIONS_MAX: usize = 8;
-/// From one connection to the next: more wait in the system's queue.
+/// Interval between accepted connections. Others wait in the system's queue.
 const ACCEPT_EVERY: Duration = Duration::from_millis(4);
-/// The head of a request has to come within this time.
+/// Maximum time until the head of a request has arrived.
 const HEAD_MAX: Duration = Duration::from_secs(2);
-/// A connection ends after this time, however slowly its peer reads.
+/// Maximum duration of a connection, however slowly its peer reads.
 const CONNECTION_MAX: Duration = Duration::from_secs(10);
-/// Bytes of the head of a request.
+/// Maximum size of a request's head in bytes.
 const HEAD_BYTES_MAX: usize = 8_192;
-/// A page serves everyone who asks within this time.
+/// How long a page is cached.
 const PAGE_EVERY: Duration = Duration::from_millis(250);
-/// Ordinary threads run before this one.
+/// Lower than the priority of ordinary threads.
 const NICE: i32 = 10;
 
-/// What the endpoint tells of. More can be added while it serves.
+/// The sources of the endpoint. More can be added while it serves.
 #[derive(Clone, Default)]
 pub(crate) struct Board(Arc<Mutex<Vec<Arc<dyn Told>>>>);
 
-/// What has both metrics and health.
+/// A source with both metrics and health.
 trait Told: Source + Health {}
 impl<T: Source + Health> Told for T {}
 
@@ -68,7 +68,7 @@ impl Board {
     }
 }
 
-/// What is wrong with one is wrong with both.
+/// Combines two results. If either has a fault, so has the result.
 fn both(one: Result<String, String>, other: Result<String, String>) -> Result<String, String> {
     match (one, other) {
         (Ok(one), Ok(other)) => Ok(format!("{one}{other}\n")),
@@ -78,30 +78,30 @@ fn both(one: Result<String, String>, other: Result<String, String>) -> Result<St
     }
 }
 
-/// Serves a board until the process ends. Returns the address, where the port may have been any.
+/// Serves a board until the process ends. Returns the address, including the port if it was chosen by the system.
 ///
 /// # Errors
-/// The address cannot be listened on, or the system gives no thread and no runtime.
+/// Fails if the address cannot be listened on, or if the operating system provides no thread or runtime.
 pub(crate) fn serve(address: SocketAddr, board: Board) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind(address)?;
     listener.set_nonblocking(true)?;
     let address = listener.local_addr()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    // Ends with the process: it holds nothing that has to be let go.
+    // This thread ends with the process. It holds nothing that must be released.
     std::thread::Builder::new().name("metrics".to_owned()).spawn(move || {
-        // On Linux this is of the thread alone.
+        // On Linux, this applies to the current thread only.
         if let Err(error) = rustix::process::setpriority_process(None, NICE) {
-            tracing::warn!("metrics are served with the priority of the others: {error}");
+            tracing::warn!("cannot lower the priority of the metrics thread: {error}");
         }
         runtime.block_on(accept_all(listener, Arc::new(Desk { board, page: Mutex::default() })));
     })?;
     Ok(address)
 }
 
-/// What all connections share.
+/// State shared by all connections.
 struct Desk {
     board: Board,
-    /// The last page, and when it was written.
+    /// The last page, and the time at which it was written.
     page: Mutex<Option<(Instant, Bytes)>>,
 }
 
@@ -116,20 +116,20 @@ async fn accept_all(listener: TcpListener, desk: Arc<Desk>) {
             Ok((stream, _)) => {
                 if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
                     let desk = Arc::clone(&desk);
-                    // Ends when the answer is sent, or its time is over.
+                    // Ends when the answer is sent or the time is over.
                     tokio::spawn(async move {
                         let _over = tokio::time::timeout(CONNECTION_MAX, converse(stream, desk)).await;
                         drop(place);
                     });
                 }
             }
-            Err(error) => tracing::debug!("a connection for metrics was not accepted: {error}"),
+            Err(error) => tracing::debug!("cannot accept a connection for metrics: {error}"),
         }
         tokio::time::sleep(ACCEPT_EVERY).await;
     }
 }
 
-/// One request, and its answer.
+/// Handles one request.
 async fn converse(stream: tokio::net::TcpStream, desk: Arc<Desk>) {
     let answer = service_fn(move |request: Request<Incoming>| {
         let desk = Arc::clone(&desk);

@@ -1,8 +1,8 @@
-//! A mission as a trace of OpenTelemetry: one span for the mission, under it one for the greeting and one for each act that was
-//! sent, under that what leads to its start and each robot's part. Times are the server's, as in reports.
+//! A mission as an OpenTelemetry trace: one span for the mission, with child spans for the greeting and for each act that was sent. The
+//! span of an act contains the phases up to its start and each robot's part. Times are the server's, as in reports.
 //!
-//! The mission's loop begins and ends spans. A thread of the SDK sends them by OTLP over HTTP; what finds no room in its queue is
-//! lost, so that the mission never waits.
+//! The mission's loop begins and ends spans. A thread of the SDK sends them by OTLP over HTTP. If its queue is full, spans are lost, so
+//! that the mission never waits.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -23,27 +23,27 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 use crate::mission::{Failure, Mission, Outcome, Progress};
 use crate::run::watch::Watch;
 
-/// Spans that wait to be sent: two acts of as many robots as one scheduler has, and more.
+/// Maximum number of spans that wait to be sent: enough for two acts with as many robots as one scheduler drives, and more.
 const QUEUE: usize = 32_768;
-/// Spans in one request.
+/// Maximum number of spans per request.
 const BATCH: usize = 1_024;
-/// How long one request may take.
+/// Maximum duration of a request.
 const REQUEST: Duration = Duration::from_secs(3);
-/// How long the end of a mission waits for its last spans to be sent.
+/// Maximum wait at the end of a mission until its last spans are sent.
 const LAST: Duration = Duration::from_secs(5);
-/// Events of a span. A mission whose links break all the time keeps its first ones.
+/// Maximum number of events per span. If the links of a mission break all the time, only the first events are kept.
 const EVENTS_MAX: u32 = 4_096;
 
-/// What became of spans.
+/// The number of spans begun and sent.
 #[derive(Debug, Default)]
 struct Tally {
     begun: AtomicU64,
     sent: AtomicU64,
-    /// Why the collector last took none.
+    /// The latest reason why the collector refused spans.
     refusal: Mutex<Option<String>>,
 }
 
-/// An exporter that is held to what it says: the SDK keeps to itself what could not be sent.
+/// Counts the spans that were sent, because the SDK does not report those that could not be sent.
 #[derive(Debug)]
 struct Counted<E> {
     exporter: E,
@@ -73,7 +73,7 @@ impl<E: Exporter> Exporter for Counted<E> {
     }
 }
 
-/// Where traces are sent.
+/// The destination of traces.
 #[derive(Debug)]
 pub(crate) struct Traces {
     provider: SdkTracerProvider,
@@ -81,10 +81,10 @@ pub(crate) struct Traces {
 }
 
 impl Traces {
-    /// Sends them to a collector at `url`, such as `http://localhost:4318`. Nothing is sent before a span ends.
+    /// Sends traces to a collector at `url`, such as `http://localhost:4318`. Nothing is sent before a span ends.
     ///
     /// # Errors
-    /// `url` is none.
+    /// Fails if `url` is invalid.
     pub(crate) fn to(url: &str) -> Result<Self, String> {
         let endpoint = format!("{}/v1/traces", url.trim_end_matches('/'));
         let exporter = SpanExporter::builder().with_http().with_endpoint(endpoint).with_timeout(REQUEST);
@@ -108,7 +108,7 @@ impl Traces {
                 Box::new(TelemetryResourceDetector) as Box<dyn ResourceDetector>,
                 Box::new(EnvResourceDetector::new()),
             ]);
-        // The environment variables that every program with traces knows go ahead of what this one says of itself.
+        // The environment variables that all programs with traces know take precedence over the defaults of this program.
         let resource = match std::env::var("OTEL_SERVICE_NAME") {
             Ok(name) if !name.is_empty() => resource.with_service_name(name),
             _ => resource,
@@ -122,16 +122,16 @@ impl Traces {
         Self { provider, tally }
     }
 
-    /// What turns a mission into spans, for its loop.
+    /// Returns the watcher that turns a mission into spans.
     pub(crate) fn watch(&self, now: Timestamp<Server>, mission: About) -> MissionTrace {
         let tracer = self.provider.tracer("downbeat");
         MissionTrace::begin(Spans { tracer, tally: Arc::clone(&self.tally) }, now, mission)
     }
 
-    /// Sends what has not been sent.
+    /// Sends the remaining spans.
     ///
     /// # Errors
-    /// The collector did not take all of it in time.
+    /// Fails if the collector did not accept all of them in time.
     pub(crate) fn end(self) -> Result<(), String> {
         let ended = self.provider.shutdown_with_timeout(LAST);
         let (begun, sent) =
@@ -141,12 +141,12 @@ impl Traces {
         }
         let refusal = self.tally.refusal.lock().unwrap_or_else(PoisonError::into_inner).take();
         let why = refusal.or_else(|| ended.err().map(|error| error.to_string()));
-        let why = why.unwrap_or_else(|| "there were too many at once".to_owned());
-        Err(format!("{} of its {begun} spans were not: {why}", begun - sent))
+        let why = why.unwrap_or_else(|| "too many at once".to_owned());
+        Err(format!("{} of its {begun} spans were not sent: {why}", begun - sent))
     }
 }
 
-/// What a trace says of its mission from the beginning.
+/// The attributes of a mission's trace that are known from the beginning.
 #[derive(Clone, Debug)]
 pub(crate) struct About {
     pub(crate) scenario: String,
@@ -154,7 +154,6 @@ pub(crate) struct About {
     pub(crate) robots: usize,
 }
 
-/// Begins spans.
 #[derive(Clone, Debug)]
 struct Spans {
     tracer: SdkTracer,
@@ -175,13 +174,13 @@ impl Spans {
     }
 }
 
-/// A mission's spans.
+/// The open spans of a mission.
 #[derive(Debug)]
 pub(crate) struct MissionTrace {
     spans: Spans,
     mission: Context,
     greeting: Option<Context>,
-    /// Acts that were sent and have not ended, the oldest first: one plays while the next is prepared.
+    /// Acts that were sent and have not ended, oldest first: one plays while the next is prepared.
     acts: VecDeque<ActTrace>,
 }
 
@@ -191,9 +190,9 @@ struct ActTrace {
     name: String,
     span: Context,
     sent: Timestamp<Server>,
-    /// The part on the way to the start, or the play.
+    /// The current phase on the way to the start, or the play.
     part: Option<Context>,
-    /// Parts of robots that have not ended.
+    /// Open spans of the robots' parts.
     robots: HashMap<RobotId, Context>,
 }
 
@@ -209,17 +208,17 @@ impl MissionTrace {
         Self { spans, mission, greeting, acts: VecDeque::new() }
     }
 
-    /// The span of the youngest act of this name.
+    /// Returns the latest act with this name.
     fn act(&mut self, name: &str) -> Option<&mut ActTrace> {
         self.acts.iter_mut().rev().find(|act| act.name == name)
     }
 
-    /// The part of a robot in the oldest act in which it has not ended.
+    /// Returns the robot's part in the oldest act in which the part has not ended.
     fn part_of(&self, robot: &RobotId) -> Option<&Context> {
         self.acts.iter().find_map(|act| act.robots.get(robot))
     }
 
-    /// The next part of an act begins where the one before it ends.
+    /// Ends the current phase of an act and begins the next one.
     fn go_on(&mut self, name: &str, part: &'static str, at: Timestamp<Server>, attributes: Vec<KeyValue>) {
         let spans = self.spans.clone();
         if let Some(act) = self.act(name) {
@@ -258,7 +257,7 @@ impl MissionTrace {
         end(Some(self.mission.clone()), now);
     }
 
-    /// An event of the whole mission.
+    /// Adds an event to the span of the mission.
     fn happened(
         &self,
         at: Timestamp<Server>,
@@ -382,7 +381,7 @@ fn end(span: Option<Context>, at: Timestamp<Server>) {
     }
 }
 
-/// As the report calls it.
+/// Returns the outcome's name as in the report.
 fn name(outcome: &Outcome) -> String {
     match serde_json::to_value(outcome) {
         Ok(serde_json::Value::String(name)) => name,
@@ -399,7 +398,7 @@ fn count(count: usize) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
 }
 
-/// A time before 1970 counts as its beginning.
+/// Converts a time. Times before 1970 become 1970.
 fn time(at: Timestamp<Server>) -> SystemTime {
     UNIX_EPOCH + Duration::from_nanos(u64::try_from(at.as_nanos()).unwrap_or(0))
 }
@@ -409,7 +408,7 @@ mod tests {
     use super::*;
     use crate::mission::{FailureKind, Greeting, LeadTime, Preflight, Rest};
 
-    /// Keeps what it is to send.
+    /// Stores the spans instead of sending them.
     #[derive(Clone, Debug, Default)]
     struct Kept(Arc<Mutex<Vec<SpanData>>>);
 
@@ -465,7 +464,7 @@ mod tests {
         Progress::Committed { act: act.to_owned(), window: Some(ms(3)) }
     }
 
-    /// The spans of a mission to which this happens.
+    /// Returns the spans of a mission with these events.
     fn spans(told: &[(i64, Progress)], outcome: Option<&Outcome>) -> Vec<SpanData> {
         let kept = Kept::default();
         let traces = Traces::through(kept.clone());
@@ -617,6 +616,6 @@ mod tests {
         let about = About { scenario: "show".to_owned(), session: None, robots: 1 };
         traces.watch(at(0), about).close(at(1), Some(&Outcome::Done));
         let told = traces.end().unwrap_err();
-        assert!(told.starts_with("2 of its 2 spans were not: "), "{told}");
+        assert!(told.starts_with("2 of its 2 spans were not sent: "), "{told}");
     }
 }

@@ -1,4 +1,5 @@
-//! A CSV a drone: `Time [msec],x [m],y [m],z [m]` and, with a lamp of three values, `Red,Green,Blue`, as Skybrush Studio reads.
+//! One CSV file per drone: `Time [msec],x [m],y [m],z [m]` and, for a lamp with three values, `Red,Green,Blue`, in Skybrush Studio's
+//! format.
 
 use std::fmt::Write;
 
@@ -8,11 +9,11 @@ use downbeat_yaml::finding::names;
 use crate::track::{Robot, Track};
 use crate::{LINES_MAX, file_name};
 
-/// Lines a second, by default.
+/// Default number of lines per second.
 const RATE_HZ: f64 = 10.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The files, or why there are none.
+/// Returns the files.
 pub(crate) fn files(
     robots: &[Robot<'_>],
     rate_hz: Option<f64>,
@@ -22,14 +23,14 @@ pub(crate) fn files(
     let drones: Vec<(&Robot<'_>, [&Track<'_>; 3])> =
         robots.iter().filter_map(|robot| Some((robot, axes(robot)?))).collect();
     if drones.is_empty() {
-        return Err("drone-csv needs robots with the devices `x`, `y` and `z`, and no robot of this scenario has them; joint-trajectory takes any robot".into());
+        return Err("drone-csv needs robots with the devices `x`, `y` and `z`, but no robot of this scenario has them; joint-trajectory supports any robot".into());
     }
     let all = drones.iter().flat_map(|(robot, _)| &robot.tracks);
     let end_ms = all.filter_map(|track| track.points.last()).map(|(at_ms, _)| *at_ms).fold(0.0, f64::max);
     let lines = (end_ms / 1_000.0 * rate + 2.0) * drones.len() as f64;
     if lines > LINES_MAX as f64 {
         return Err(format!(
-            "the files would have {lines:.0} lines, the limit is {LINES_MAX}: say a lower --rate"
+            "the files would have {lines:.0} lines, but the limit is {LINES_MAX}: use a lower --rate"
         ));
     }
     let times = times(end_ms, rate);
@@ -47,7 +48,7 @@ fn axes<'a, 'b>(robot: &'b Robot<'a>) -> Option<[&'b Track<'a>; 3]> {
     Some([axis(AXES[0])?, axis(AXES[1])?, axis(AXES[2])?])
 }
 
-/// Whole milliseconds, each later than the one before, and the end.
+/// Whole milliseconds, strictly increasing, up to and including the end.
 fn times(end_ms: f64, rate: f64) -> Vec<f64> {
     let mut times: Vec<f64> = (0_u32..)
         .map(|index| (f64::from(index) * 1_000.0 / rate).round())

@@ -1,5 +1,4 @@
-//! The fields of `trajectory_msgs/JointTrajectory`, as YAML: a point wherever a device has a step, so that nothing is lost
-//! between points.
+//! The fields of `trajectory_msgs/JointTrajectory` as YAML: one point for each step of a device, so that nothing is lost between points.
 
 use std::fmt::Write;
 
@@ -11,7 +10,7 @@ use urrcp::Interpolation;
 use crate::track::{Robot, Track};
 use crate::{LINES_MAX, file_name};
 
-/// The files, or why there are none.
+/// Returns the files.
 pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec<FilePart>, String> {
     let mut files = Vec::new();
     let mut lines = 0;
@@ -22,7 +21,7 @@ pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
             robot.tracks.iter().filter(|track| !single(track)).map(|track| track.device).collect();
         if !left.is_empty() {
             let left = names(left);
-            notes.push(format!("`{}`: left out devices of several values: {left}", robot.name));
+            notes.push(format!("`{}`: left out devices with several values: {left}", robot.name));
         }
         if joints.is_empty() {
             continue;
@@ -40,16 +39,16 @@ pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
         if !held.is_empty() {
             let held = names(held);
             notes.push(format!(
-                "`{}`: what is held until its next step goes there straight in the last millisecond: {held}",
+                "`{}`: devices that hold their value move to the next step within the last millisecond: {held}",
                 robot.name
             ));
         }
         files.push(FilePart { path: file_name(robot.name, "yaml"), text: text(robot, &joints, &times) });
     }
-    if files.is_empty() { Err("nothing moves a device of one value".into()) } else { Ok(files) }
+    if files.is_empty() { Err("no device with a single value is moved".into()) } else { Ok(files) }
 }
 
-/// All times at which a joint has a step, and just before those of joints that jump there; in milliseconds.
+/// Returns all step times of the joints and, for joints that jump, a point 1 ms before each; in milliseconds.
 fn times(joints: &[&Track<'_>]) -> Vec<f64> {
     let mut times: Vec<f64> = Vec::new();
     for joint in joints {
@@ -61,7 +60,7 @@ fn times(joints: &[&Track<'_>]) -> Vec<f64> {
         }
     }
     times.sort_by(f64::total_cmp);
-    // What is closer than a nanosecond is the same time.
+    // Times less than a nanosecond apart are equal.
     times.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
     times
 }
@@ -73,7 +72,7 @@ fn text(robot: &Robot<'_>, joints: &[&Track<'_>], times: &[f64]) -> String {
     // Writing to a string does not fail.
     let _infallible = writeln!(
         text,
-        "# `{name}`, from the steps that are sent.\njoint_names: [{}]\npoints:",
+        "# `{name}`, from the steps that are sent to the robot.\njoint_names: [{}]\npoints:",
         names.join(", ")
     );
     for at_ms in times {

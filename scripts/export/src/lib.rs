@@ -1,4 +1,4 @@
-//! What a scenario compiles to, as files that other tools read: the steps that are sent, not what is written.
+//! Exports a compiled scenario to files of other tools: the steps that are sent, not the movements as written.
 
 mod drone_csv;
 mod joint_trajectory;
@@ -8,37 +8,37 @@ use downbeat_fleet::fleet::Fleet;
 use downbeat_import::FilePart;
 use downbeat_plan::Choreography;
 
-/// Most lines of all files.
+/// Maximum number of lines in all files together.
 const LINES_MAX: usize = 5_000_000;
 
-/// Which tool's files to write.
+/// The target tool of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ExportFormat {
-    /// A CSV a drone, as Skybrush Studio reads them in a zip.
+    /// One CSV file per drone, as Skybrush Studio reads them from a zip.
     DroneCsv,
-    /// The fields of the ROS message `trajectory_msgs/JointTrajectory`, as YAML, a file a robot.
+    /// The fields of the ROS message `trajectory_msgs/JointTrajectory` as YAML, one file per robot.
     JointTrajectory,
 }
 
 impl ExportFormat {
-    /// All of them with the names that people type.
+    /// All formats with their names on the command line.
     pub const WORDS: [(&'static str, Self); 2] =
         [("drone-csv", Self::DroneCsv), ("joint-trajectory", Self::JointTrajectory)];
 }
 
-/// What became of an export.
+/// Result of an export.
 #[derive(Clone, Debug, Default)]
 pub struct Exported {
-    /// A file a robot.
+    /// One file per robot.
     pub files: Vec<FilePart>,
-    /// What was left out or changed.
+    /// Omissions and changes.
     pub notes: Vec<String>,
-    /// Why there are no files.
+    /// The reason if there are no files.
     pub problem: Option<String>,
 }
 
-/// Writes the acts of the main line one after the other. `rate_hz` is for formats that are sampled, from 0.001 to 1000.
+/// Writes the acts of the main line one after another. `rate_hz`, from 0.001 to 1000, applies to sampled formats.
 #[must_use]
 pub fn export(
     format: ExportFormat,
@@ -57,7 +57,7 @@ pub fn export(
     }
 }
 
-/// A robot's name as that of a file.
+/// Turns a robot's name into a file name.
 fn file_name(robot: &str, extension: &str) -> String {
     let safe = |c: char| if c.is_alphanumeric() || "-_ ".contains(c) { c } else { '-' };
     format!("{}.{extension}", robot.chars().take(200).map(safe).collect::<String>())

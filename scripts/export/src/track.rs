@@ -1,4 +1,4 @@
-//! What every device does from the beginning to the end, all acts one after the other.
+//! The values of every device from the beginning to the end, all acts one after another.
 
 use std::collections::BTreeMap;
 
@@ -8,25 +8,23 @@ use downbeat_yaml::finding::names;
 use downbeat_yaml::render::counted;
 use urrcp::{ControlType, Interpolation};
 
-/// One robot.
 pub(crate) struct Robot<'a> {
     pub(crate) name: &'a str,
     /// In the order of the plan.
     pub(crate) tracks: Vec<Track<'a>>,
 }
 
-/// One device.
 pub(crate) struct Track<'a> {
     pub(crate) device: &'a str,
     pub(crate) interpolation: Interpolation,
-    /// Where it is before its first step, as far as is known.
+    /// Its value before the first step, if known.
     pub(crate) home: Option<f64>,
-    /// Milliseconds and values, in order.
+    /// (milliseconds, values), in order.
     pub(crate) points: Vec<(f64, Vec<f64>)>,
 }
 
 impl Track<'_> {
-    /// The values at a time; before the first step those of its home, or of that step.
+    /// Returns the values at a time. Before the first step, they come from its home or, if that is unknown, from that step.
     pub(crate) fn values(&self, at_ms: f64) -> Vec<f64> {
         let next = self.points.partition_point(|(at, _)| *at <= at_ms);
         let Some((from_ms, from)) = next.checked_sub(1).map(|index| &self.points[index]) else {
@@ -47,7 +45,7 @@ impl Track<'_> {
         }
     }
 
-    /// The value at a time, of a device of one value.
+    /// Returns the value at a time, for a device with a single value.
     pub(crate) fn value(&self, at_ms: f64) -> f64 {
         self.values(at_ms).first().copied().unwrap_or(0.0)
     }
@@ -57,7 +55,7 @@ fn mixed(from: &[f64], to: &[f64], share: f64) -> Vec<f64> {
     from.iter().zip(to).map(|(from, to)| from + (to - from) * share).collect()
 }
 
-/// All robots, and what is left out.
+/// Returns all robots, and notes about omissions.
 pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (Vec<Robot<'a>>, Vec<String>) {
     let mut robots: Vec<Robot<'a>> = Vec::new();
     let mut rates: BTreeMap<String, ()> = BTreeMap::new();
@@ -71,7 +69,7 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
                 robots.len() - 1
             });
             for script in &plan.scripts {
-                // A file of movements knows no latency: what it holds is what is to be seen.
+                // A movement file has no latency: it contains the visible motion.
                 let moves_ms = (act.moves_at(&plan.robot, script) - act.lead_in).as_millis_f64();
                 if !add(&mut robots[place], script, begin_ms + moves_ms, fleet) {
                     rates.insert(format!("{name}/{}", script.device), ());
@@ -83,11 +81,14 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
     robots.retain(|robot| !robot.tracks.is_empty());
     let mut notes = Vec::new();
     if line.len() > 1 {
-        notes.push(format!("{} acts follow each other at once: what they wait for is left out", line.len()));
+        notes.push(format!(
+            "{} acts follow each other without a pause: their wait conditions are left out",
+            line.len()
+        ));
     }
     if line.len() < choreography.acts.len() {
         let left = counted(choreography.acts.len() - line.len(), "act");
-        notes.push(format!("left out {left} that only a failure or a timeout leads to"));
+        notes.push(format!("left out {left} reached only after a failure or a timeout"));
     }
     if !rates.is_empty() {
         let devices = names(rates.keys().take(20).map(String::as_str));
@@ -96,7 +97,7 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
     (robots, notes)
 }
 
-/// Adds the steps of a script; false for one that drives a rate.
+/// Adds the steps of a script. Returns `false` if it drives a rate.
 fn add<'a>(robot: &mut Robot<'a>, script: &'a DeviceScript, begin_ms: f64, fleet: &Fleet) -> bool {
     let steps = script.script.steps();
     let rate = |control: ControlType| matches!(control, ControlType::Speed | ControlType::Acceleration);

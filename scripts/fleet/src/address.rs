@@ -1,10 +1,10 @@
-//! Where robots are reached, as the fleet file and the command line write it.
+//! Addresses of robots, as written in the fleet file and on the command line.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
 
-/// Where a robot is reached.
+/// The address of a robot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
     /// `sim`: simulated in the same process.
@@ -15,10 +15,10 @@ pub enum Address {
         host: String,
         /// Port.
         port: u16,
-        /// Whether both sides prove who they are.
+        /// How the connection is protected.
         protection: Protection,
     },
-    /// `thrift://host:port`: a robot that speaks the early Thrift form, driven from this process.
+    /// `thrift://host:port`: a robot with the early Thrift protocol, driven by this process.
     Thrift {
         /// Host name or address.
         host: String,
@@ -30,26 +30,26 @@ pub enum Address {
         /// Its key, without wildcards.
         key: String,
     },
-    /// `program:COMMAND`: a robot driven from this process by a program.
+    /// `program:COMMAND`: a robot that this process drives by a program.
     Program {
-        /// A command line of the shell.
+        /// A shell command line.
         command: String,
     },
 }
 
-/// What keeps others from moving a robot by its address.
+/// The protection that prevents others from moving a robot by its address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Protection {
-    /// `tcp`: nothing does.
+    /// `tcp`: no protection.
     Open,
-    /// `tls`: both sides prove who they are, and nobody else can read along.
+    /// `tls`: both sides authenticate, and nobody else can read the messages.
     Tls,
-    /// `hmac`: both sides prove who they are, and nobody can alter or repeat what is sent; but others can read along.
+    /// `hmac`: both sides authenticate, and nobody can alter or replay messages; but others can read them.
     Hmac,
 }
 
 impl Protection {
-    /// The scheme of addresses with it.
+    /// The scheme of addresses with this protection.
     #[must_use]
     pub const fn scheme(self) -> &'static str {
         match self {
@@ -72,7 +72,7 @@ impl fmt::Display for Address {
     }
 }
 
-/// A place in the network, however it is written.
+/// A place in the network, in canonical form.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Reached {
     host: ReachedHost,
@@ -82,14 +82,14 @@ pub struct Reached {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum ReachedHost {
     Ip(IpAddr),
-    /// A name without its final full stop, in small letters. Only DNS knows where it leads.
+    /// A name without the final dot, in lower case. Only DNS can resolve it.
     Name(String),
     /// A key of a Zenoh network, which has no ports.
     Key(String),
 }
 
 impl Address {
-    /// The places to which it leads, as far as that is known without DNS: none where nothing listens.
+    /// The places to which the address leads, as far as known without DNS. Empty if the robot does not listen at a place.
     pub fn places(&self) -> Vec<Reached> {
         match self {
             Self::Tcp { host, port, .. } | Self::Thrift { host, port } => {
@@ -102,19 +102,19 @@ impl Address {
 }
 
 impl Address {
-    /// Whether the robot is a process of its own that a scheduler connects to.
+    /// Whether the robot is a separate process that a scheduler connects to.
     #[must_use]
     pub const fn is_served(&self) -> bool {
         matches!(self, Self::Tcp { .. } | Self::Zenoh { .. })
     }
 
-    /// Whether commands to it cross a network where others can send them too: plain TCP to anything but this machine.
+    /// Whether commands to the robot cross a network where others can send them as well: plain TCP to a different machine.
     #[must_use]
     pub fn is_open(&self) -> bool {
         matches!(self, Self::Tcp { protection: Protection::Open, .. }) && self.is_beyond()
     }
 
-    /// Whether it leads, or may lead, to another machine.
+    /// Whether the address leads, or may lead, to another machine.
     fn is_beyond(&self) -> bool {
         let is_here = |place: &ReachedHost| matches!(place, ReachedHost::Ip(ip) if ip.is_loopback());
         match self {
@@ -124,7 +124,7 @@ impl Address {
     }
 }
 
-/// `localhost` is this machine in either version of IP; so is the unspecified address to those that connect to it.
+/// `localhost` is this machine in both versions of IP. For clients, so is the unspecified address.
 fn hosts(host: &str) -> Vec<ReachedHost> {
     let ip = host.parse::<IpAddr>().map(|ip| match ip.to_canonical() {
         IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
@@ -141,7 +141,7 @@ fn hosts(host: &str) -> Vec<ReachedHost> {
     }
 }
 
-/// Whether it is a key expression of Zenoh without wildcards.
+/// Whether a text is a key expression of Zenoh without wildcards.
 fn is_key(text: &str) -> bool {
     let is_chunk = |chunk: &str| {
         !chunk.is_empty() && !chunk.contains(['*', '$', '?', '#']) && !chunk.contains(char::is_whitespace)
@@ -149,11 +149,11 @@ fn is_key(text: &str) -> bool {
     text.split('/').all(is_chunk)
 }
 
-/// A text is no address.
+/// The error for a text that is not an address.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NoAddress;
 
-/// What an address looks like.
+/// The forms of addresses, for messages.
 pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, thrift://host:port or program:COMMAND";
 
 impl fmt::Display for NoAddress {
@@ -164,11 +164,11 @@ impl fmt::Display for NoAddress {
 
 impl std::error::Error for NoAddress {}
 
-/// What is wrong with a text that is no address, and how it is written right.
+/// The fault of a text that is not an address, and a hint with the correct form.
 #[must_use]
 pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
     if text.starts_with("zenoh:") {
-        let hint = "a key is words between slashes without wildcards or spaces, as in `zenoh:hall-2/arm-1`";
+        let hint = "a key consists of words separated by slashes, without wildcards or spaces, as in `zenoh:hall-2/arm-1`";
         return ("has no valid key", Some(hint.to_owned()));
     }
     let (scheme, rest) = match text.split_once("://") {
@@ -199,9 +199,7 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
                 ["simulated", "simulation", "simulator", "virtual", "sim:", "sim://"].contains(&text);
             let hint = match text.parse::<IpAddr>() {
                 _ if simulated => Some("write `sim`".to_owned()),
-                Ok(IpAddr::V4(ip)) => {
-                    Some(format!("add how to reach it and its port, as in `tls://{ip}:7401`"))
-                }
+                Ok(IpAddr::V4(ip)) => Some(format!("add the protocol and the port, as in `tls://{ip}:7401`")),
                 _ => None,
             };
             ("is not an address", hint.or_else(|| of_another_bus(text)))
@@ -212,7 +210,7 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
 impl FromStr for Address {
     type Err = NoAddress;
 
-    /// Reads an address as the fleet file writes it.
+    /// Parses an address as written in the fleet file.
     fn from_str(text: &str) -> Result<Self, NoAddress> {
         Self::parse(text).ok_or(NoAddress)
     }
@@ -252,7 +250,7 @@ fn of_another_bus(text: &str) -> Option<String> {
     let is_other = ["ros", "ros2", "can", "serial", "usb", "mqtt", "osc"]
         .iter()
         .any(|scheme| text.strip_prefix(scheme).is_some_and(|rest| rest.starts_with(':')));
-    (is_serial || is_other).then(|| "write `program:COMMAND` with a driver for it (docs/edge.md)".to_owned())
+    (is_serial || is_other).then(|| "use a driver for it: `program:COMMAND` (docs/edge.md)".to_owned())
 }
 
 #[cfg(test)]

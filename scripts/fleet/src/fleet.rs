@@ -1,4 +1,4 @@
-//! The fleet file: which robots there are, where they are reached, how they describe themselves.
+//! The fleet file: the robots, their addresses, and their descriptions.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -54,27 +54,27 @@ use moves::MovesKeys;
 pub use moves::SimulatedMoves;
 pub use sensors::sensor;
 
-/// The place of the file of measured latencies among the files of findings; the fleet file is 0.
+/// The index of the file of measured latencies among the files of findings; the fleet file has index 0.
 const LATENCY_FILE: u16 = 1;
 const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
 const FAULT_WORDS: [(&str, Fault); 3] =
     [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
 
 keys! {
-    /// Which robots there are, and how they are reached.
+    /// The robots of a site, and how they are reached.
     pub(crate) struct FleetKeys {
-        /// NTP server, `host` or `host:port`; without one the system's clock is trusted.
+        /// NTP server, `host` or `host:port`; without it, the system's clock is trusted.
         ntp: schema!({"type": ["string", "null"]}),
-        /// Whether robots are asked who they are.
+        /// Whether robots must identify themselves.
         handshake: words!(HANDSHAKE_WORDS),
         /// The operator's key and certificate, for robots with `tls://` and `hmac://` addresses: a file that `downbeat keys
         /// operator` writes.
         identity: kinds::TEXT,
         /// The list of revoked certificates, which `downbeat keys` writes.
         revoked: kinds::TEXT,
-        /// The configuration of Zenoh by which robots with `zenoh:` addresses are reached.
+        /// The Zenoh configuration for robots with `zenoh:` addresses.
         zenoh: kinds::TEXT,
-        /// Permits plain TCP to other machines: for a network of its own.
+        /// Permits plain TCP to other machines: for a dedicated network.
         insecure: kinds::BOOLEAN,
         /// The file of measured latencies, which `downbeat calibrate` writes.
         latency: kinds::TEXT,
@@ -82,7 +82,7 @@ keys! {
         /// Robots by id.
         #[required]
         robots: Kind::SomeEntries(&RobotKeys::KIND),
-        /// Names for several robots.
+        /// Names for groups of robots.
         groups: Kind::Entries(&Kind::List(&kinds::NAME, 0..=usize::MAX)),
     }
 }
@@ -90,29 +90,28 @@ keys! {
 keys! {
     /// A robot.
     pub(crate) struct RobotKeys as "robot" {
-        /// Its initialization block, a YAML or JSON file, from the folder of this file.
+        /// Its initialization block, a YAML or JSON file, relative to the folder of this file.
         #[required]
         init: kinds::TEXT,
-        /// What the description of a Thrift robot lacks, by device id.
+        /// Values that the description of a Thrift robot lacks, by device id.
         devices: Kind::Entries(&DeviceKeys::KIND),
         /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, thrift://host:port or program:COMMAND.
         #[required]
         address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac|thrift)://.+:\\d+|program:.*\\S.*)$"}),
-        /// What the robot itself declares as its `id`, where that differs from its name here.
+        /// The `id` that the robot itself declares, if that differs from its name here.
         robot_id: schema!({"type": "string", "minLength": 1, "maxLength": 256}),
         simulate: SimulateKeys::KIND,
-        /// How fast devices may move, by device id.
+        /// The largest speed and acceleration of devices, by device id.
         limits: Kind::Entries(&LimitKeys::KIND),
-        /// `ntp`: it follows NTP, which is only verified. `measured`: what it is sent is translated into its own time.
+        /// `ntp`: the robot follows NTP, which is only verified. `measured`: messages to it are converted to its own time.
         clock: words!(mission_settings::CLOCK_WORDS),
-        /// How late it may wake up for a start.
+        /// The largest delay with which it wakes up for a start.
         wake_up: kinds::TIME,
-        /// From a command to visible motion: one time for all devices that take commands, or one for each.
+        /// The time from a command to visible motion: one time for all devices that take commands, or one per device.
         latency: Kind::AnyOf(&[&kinds::TIME, &Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &LatencyKeys::KIND]))]),
-        /// What its sensors have to read before a mission, by sensor.
+        /// The required readings of its sensors before a mission, by sensor.
         require: Kind::Entries(&Kind::AnyOf(&[&schema!({"type": "string", "pattern": "^\\s*(above|below)\\s+\\S+\\s*$"}), &RangeKeys::KIND])),
-        /// What it is written to in over TCP. `msgpack`, a fraction of the size of JSON, it has to list in its initialization
-        /// block.
+        /// The encoding of messages to it over TCP. It must list `msgpack`, which is much smaller than JSON, in its initialization block.
         encoding: Kind::Words(&["json", "msgpack"]),
         body: BodyKeys::KIND,
         /// How `downbeat calibrate` may move its devices, by device id.
@@ -123,9 +122,9 @@ keys! {
 keys! {
     /// Limits.
     pub(crate) struct LimitKeys {
-        /// In the device's unit a second.
+        /// In the device's unit per second.
         speed: kinds::POSITIVE,
-        /// In the device's unit a second squared.
+        /// In the device's unit per second squared.
         acceleration: kinds::POSITIVE,
     }
 }
@@ -133,31 +132,31 @@ keys! {
 keys! {
     /// How a simulated robot differs from a perfect one.
     pub(crate) struct SimulateKeys as "simulate" {
-        /// Its raw clock minus the true one.
+        /// Its raw clock minus the true time.
         clock_offset: kinds::SIGNED_TIME,
-        /// How much faster its clock runs, as `5ppm`.
+        /// How much faster its clock runs, such as `5ppm`.
         drift: schema!({"type": "string", "pattern": "^-?\\d+(\\.\\d+)?\\s*ppm$"}),
-        /// Largest random error of the times that it states.
+        /// Largest random error of the times that it reports.
         jitter: kinds::TIME,
-        /// How well its NTP knows its clock; `none`: it has no NTP.
+        /// The accuracy with which NTP measures its clock; `none`: it has no NTP.
         ntp_error: Kind::AnyOf(&[&kinds::TIME, &schema!({"const": "none"})]),
-        /// Least and largest delay of every message, each way.
+        /// Least and largest delay of every message, in each direction.
         delay: Kind::List(&kinds::TIME, 2..=2),
-        /// What it does wrong.
+        /// A fault of the robot.
         fault: words!(FAULT_WORDS),
-        /// What its sensors read, by device id, in their units; others read nothing.
+        /// The readings of its sensors, by device id, in their units. Other sensors have no readings.
         readings: Kind::Entries(&kinds::PLAIN_NUMBER),
-        /// How its body follows its devices, by device id: without it, at once.
+        /// How its body follows its devices, by device id. Without it, the body follows immediately.
         moves: Kind::Entries(&MovesKeys::KIND),
     }
 }
 
-/// All robots of a site.
+/// All robots of a site, with the settings of the fleet file.
 #[derive(Clone, Debug, Default)]
 pub struct Fleet {
-    /// NTP server, `host` or `host:port`; without one the system's clock is trusted.
+    /// NTP server, `host` or `host:port`. `None` if the system's clock is trusted.
     pub ntp: Option<String>,
-    /// Whether robots are asked for their identity.
+    /// Whether robots must identify themselves.
     pub handshake: Handshake,
     /// The operator's key and certificate, for robots with `tls://` and `hmac://` addresses.
     pub identity: Option<PathBuf>,
@@ -165,11 +164,11 @@ pub struct Fleet {
     pub revoked: Option<PathBuf>,
     /// The configuration of the Zenoh network, for robots with `zenoh:` addresses.
     pub zenoh: Option<PathBuf>,
-    /// What has to hold in the space that all robots share.
+    /// Requirements on the space that all robots share.
     pub space: Space,
-    /// In the order of the file.
+    /// The robots, in the order of the file.
     pub robots: Vec<FleetRobot>,
-    /// Names for several robots.
+    /// Names for groups of robots.
     pub groups: BTreeMap<String, Vec<RobotId>>,
 }
 
@@ -179,10 +178,10 @@ pub fn fleet_keys() -> &'static Declaration {
     FleetKeys::declaration()
 }
 
-/// Whether steps 1 to 4 of the protocol are played.
+/// Whether steps 1 to 4 of the protocol are performed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Handshake {
-    /// Every robot is asked.
+    /// All robots must identify themselves.
     #[default]
     Full,
     /// The files are trusted.
@@ -194,22 +193,22 @@ pub enum Handshake {
 pub struct FleetRobot {
     /// Its key in the fleet file.
     pub id: RobotId,
-    /// Where it is reached.
+    /// The address of the robot.
     pub address: Address,
-    /// Its description, with the id by which the robot calls itself: `robot_id`, else its key in the fleet file.
+    /// Its description. The id is the one that the robot declares: `robot_id`, or else its key in the fleet file.
     pub init: Option<InitializationBlock>,
-    /// How it behaves when it is simulated.
+    /// Its behaviour in simulation.
     pub simulation: SimulationSettings,
-    /// How fast its devices may move, by device id, where that is less than their speed control type says.
+    /// The largest speed and acceleration of its devices, by device id, if lower than their speed control type permits.
     pub limits: BTreeMap<String, RateLimits>,
-    /// What its devices mean in space.
+    /// Its body, which relates its devices to space.
     pub body: Option<Body>,
-    /// What a mission needs to know of it.
+    /// Further properties that a mission uses.
     pub mission: MissionSettings,
 }
 
 impl FleetRobot {
-    /// A robot of which the fleet file says nothing else: every other key has its default.
+    /// A robot with only these properties in the fleet file: all other keys have their defaults.
     #[must_use]
     pub fn new(id: RobotId, address: Address, init: Option<InitializationBlock>) -> Self {
         Self {
@@ -224,7 +223,7 @@ impl FleetRobot {
     }
 }
 
-/// How fast a device may move: bounds of the derivatives of its value, in its unit a second and a second squared.
+/// Limits of a device's motion: bounds of the derivatives of its value, in its unit per second and per second squared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RateLimits {
     /// Limit of the first derivative: speed for positions.
@@ -234,8 +233,8 @@ pub struct RateLimits {
 }
 
 impl RateLimits {
-    /// Completed by what the device declares for the control types speed and acceleration: the larger of |min_value|
-    /// and |max_value|. For a device driven by speed the first derivative is an acceleration.
+    /// Adds missing limits from the device's declaration for the control types speed and acceleration: the larger of |min_value| and
+    /// |max_value|. If the device is driven by speed, the first derivative is an acceleration.
     #[must_use]
     pub fn or_declared(self, device: &Device, control_type: ControlType) -> Self {
         let declared = |rate| {
@@ -257,21 +256,21 @@ impl RateLimits {
 /// How a simulated robot differs from a perfect one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulationSettings {
-    /// Its raw clock minus the true one.
+    /// The raw clock minus the true time.
     pub clock_offset: Span,
-    /// How much faster its raw clock runs, in parts per million.
+    /// How much faster the raw clock runs, in parts per million.
     pub drift_ppm: f64,
-    /// Largest random error of the times that it states.
+    /// Largest random error of the times that it reports.
     pub jitter: Span,
-    /// How well its NTP knows the raw clock; `None`: it has no NTP.
+    /// The accuracy with which NTP measures the raw clock. `None` if the robot has no NTP.
     pub ntp_error: Option<Span>,
-    /// Least and largest delay of every message, each way.
+    /// Least and largest delay of every message, in each direction.
     pub delay: Option<(Span, Span)>,
-    /// What it does wrong.
+    /// The fault of the robot, if any.
     pub fault: Option<Fault>,
-    /// What its sensors read, in their units; others read nothing.
+    /// The readings of its sensors, in their units. Other sensors have no readings.
     pub readings: Vec<(DeviceId, f64)>,
-    /// How the body follows its devices, as far as it does not at once.
+    /// How the body follows its devices. The body follows all other devices immediately.
     pub moves: Vec<SimulatedMoves>,
 }
 
@@ -290,43 +289,43 @@ impl Default for SimulationSettings {
     }
 }
 
-/// What a simulated robot does wrong.
+/// A fault of a simulated robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// Refuses every script.
     Refuse,
     /// Never answers a control request.
     Silent,
-    /// Hangs up after it has accepted a script.
+    /// Closes the connection after it has accepted a script.
     Disconnect,
 }
 
-/// Reads a fleet file that the user has named, and the initialization blocks that it names in its project ([`Project::of`]).
-/// All findings of all files come together; the fleet is there only without errors.
+/// Reads a fleet file that the user has named, and the initialization blocks that it names within its project ([`Project::of`]). Reports
+/// the findings of all files together. The fleet is only returned if there are no errors.
 #[must_use]
 pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     read_fleet_within(path, &Project::of(path))
 }
 
-/// The same with files of this project.
+/// The same with files of the given project.
 #[must_use]
 pub fn read_fleet_within(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     of_source(path, Source::read(path), project)
 }
 
-/// The same for a fleet whose latencies are yet to be measured: the file with them that it names may not be there.
+/// The same for a fleet whose latencies have yet to be measured: the latency file that it names may be missing.
 #[must_use]
 pub fn read_fleet_to_measure(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     read_with(path, Source::read(path), project, Latencies::Awaited)
 }
 
-/// The same for a fleet file that a scenario names, which has to be in the project, too.
+/// The same for a fleet file that a scenario names. It must be in the project as well.
 #[must_use]
 pub fn read_fleet_named(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     of_source(path, project.read(path), project)
 }
 
-/// Whether the file of measured latencies has to be there.
+/// Whether the file of measured latencies must exist.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Latencies {
     Measured,
@@ -350,9 +349,9 @@ fn read_with(
     let source = match source {
         Ok(source) => source,
         Err(mut finding) => {
-            // A name that is only misspelt has its hint.
+            // A misspelt name already has its hint.
             finding.hint.get_or_insert_with(|| {
-                "a fleet file lists your robots: `downbeat init` writes one to begin with".to_owned()
+                "a fleet file lists your robots: run `downbeat init` to create one".to_owned()
             });
             return (None, vec![finding]);
         }
@@ -391,13 +390,13 @@ struct FleetReader<'a> {
     folder: PathBuf,
     project: &'a Project,
     awaited: Latencies,
-    /// Descriptions read so far, by path: many robots share one.
+    /// The descriptions read so far, by path: many robots share one.
     inits: HashMap<PathBuf, Option<Init>>,
     /// Descriptions of arms.
     urdfs: urdf::Urdfs,
-    /// What was measured of the devices.
+    /// Measured latencies of the devices.
     latencies: LatencyFile,
-    /// The fleet file, then [`LATENCY_FILE`] if there is one.
+    /// The fleet file, followed by the file with index [`LATENCY_FILE`] if there is one.
     sources: Vec<Source>,
     findings: Reader,
     /// Findings in other files.
@@ -418,11 +417,10 @@ impl FleetReader<'_> {
         let mut file = |at: Option<At<'_>>, expected| {
             at.and_then(|at| self.findings.text(&at, expected)).map(|path| self.folder.join(path.as_ref()))
         };
-        fleet.identity =
-            file(identity, "the path of an identity file, which `downbeat keys operator` writes");
+        fleet.identity = file(identity, "the path of an identity file, created by `downbeat keys operator`");
         fleet.revoked =
-            file(revoked, "the path of a list of revoked certificates, which `downbeat keys` writes");
-        fleet.zenoh = file(zenoh, "the path of a configuration of Zenoh");
+            file(revoked, "the path of a list of revoked certificates, created by `downbeat keys`");
+        fleet.zenoh = file(zenoh, "the path of a Zenoh configuration file");
         let insecure = insecure.and_then(|at| self.findings.truth(&at)).unwrap_or(false);
         fleet.space = space.map(|at| body::read_space(&mut self.findings, &at)).unwrap_or_default();
         self.latencies = latency.map(|at| self.latency_file(&at)).unwrap_or_default();
@@ -438,7 +436,7 @@ impl FleetReader<'_> {
                 && matches!(at.node, Node::Map(keys) if keys.iter().all(|(key, _)| !RobotKeys::NAMES.contains(&key.as_str())))
             {
                 let hint = Some("write `groups` next to `robots`, not below it".to_owned());
-                let message = "the groups are listed as a robot";
+                let message = "`groups` is listed as a robot";
                 self.findings.add(Code::UnknownKey, at.key_place(), message, "a robot", hint);
                 continue;
             }
@@ -460,7 +458,7 @@ impl FleetReader<'_> {
             );
         }
         if let Some(groups) = groups {
-            // Robots with findings of their own count as known: one fault, one finding.
+            // Robots with findings of their own are treated as known: one fault, one finding.
             let Node::Map(named) = robots.node else { return Some(fleet) };
             let named = named.iter().map(|(name, _)| (composed(name).into_owned(), name.as_str())).collect();
             self.groups(&groups, &named, &mut fleet);
@@ -468,13 +466,15 @@ impl FleetReader<'_> {
         Some(fleet)
     }
 
-    /// Two robots whose names look alike.
+    /// Reports two robots whose names look the same.
     fn same_name(&mut self, name: &str, robots: &At<'_>) {
         let place = Place { key: true, ..robots.place().below(Part::Key(name.to_owned(), 1)) };
-        let message =
-            format!("two robots are called `{}`, with letters that are encoded differently", shortened(name));
-        let hint = Some("name one of them differently, or remove it".to_owned());
-        self.findings.add(Code::DuplicateKey, place, message, "names that differ to the eye", hint);
+        let message = format!(
+            "duplicate robot name `{}`: the letters look the same, but are encoded differently",
+            shortened(name)
+        );
+        let hint = Some("rename one of them, or remove it".to_owned());
+        self.findings.add(Code::DuplicateKey, place, message, "names that look different", hint);
     }
 
     fn robot(&mut self, name: &str, at: &At<'_>, handshake: Handshake) -> Option<FleetRobot> {
@@ -508,9 +508,9 @@ impl FleetReader<'_> {
         Some(FleetRobot { simulation, limits, body, mission, ..robot })
     }
 
-    /// What was measured, from the file that the fleet file names.
+    /// Reads the file of measured latencies that the fleet file names.
     fn latency_file(&mut self, at: &At<'_>) -> LatencyFile {
-        let expected = "the path of a latency file, which `downbeat calibrate` writes";
+        let expected = "the path of a latency file, created by `downbeat calibrate`";
         let Some(path) = self.findings.text(at, expected) else { return LatencyFile::new() };
         let path = self.folder.join(path.as_ref());
         let source = match self.project.read(&path) {
@@ -524,7 +524,7 @@ impl FleetReader<'_> {
                 let message =
                     format!("cannot read the latency file `{}`: {}", path.display(), finding.message);
                 let hint = finding.hint.filter(|hint| !hint.starts_with("name a ")).unwrap_or_else(|| {
-                    "`downbeat calibrate` writes one; the path counts from the folder of the fleet file"
+                    "run `downbeat calibrate` to create it; the path is relative to the folder of the fleet file"
                         .to_owned()
                 });
                 self.findings.add(Code::Unreadable, at.place(), message, "a readable file", Some(hint));
@@ -543,9 +543,9 @@ impl FleetReader<'_> {
         }
     }
 
-    /// What the robot itself has as its id, where that differs from its name here.
+    /// Reads the id that the robot itself declares, if that differs from its name here.
     fn own_id(&mut self, at: &At<'_>) -> Option<RobotId> {
-        let expected = "the id that the robot declares, 1 to 256 characters";
+        let expected = "the id that the robot declares, with 1 to 256 characters";
         let text = self.findings.text(at, expected)?;
         let id = RobotId::new(text.as_ref());
         if let Err(wrong) = &id {
@@ -568,13 +568,13 @@ impl FleetReader<'_> {
             self.findings.add(
                 Code::WrongType,
                 at.place(),
-                "limits without their device",
+                "missing device in the limits",
                 "a map from device to its limits",
                 hint,
             );
             return limits;
         }
-        for (device, at) in self.findings.entries(at, "device to its largest speed and acceleration") {
+        for (device, at) in self.findings.entries(at, "device to its maximum speed and acceleration") {
             if device_named(init, device).is_none() {
                 let known = || init.devices.iter().map(|device| device.id.as_str());
                 let message = format!("the robot has no device `{}`", shortened(device));
@@ -615,8 +615,8 @@ impl FleetReader<'_> {
         let supplements = match (devices, init) {
             (Some(at), Init::Dictionary(..)) => read_supplements(&mut self.findings, at, &init.devices()),
             (Some(at), Init::Block(..)) => {
-                let message = format!("`{}` describes its devices whole", path.display());
-                let expected = "`devices` only with the description of a Thrift robot";
+                let message = format!("`{}` already describes its devices completely", path.display());
+                let expected = "`devices` only for a robot with a Thrift description";
                 let hint = Some("change the init file instead".to_owned());
                 self.findings.add(Code::UnknownKey, at.key_place(), message, expected, hint);
                 return None;
@@ -626,7 +626,7 @@ impl FleetReader<'_> {
         match init.block(&supplements) {
             Ok(block) => Some(block),
             Err(findings) => {
-                // Robots that share a file share its faults.
+                // Robots that share a file also share its faults.
                 let new = findings.into_iter().filter(|finding| !self.elsewhere.contains(finding));
                 let new: Vec<_> = new.collect();
                 self.elsewhere.extend(new);
@@ -653,9 +653,9 @@ impl FleetReader<'_> {
                 let hint = finding.hint.filter(|hint| !hint.starts_with("name a "));
                 let hint = hint.unwrap_or_else(|| match path.to_str().filter(|path| path.contains('\\')) {
                     Some(path) => {
-                        format!("folders are separated by `/`: write `{}`", path.replace('\\', "/"))
+                        format!("use `/` to separate folders: write `{}`", path.replace('\\', "/"))
                     }
-                    None => "the path counts from the folder of the fleet file".to_owned(),
+                    None => "the path is relative to the folder of the fleet file".to_owned(),
                 });
                 self.findings.add(Code::Unreadable, at.place(), message, "a readable file", Some(hint));
                 None
@@ -687,7 +687,7 @@ impl FleetReader<'_> {
     /// `{range: 0.4}`
     fn readings(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, f64)> {
         let mut readings = Vec::new();
-        for (name, at) in self.findings.entries(at, "sensor to what it reads") {
+        for (name, at) in self.findings.entries(at, "sensor to its reading") {
             let reading = self.findings.number(&at, "a number, in the unit of the sensor");
             let sensor = sensor(&mut self.findings, name, &at, init);
             readings.extend(sensor.zip(reading));
@@ -695,7 +695,7 @@ impl FleetReader<'_> {
         readings
     }
 
-    /// `named` has all robots by the composed forms of their names.
+    /// `named` maps the composed names of all robots to their names in the file.
     fn groups(&mut self, at: &At<'_>, named: &HashMap<String, &str>, fleet: &mut Fleet) {
         let ids: HashMap<String, RobotId> = fleet
             .robots
@@ -727,7 +727,7 @@ impl FleetReader<'_> {
 
 fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str], groups: &[&str]) {
     let hint = if groups.contains(&name) {
-        Some("a group lists robots, not groups: list those of this group".to_owned())
+        Some("a group contains robots, not groups: list the robots of this group".to_owned())
     } else {
         slips::several_names(name, known.iter().copied())
             .or_else(|| findings.did_you_mean(name, known.iter().copied()))
@@ -756,7 +756,7 @@ pub fn drift_ppm(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
 }
 
 fn delay_range(findings: &mut Reader, at: &At<'_>) -> Option<(Span, Span)> {
-    let expected = "the least and the largest delay, as [0ms, 80ms]";
+    let expected = "the minimum and maximum delay, such as [0ms, 80ms]";
     let items = findings.list(at, expected);
     let [least, largest] = items.as_slice() else {
         if matches!(at.node, Node::List(_)) {

@@ -1,4 +1,4 @@
-//! A robot's description: an initialization block, or the dictionary of devices that Thrift robots tell of themselves.
+//! A robot's description: an initialization block, or the dictionary of devices with which Thrift robots describe themselves.
 
 mod dictionary;
 mod faults;
@@ -19,13 +19,13 @@ use downbeat_yaml::source::Source;
 pub(crate) use self::supplement::DeviceKeys;
 pub use self::supplement::{Supplement, read as read_supplements};
 
-/// What a description is, for messages.
+/// The expected form of a description, for messages.
 const EXPECTED: &str = "an initialization block: id, api_version, devices with their available_control_types";
 
 /// Reads a robot's description from a YAML or JSON file.
 ///
 /// # Errors
-/// Findings when the file cannot be read or describes no robot.
+/// Returns findings if the file cannot be read or does not describe a robot.
 pub fn read_init(path: &Path) -> Result<InitializationBlock, Vec<Finding>> {
     init_of(&Source::read(path).map_err(|finding| vec![finding])?)
 }
@@ -33,24 +33,24 @@ pub fn read_init(path: &Path) -> Result<InitializationBlock, Vec<Finding>> {
 /// Reads a robot's description, as YAML or JSON.
 ///
 /// # Errors
-/// Findings when it describes no robot.
+/// Returns findings if it does not describe a robot.
 pub fn init_of(source: &Source) -> Result<InitializationBlock, Vec<Finding>> {
     Init::read(source.clone())?.block(&Supplement::none())
 }
 
-/// A description as the text of an init file, YAML. [`init_of`] reads it back.
+/// Formats a description as the text of an init file in YAML. [`init_of`] reads it back.
 #[must_use]
 pub fn init_text(block: &InitializationBlock) -> String {
-    // Maps with texts as keys, numbers and lists: there is nothing that YAML could not say.
+    // YAML can represent all contents: maps with text keys, numbers and lists.
     serde_yaml::to_string(block).unwrap_or_default()
 }
 
-/// A description as it was read.
+/// A description as read from a file.
 #[derive(Clone, Debug)]
 pub enum Init {
-    /// It is complete; with warnings.
+    /// A complete description, with warnings.
     Block(Box<InitializationBlock>, Vec<Finding>),
-    /// The description of a Thrift robot: devices as a dictionary, which may be incomplete.
+    /// The description of a Thrift robot: its devices are a dictionary, which may be incomplete.
     Dictionary(Source, Node),
 }
 
@@ -81,7 +81,7 @@ impl Init {
         }
     }
 
-    /// The complete block: a dictionary takes what it lacks from the supplements, by device.
+    /// The complete block. The supplements, by device, provide what a dictionary lacks.
     pub fn block(&self, supplements: &[(String, Supplement)]) -> Result<InitializationBlock, Vec<Finding>> {
         match self {
             Self::Block(block, _) => Ok(block.as_ref().clone()),

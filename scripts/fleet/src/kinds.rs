@@ -1,4 +1,4 @@
-//! Kinds of values that several keys of fleet files and world files take. They are written as they are, without variables.
+//! Kinds of values that several keys of fleet files and world files share. They are literal values, without variables.
 
 use downbeat_reader::keys::Kind;
 pub(crate) use downbeat_reader::kinds::{BOOLEAN, NAME, PLAIN_NUMBER, POSITIVE, TEXT};
@@ -8,7 +8,7 @@ use downbeat_reader::{named, schema};
 pub(crate) static COUNT: Kind = schema!({"type": "integer", "minimum": 1});
 
 named! {
-    /// A length of time with its unit: `200us`, `250ms`, `1.5s`, `1m30s`, `2h`, `00:01:30`.
+    /// A duration with its unit: `200us`, `250ms`, `1.5s`, `1m30s`, `2h`, `00:01:30`.
     pub(crate) static TIME = schema!({
         "type": "string",
         "pattern": "^\\s*((\\d+(\\.\\d+)?(h|m|min|s|ms|us))+|\\d+:[0-5]\\d:[0-5]\\d(\\.\\d+)?)\\s*$"

@@ -1,4 +1,4 @@
-//! Which readings of a sensor will do: of one that an act waits for, or that a robot has to show before a mission.
+//! The acceptable readings of a sensor: of one that an act waits for, or that a robot must show before a mission.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,15 +6,15 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::finding::{Code, names};
 use downbeat_yaml::node::Node;
 
-/// Which readings of a sensor will do, in its unit.
+/// The acceptable readings of a sensor, in its unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorRange {
-    /// Larger than this.
+    /// Above this value.
     Above(f64),
-    /// Smaller than this.
+    /// Below this value.
     Below(f64),
-    /// From the first to the second.
+    /// From the first to the second value, inclusive.
     Within(f64, f64),
 }
 
@@ -29,7 +29,7 @@ impl std::fmt::Display for SensorRange {
 }
 
 impl SensorRange {
-    /// Whether a reading will do.
+    /// Whether a reading is acceptable.
     #[must_use]
     pub fn contains(self, reading: f64) -> bool {
         match self {
@@ -40,7 +40,7 @@ impl SensorRange {
     }
 }
 
-/// Exactly one of `above`, `below` and `within`.
+/// Reads exactly one of `above`, `below` and `within`.
 pub fn sensor_range(
     reader: &mut Reader,
     at: &At<'_>,
@@ -51,12 +51,12 @@ pub fn sensor_range(
         (Some(at), None, None) => bound(&at).map(SensorRange::Above),
         (None, Some(at), None) => bound(&at).map(SensorRange::Below),
         (None, None, Some(at)) => {
-            let bounds = reader.list(&at, "the least and the largest reading, as [0.2, 0.5]");
+            let bounds = reader.list(&at, "the minimum and maximum reading, such as [0.2, 0.5]");
             let [least, largest] = bounds.as_slice() else {
                 if !matches!(at.node, Node::List(_)) {
                     return None;
                 }
-                let expected = "the least and the largest reading, as [0.2, 0.5]";
+                let expected = "the minimum and maximum reading, such as [0.2, 0.5]";
                 reader.add(
                     Code::WrongType,
                     at.place(),
@@ -70,14 +70,14 @@ pub fn sensor_range(
             if least > largest {
                 let message = format!("{least} is larger than {largest}");
                 let hint = Some(format!("write `[{largest}, {least}]`"));
-                reader.add(Code::WrongType, at.place(), message, "the least reading first", hint);
+                reader.add(Code::WrongType, at.place(), message, "the smaller reading first", hint);
                 return None;
             }
             Some(SensorRange::Within(least, largest))
         }
         (above, below, _) => {
             let expected = names(["above", "below", "within"]);
-            let message = "a sensor to wait for without a range, or with several";
+            let message = "found none or several ranges for the sensor";
             let number = |at: Option<At<'_>>| match at?.node {
                 Node::Number(value) => Some(*value),
                 _ => None,
@@ -86,7 +86,7 @@ pub fn sensor_range(
                 (Some(least), Some(largest)) if least <= largest => {
                     format!("write `within: [{least}, {largest}]`")
                 }
-                _ => "say which readings will do, as in `below: 0.5`".to_owned(),
+                _ => "add the range of readings, as in `below: 0.5`".to_owned(),
             };
             let hint = Some(hint);
             reader.add(Code::MissingKey, at.place(), message, format!("exactly one of {expected}"), hint);

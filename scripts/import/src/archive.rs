@@ -1,4 +1,4 @@
-//! Zip archives of other programs, within bounds: how many files, how large each is when unpacked, and all of them.
+//! Reads ZIP archives of other programs, with limits for the number of files, the unpacked size of each, and their total size.
 
 use std::io::{Cursor, Read};
 
@@ -6,12 +6,12 @@ use memchr::memmem;
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-/// Most files of an archive.
+/// Maximum number of files in an archive.
 const FILES_MAX: usize = 50_000;
-/// Largest file that is unpacked, and all that are, in bytes.
+/// Largest unpacked size of a file, and of all files together, in bytes.
 const FILE_BYTES_MAX: u64 = 8 << 20;
 const ALL_BYTES_MAX: u64 = 128 << 20;
-/// What stands before every entry of a zip's directory.
+/// The signature of an entry in a ZIP directory.
 const ENTRY: &[u8] = b"PK\x01\x02";
 
 /// An archive that is being read.
@@ -21,7 +21,7 @@ pub(super) struct Archive<'a> {
 }
 
 impl<'a> Archive<'a> {
-    /// Opens it, or says why not.
+    /// Opens an archive, or returns the reason for failure.
     pub(super) fn new(bytes: &'a [u8]) -> Result<Self, String> {
         let entries = memmem::find_iter(bytes, ENTRY).take(FILES_MAX + 1).count();
         if entries > FILES_MAX {
@@ -32,13 +32,13 @@ impl<'a> Archive<'a> {
         Ok(Self { zip, left: ALL_BYTES_MAX })
     }
 
-    /// The files in it, in the order of the archive.
+    /// The names of the files, in the order of the archive.
     pub(super) fn names(&self) -> impl Iterator<Item = String> {
         let names = self.zip.file_names().filter_map(Result::ok);
         names.filter(|name| !name.ends_with('/')).map(std::borrow::Cow::into_owned)
     }
 
-    /// Unpacks one file, or says why not.
+    /// Unpacks one file, or returns the reason for failure.
     pub(super) fn file(&mut self, name: &str) -> Result<Vec<u8>, String> {
         let file = self.zip.by_name(name).map_err(|error| match error {
             ZipError::FileNotFound => "the archive has no such file".to_owned(),
@@ -46,7 +46,7 @@ impl<'a> Archive<'a> {
         })?;
         let most = FILE_BYTES_MAX.min(self.left);
         let mut bytes = Vec::new();
-        // What a file claims as its size is not believed.
+        // The size that the archive states for a file is not trusted.
         let read = file.take(most + 1).read_to_end(&mut bytes);
         read.map_err(|error| format!("the archive cannot be unpacked: {error}"))?;
         let size = bytes.len() as u64;
@@ -54,7 +54,7 @@ impl<'a> Archive<'a> {
         match size > most {
             false => Ok(bytes),
             true if most < FILE_BYTES_MAX => {
-                Err(format!("more than {ALL_BYTES_MAX} bytes are to be unpacked"))
+                Err(format!("the unpacked archive has more than {ALL_BYTES_MAX} bytes"))
             }
             true => Err(format!("the file has more than {FILE_BYTES_MAX} bytes when it is unpacked")),
         }

@@ -1,4 +1,4 @@
-//! From the motions of all files to one choreography: names, scenes, units, and what is remarkable about them.
+//! Assembles the motions of all files into one choreography: names, scenes, units, and notes.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -16,15 +16,15 @@ use super::{
     position, remarks, units,
 };
 
-/// Most robots of an import, and devices of a robot in a scene.
+/// Maximum number of robots of an import, and of devices of a robot in a scene.
 const ROBOTS_MAX: usize = 10_000;
 pub(super) const DEVICES_MAX: usize = 1_000;
 /// Longest name of a kind of robot, in characters: it becomes a file name.
 const KIND_CHARS_MAX: usize = 48;
-/// Most names in a note about the origin.
+/// Maximum number of names in a note about the origin.
 const ORIGINS_MAX: usize = 6;
 
-/// Puts it together; `None` without anything to play.
+/// Assembles the choreography; `None` if there is nothing to play.
 pub(super) fn assemble(
     format: ImportFormat,
     paths: &[PathBuf],
@@ -47,7 +47,7 @@ pub(super) fn assemble(
     if let Some(init) = &options.init {
         fit(&mut scenes, init, sink);
     }
-    // Without an initialization block, it is unknown which of the two units applies.
+    // Without an initialization block, the applicable unit is unknown.
     let devices = scenes.iter_mut().flat_map(|scene| &mut scene.robots).flat_map(|robot| &mut robot.devices);
     devices.filter(|device| device.unit == units::OF_JOINTS).for_each(|device| device.unit.clear());
     check_names(&scenes, &file, sink);
@@ -78,7 +78,7 @@ fn is_bounded(motions: &[Motion], file: &str, sink: &mut Sink) -> bool {
         Code::ImportLimit,
         message,
         &expected,
-        Some("is it of this format? see `docs/import.md`"),
+        Some("check that the file has this format, see `docs/import.md`"),
     );
     false
 }
@@ -104,7 +104,7 @@ fn origin(paths: &[PathBuf]) -> String {
     }
 }
 
-/// Motions of the same scene are played together. A robot that comes twice in a scene is a finding.
+/// Groups motions of the same scene. A robot that occurs twice in a scene is a finding.
 fn scenes(motions: Vec<Motion>, name: &str, format: ImportFormat, file: &str, sink: &mut Sink) -> Vec<Scene> {
     let mut scenes: Vec<Scene> = Vec::new();
     let mut places: HashMap<String, usize> = HashMap::new();
@@ -113,7 +113,13 @@ fn scenes(motions: Vec<Motion>, name: &str, format: ImportFormat, file: &str, si
         let scene = if scene.is_empty() { name.to_owned() } else { scene };
         if !seen.insert((scene.clone(), robot.robot.clone())) {
             let message = format!("two files move `{}` in `{}`", shortened(&robot.robot), shortened(&scene));
-            sink.about(file, Code::ImportNames, message, "each robot once a scene", Some("rename a file"));
+            sink.about(
+                file,
+                Code::ImportNames,
+                message,
+                "each robot at most once per scene",
+                Some("rename a file"),
+            );
             continue;
         }
         let place = *places.entry(scene.clone()).or_insert_with(|| {
@@ -156,7 +162,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
         }
     }
     if old.len() != options.robots.len() && !scenes.is_empty() {
-        let message = format!("--robots has {} names for {} robots", options.robots.len(), old.len());
+        let message = format!("--robots lists {} names for {} robots", options.robots.len(), old.len());
         let expected = format!("{} names, in the order {}", old.len(), names(old.iter().map(String::as_str)));
         let one = format.facts().is_single;
         let hint =
@@ -166,7 +172,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     }
     let mut seen = HashSet::new();
     for name in options.robots.iter().filter(|name| !seen.insert(*name)) {
-        let message = format!("--robots names `{}` twice", shortened(name));
+        let message = format!("duplicate name `{}` in --robots", shortened(name));
         sink.about(file, Code::ImportNames, message, "a different name for each robot", None);
     }
     for robot in scenes.iter_mut().flat_map(|scene| &mut scene.robots) {
@@ -176,7 +182,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     }
 }
 
-/// Values that begin again, as headings do at 360, continue instead.
+/// Unwraps values that wrap around, such as headings at 360.
 fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for (target, period) in &options.unwraps {
         let (mut used, mut turns) = (false, 0_usize);
@@ -194,30 +200,30 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
                 downbeat_yaml::render::counted(turns, "turn")
             ))
         } else {
-            let message = format!("--unwrap names `{}`, which no keyframes move", shortened(target));
-            sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
+            let message = format!("--unwrap lists `{}`, but no keyframes move it", shortened(target));
+            sink.about(file, Code::ImportNames, message, "DEVICE or ROBOT/DEVICE", None);
         }
     }
 }
 
-/// A first value at this time or later is late: the scene may come from the middle of a timeline.
+/// If the first value is at this time or later, it is late: the scene may come from the middle of a timeline.
 const LATE: Span = Span::from_millis(1_000);
 
-/// Shifts each scene so that its first value comes at the time that the user gives, and dates so that it comes at 0 s. Other
-/// first values that are late are noted.
+/// Shifts each scene so that its first value is at the time that the user gives; if the times are dates, at 0 s. Other late first values
+/// are noted.
 fn start(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for scene in scenes {
         let mut devices: Vec<_> = scene.robots.iter_mut().flat_map(|robot| &mut robot.devices).collect();
         let firsts = devices.iter().filter_map(|device| device.keyframes.first().map(|first| first.at));
         let Some(first) = firsts.min() else { continue };
-        // Curves begin with their scene.
+        // Curves start at the beginning of their scene.
         let are_points = devices.iter().all(|device| !matches!(device.course, Course::Pieces(_)));
         let name = shortened(&scene.name);
         if options.start.is_none() && keyframes::is_date(first) {
-            sink.note(format!("`{name}`: times are dates, they count from the first value"));
+            sink.note(format!("`{name}`: times are dates and are counted from the first value"));
         } else if options.start.is_none() && are_points && first >= LATE {
             sink.note(format!(
-                "`{name}` sets its first value at {} s, and devices move there until then; --start 0s begins with it",
+                "`{name}` sets its first value at {} s, and devices move to it from 0 s on; use --start 0s to begin with this value",
                 keyframes::seconds(first)
             ));
         }
@@ -229,7 +235,7 @@ fn start(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut S
         if keyframes::seconds(scene.duration()) > keyframes::SECONDS_MAX {
             let message = format!("`{name}` lasts {} s", keyframes::seconds(scene.duration()));
             let expected = format!("at most {} s", keyframes::SECONDS_MAX);
-            let hint = Some("import files of different days as scenes of their own");
+            let hint = Some("import files of different days as separate scenes");
             sink.about(file, Code::ImportTime, message, &expected, hint);
         }
     }
@@ -243,19 +249,19 @@ fn scale(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut S
             let meant = |device: &str| *target == device || *target == format!("{robot}/{device}");
             for device in devices.iter_mut().filter(|device| meant(&device.device)) {
                 used = true;
-                // What the values measure now only the user knows.
+                // Only the user knows the unit of scaled values.
                 device.unit.clear();
                 device.scale(*factor);
             }
         }
         if !used && !scenes.is_empty() {
-            let message = format!("--scale names `{}`, which nothing moves", shortened(target));
-            sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
+            let message = format!("--scale lists `{}`, but nothing moves it", shortened(target));
+            sink.about(file, Code::ImportNames, message, "DEVICE or ROBOT/DEVICE", None);
         }
     }
 }
 
-/// Checks the devices against the block of the robots, and turns values into its units.
+/// Checks the devices against the block of the robots, and converts values to its units.
 fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
     let known = || init.devices.iter().map(|device| device.id.as_str());
     let mut missing: BTreeMap<String, Option<String>> = BTreeMap::new();
@@ -280,7 +286,10 @@ fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
                 format!("`{}` is converted from {} to {unit}", device.device, device.unit)
             }
             None if device.unit.is_empty() => format!("`{}` is taken to be in {unit}", device.device),
-            None => format!("`{}` is in {}, the robot's block says {unit}", device.device, device.unit),
+            None => format!(
+                "`{}` is in {}, but the unit in the robot's block is {unit}",
+                device.device, device.unit
+            ),
         };
         device.unit = unit;
         converted.insert(device.device.clone(), text);
@@ -311,6 +320,6 @@ fn check_names(scenes: &[Scene], file: &str, sink: &mut Sink) {
         }
     }
     for message in wrong {
-        sink.about(file, Code::ImportNames, message, "names of 1 to 256 characters, each once", None);
+        sink.about(file, Code::ImportNames, message, "unique names of 1 to 256 characters", None);
     }
 }

@@ -1,18 +1,18 @@
-//! Bounds of polynomials, from the control points of their Bernstein form: a curve lies within the hull of those.
+//! Bounds of polynomials from the control points of their Bernstein form, whose convex hull contains the curve.
 
 use super::{Piece, keyframes};
 
-/// Halvings: the bounds are then off by about a thousandth of what the curve bends.
+/// Number of bisections: the error of the bounds is then about a thousandth of the curve's bend.
 const HALVINGS: u32 = 5;
 
-/// A least and a largest value, of which neither is exceeded while the piece lasts.
+/// The least and the largest value of a piece, as bounds.
 pub(super) fn bounds(piece: &Piece) -> [f64; 2] {
     let mut bounds = [f64::INFINITY, f64::NEG_INFINITY];
     widen(&control_points(&scaled(piece)), HALVINGS, &mut bounds);
     bounds
 }
 
-/// The largest size of the second derivative, in units a second squared.
+/// A bound of the absolute second derivative, in units per second squared.
 pub(super) fn bend(piece: &Piece) -> f64 {
     let second = piece.coefficients.iter().enumerate().skip(2);
     let coefficients: Vec<f64> = second.map(|(power, c)| (power * (power - 1)) as f64 * c).collect();
@@ -23,7 +23,7 @@ pub(super) fn bend(piece: &Piece) -> f64 {
     most.max(-least)
 }
 
-/// The coefficients for a time that runs from 0 to 1.
+/// The coefficients for a time from 0 to 1.
 fn scaled(piece: &Piece) -> Vec<f64> {
     let seconds = keyframes::seconds(piece.length);
     let mut power = 1.0;
@@ -50,7 +50,7 @@ fn control_points(coefficients: &[f64]) -> Vec<f64> {
     (0..coefficients.len()).map(point).collect()
 }
 
-/// Halves the curve (de Casteljau) until its control points lie close to it.
+/// Bisects the curve (de Casteljau) until its control points are close to it.
 fn widen(points: &[f64], halvings: u32, bounds: &mut [f64; 2]) {
     if halvings == 0 || points.len() < 3 {
         for point in points {
@@ -78,7 +78,7 @@ mod tests {
 
     #[test]
     fn bounds_hold_the_curve_and_lie_close_to_it() {
-        // 4 t (1 - t) + 1 over half of its width, and beyond its top.
+        // 4 t (1 - t) + 1 from 0 to 0.75, which includes its maximum.
         let [least, most] = bounds(&piece(0.75, &[1.0, 4.0, -4.0]));
         assert!((least - 1.0).abs() < 1e-12 && (2.0..2.002).contains(&most), "{least} {most}");
         assert_eq!(bounds(&piece(2.0, &[3.0])), [3.0, 3.0]);

@@ -13,14 +13,14 @@ use super::input::Input;
 use super::sink::Sink;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes, tree};
 
-/// Most joints of an animation.
+/// Maximum number of joints of an animation.
 const JOINTS_MAX: usize = 1_000;
 
 /// A keyframe of the file with its times.
 struct Pose {
-    /// When its goals are reached.
+    /// The time at which its goals are reached.
     at: Span,
-    /// Until when they are held.
+    /// The time until which they are held.
     until: Span,
     goals: Vec<(String, f64)>,
 }
@@ -50,7 +50,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
 struct Tracks {
     devices: Vec<DeviceMotion>,
     by_joint: HashMap<String, usize>,
-    /// When each joint was last told to be where it is, were it told in every pose.
+    /// For each joint, the time until which its last value is held, if later poses leave the joint out.
     held_until: Vec<Span>,
     held: usize,
     left_out: BTreeSet<String>,
@@ -93,7 +93,7 @@ impl Tracks {
         device
     }
 
-    /// Repeats the last value, so that the device does not set out for the next one too early.
+    /// Repeats the last value, so that the device does not start moving to the next one too early.
     fn hold(&mut self, device: usize, until: Span) {
         let keyframes = &mut self.devices[device].keyframes;
         if let Some(last) = keyframes.last().copied().filter(|last| last.at < until) {
@@ -112,11 +112,13 @@ impl Tracks {
         if !self.left_out.is_empty() {
             let (count, joints) = (self.left_out.len(), names(self.left_out.iter().map(String::as_str)));
             let joints_held = downbeat_yaml::render::counted(count, "joint");
-            sink.note(format!("{file}: held {joints_held} where keyframes leave them out: {joints}"));
+            sink.note(format!(
+                "{file}: kept {joints_held} in place where keyframes leave them out: {joints}"
+            ));
         }
         if !self.late.is_empty() {
             let joints = names(self.late.iter().map(String::as_str));
-            sink.note(format!("{file}: not in the first keyframe, so on their way from the start: {joints}"));
+            sink.note(format!("{file}: joints missing from the first keyframe, which move to their first value from the start: {joints}"));
         }
     }
 }
@@ -166,8 +168,8 @@ fn read_pose(at: &At<'_>, index: usize, end_s: &mut f64, findings: &mut Reader) 
         return None;
     };
     if reached <= start {
-        let message = format!("{what} has the duration {duration}: it is due at {start}, when it begins");
-        let hint = "give it a duration, or remove it: nothing moves in no time";
+        let message = format!("{what} has the duration {duration}: it begins and ends at {start}");
+        let hint = "add a duration above 0, or remove the keyframe";
         findings.add(
             Code::TimesCollide,
             duration_at.place(),

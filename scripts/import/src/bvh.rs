@@ -1,4 +1,4 @@
-//! Biovision's motion capture files, `.bvh`: a skeleton of joints with channels, then a line of values a frame.
+//! Biovision motion capture files, `.bvh`: a skeleton of joints with channels, then one line of values per frame.
 
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::render::counted;
@@ -9,25 +9,25 @@ use super::input::Input;
 use super::sink::{Sink, Spot};
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
-/// Most joints within each other.
+/// Maximum nesting depth of joints.
 const DEPTH_MAX: usize = 200;
 /// Shortest frame, in seconds.
 const PERIOD_MIN_S: f64 = 1e-5;
-/// Most channels in all, and of a joint.
+/// Maximum number of channels in total, and per joint.
 const CHANNELS_MAX: usize = 1_000;
 const JOINT_CHANNELS_MAX: f64 = 6.0;
 const CHANNELS: [&str; 6] = ["Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"];
 
-/// Words of a file that know where they stand.
+/// The words of a file, with their positions.
 #[derive(Clone, Copy)]
 struct Words<'a> {
     text: &'a str,
-    /// In bytes.
+    /// Byte offset after the last word.
     at: usize,
-    /// From 1, and where it begins.
+    /// The current line, from 1, and its byte offset.
     line: usize,
     line_start: usize,
-    /// Where the last word begins, and its width.
+    /// The byte offset of the last word, and its width.
     start: usize,
     width: usize,
 }
@@ -48,7 +48,7 @@ impl<'a> Words<'a> {
         (width > 0).then(|| &rest[..width])
     }
 
-    /// The rest of a line: a name may have spaces in it.
+    /// The rest of a line: names may contain spaces.
     fn rest(&mut self) -> &'a str {
         let rest = self.text[self.at..].lines().next().unwrap_or("");
         self.at += rest.len();
@@ -62,7 +62,7 @@ impl<'a> Words<'a> {
     }
 }
 
-/// What goes wrong: the code, the message, what is expected.
+/// An error: the code, the message, the expected value.
 type Wrong = (Code, String, String);
 
 /// Reads one file: one robot in one scene.
@@ -72,7 +72,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
         Ok((mut devices, period_s)) => {
             let frames = devices.first().map_or(0, |device| device.keyframes.len());
             sink.note(format!(
-                "{}: {frames} frames, one every {period_s} s; left out the skeleton's offsets and end sites",
+                "{}: {frames} frames, one every {period_s} s; the skeleton's offsets and end sites are ignored",
                 source.name
             ));
             for device in &mut devices {
@@ -94,7 +94,7 @@ fn read_file(words: &mut Words<'_>, sink: &mut Sink) -> Result<(Vec<DeviceMotion
     expect(words, "Frames:")?;
     let frames = number(words, "the number of frames")?;
     if !(1.0..=1e9).contains(&frames) || frames.fract() != 0.0 {
-        return Err((Code::ImportShape, format!("{frames} frames"), "a whole number from 1 on".into()));
+        return Err((Code::ImportShape, format!("{frames} frames"), "a whole number of at least 1".into()));
     }
     if !sink.has_room_for(frames * devices.len() as f64) {
         let message = format!("{frames} frames of {} channels", devices.len());
@@ -103,7 +103,7 @@ fn read_file(words: &mut Words<'_>, sink: &mut Sink) -> Result<(Vec<DeviceMotion
     let stated = *words;
     expect(words, "Frame")?;
     expect(words, "Time:")?;
-    let period_s = number(words, "the time of a frame")?;
+    let period_s = number(words, "the duration of a frame")?;
     if !(PERIOD_MIN_S..=1_000.0).contains(&period_s) {
         return Err((Code::ImportTime, format!("a frame lasts {period_s} s"), "0.00001 s to 1000 s".into()));
     }
@@ -111,12 +111,12 @@ fn read_file(words: &mut Words<'_>, sink: &mut Sink) -> Result<(Vec<DeviceMotion
     if found != frames {
         *words = stated;
         let message = format!("`Frames: {frames}`, but the file has {found}");
-        return Err((Code::ImportShape, message, format!("`Frames: {found}`, or as many frames as it says")));
+        return Err((Code::ImportShape, message, format!("`Frames: {found}`, or as many frames as stated")));
     }
     Ok((devices, period_s))
 }
 
-/// Reads as many frames as the file says; returns how many it has.
+/// Reads all frames, and returns the number of frames that the file contains.
 fn read_frames(
     words: &mut Words<'_>,
     frames: f64,
@@ -144,7 +144,7 @@ fn read_frames(
     }
     let mut more = 0.0;
     while words.clone().next().is_some() {
-        number(words, &format!("after {} frames, a value", frames + more / devices.len() as f64))?;
+        number(words, &format!("a value after {} frames", frames + more / devices.len() as f64))?;
         more += 1.0;
     }
     match more % devices.len() as f64 {
@@ -160,7 +160,7 @@ fn read_frames(
     }
 }
 
-/// The channels of all joints, in the order of the file, which is that of the values.
+/// The channels of all joints, in the order of the file, which is also the order of the values.
 fn skeleton(words: &mut Words<'_>) -> Result<Vec<DeviceMotion>, Wrong> {
     let mut devices: Vec<DeviceMotion> = Vec::new();
     let mut open: Vec<String> = Vec::new();
@@ -172,7 +172,7 @@ fn skeleton(words: &mut Words<'_>) -> Result<Vec<DeviceMotion>, Wrong> {
             "END" => name = words.rest().to_owned(),
             "{" if open.len() < DEPTH_MAX => open.push(std::mem::take(&mut name)),
             "{" => {
-                let message = format!("joints within joints, more than {DEPTH_MAX} deep");
+                let message = format!("joints nested more than {DEPTH_MAX} levels deep");
                 return Err((Code::ImportLimit, message, "a skeleton".into()));
             }
             "}" if open.pop().is_some() => {}
@@ -180,7 +180,7 @@ fn skeleton(words: &mut Words<'_>) -> Result<Vec<DeviceMotion>, Wrong> {
             "CHANNELS" => channels(words, open.last(), &mut devices)?,
             "MOTION" if open.is_empty() && !devices.is_empty() => return Ok(devices),
             _ => {
-                let message = format!("`{}` in the skeleton", shortened(word));
+                let message = format!("unexpected `{}` in the skeleton", shortened(word));
                 let expected = "ROOT, JOINT, End Site, OFFSET, CHANNELS, { and }, then MOTION";
                 return Err((Code::ImportShape, message, expected.into()));
             }

@@ -1,4 +1,4 @@
-//! Which columns of a table move what: by name, by number, by pattern, or several for one device.
+//! Assigns columns of a table to devices: by name, by number, by pattern, or several columns to one device.
 
 use std::collections::{HashMap, HashSet};
 
@@ -10,30 +10,30 @@ use super::sink::Sink;
 use super::table::Row;
 use super::units::name_and_unit;
 
-/// Most columns that a note names.
+/// Maximum number of columns that a note names.
 const NAMED_MAX: usize = 12;
 
 /// The first line of a table.
 pub(super) struct Header<'a> {
     pub(super) row: Row<'a>,
-    /// Whether it names the columns; otherwise it is a line of values already.
+    /// Whether it names the columns; otherwise it is already a line of values.
     pub(super) named: bool,
     pub(super) width: usize,
-    /// The columns of each name, with and without its unit.
+    /// The columns with each name, with and without its unit.
     by_name: HashMap<String, Vec<usize>>,
 }
 
 /// A device and the columns that move it.
 pub(super) struct Chosen {
-    /// As the user wrote it, with what a star stands for.
+    /// The target as written by the user, with the star replaced.
     pub(super) target: String,
     pub(super) indices: Vec<usize>,
 }
 
 impl<'a> Header<'a> {
-    /// `time` may be in a cell: then this is not a header.
+    /// A row of values, including times, is not a header.
     pub(super) fn new(mut row: Row<'a>) -> Self {
-        // Also clock times, dates and numbers with decimal commas.
+        // Includes clock times, dates and numbers with decimal commas.
         let value = |text: &str| {
             let begins =
                 text.is_empty() || text.starts_with(|c: char| c.is_ascii_digit() || "+-.,".contains(c));
@@ -74,9 +74,9 @@ impl<'a> Header<'a> {
             [index] => Some(*index),
             [] if number.is_some() => number.map(|number| number - 1),
             [_, second, ..] => {
-                let message = format!("two columns are named `{}`", shortened(column));
-                let hint = Some("say the number of the column, from 1");
-                let expected = "each name once";
+                let message = format!("duplicate column name `{}`", shortened(column));
+                let hint = Some("use the number of the column, counted from 1");
+                let expected = "unique names";
                 sink.found(source, self.row.spot(*second), Code::ImportTable, message, expected, hint);
                 None
             }
@@ -98,7 +98,7 @@ impl<'a> Header<'a> {
         sink.found(source, self.row.spot(0), Code::ImportTable, message, expected, hint.as_deref());
     }
 
-    /// The columns of one `--map`; more than one device where it has a star, which stands for nothing that is taken.
+    /// The columns of one `--map`. With a star, it yields one device per match; columns in `taken` do not match.
     pub(super) fn choose(
         &self,
         target: &str,
@@ -124,7 +124,7 @@ impl<'a> Header<'a> {
     }
 
     fn indices(&self, columns: &str, source: &Source, sink: &mut Sink) -> Option<Vec<usize>> {
-        // A name with a comma in it comes first.
+        // A name that contains a comma takes precedence.
         if self
             .by_name
             .get(columns)
@@ -135,7 +135,7 @@ impl<'a> Header<'a> {
         columns.split(',').map(|column| self.index(column.trim(), source, sink)).collect()
     }
 
-    /// What the star of a pattern stands for, in the order of the columns.
+    /// The matches of the star in a pattern, in the order of the columns.
     fn stars(&self, columns: &str, taken: &HashSet<usize>) -> Vec<String> {
         let pattern = columns.split(',').map(str::trim).find(|column| column.contains('*'));
         let Some((before, behind)) = pattern.and_then(|pattern| pattern.split_once('*')) else {
@@ -153,7 +153,7 @@ impl<'a> Header<'a> {
         stars
     }
 
-    /// Says which columns move nothing.
+    /// Notes the columns that are not mapped.
     pub(super) fn note_unused(&self, used: &HashSet<usize>, source: &Source, sink: &mut Sink) {
         let unused: Vec<usize> = (0..self.width).filter(|index| !used.contains(index)).collect();
         if unused.is_empty() {
@@ -168,6 +168,6 @@ impl<'a> Header<'a> {
             named.push(format!("and {} more", unused.len() - NAMED_MAX));
         }
         let columns = downbeat_yaml::render::counted(unused.len(), "column");
-        sink.note(format!("{}: left out {columns} that nothing maps: {}", source.name, named.join(", ")));
+        sink.note(format!("{}: ignored {columns} without a mapping: {}", source.name, named.join(", ")));
     }
 }

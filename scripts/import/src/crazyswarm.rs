@@ -1,4 +1,4 @@
-//! Crazyswarm's CSVs: one polynomial piece a line, `duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7`.
+//! Crazyswarm CSVs: one polynomial piece per line, `duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7`.
 
 use urrcp::Span;
 
@@ -14,11 +14,11 @@ use super::sink::Sink;
 use super::table::{Row, rows};
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion};
 
-/// What a Crazyflie holds: 4 KB of trajectory memory, 132 bytes a piece.
+/// The capacity of a Crazyflie: 4 KB of trajectory memory, 132 bytes per piece.
 const PIECES_MAX: usize = 31;
-/// Sampled values are written with this many digits after the point, and so lie within 5e-8 of the polynomial.
+/// Sampled values are written with this number of decimal digits, so their error is at most 5e-8.
 const DIGITS: i32 = 7;
-/// Jumps where two pieces meet are told from here on, in the axis' unit.
+/// Jumps between two pieces from this size are noted, in the axis' unit.
 const JUMP_MIN: f64 = 1e-3;
 
 /// Reads one file: one robot in one scene.
@@ -38,7 +38,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let times = match options.rate_hz {
         Some(rate) => {
             sink.note(format!(
-                "{}: sampled at {rate} Hz, straight between the samples: without --rate the curve itself is kept",
+                "{}: sampled at {rate} Hz, with straight lines between the samples; without --rate, the curve itself is kept",
                 source.name
             ));
             keyframes::sampled_times(trajectory.duration_s(), rate)
@@ -59,7 +59,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
 }
 
-/// The value at the time as it will be written, so that rounding a time moves nothing.
+/// The value at the rounded time, so that rounding a time does not change the motion.
 fn sample(trajectory: &Trajectory, axis: usize, at: Span) -> Keyframe {
     let value = trajectory.value(axis, keyframes::seconds(at));
     Keyframe { at, value: keyframes::rounded(value, DIGITS) }
@@ -111,7 +111,7 @@ fn read_pieces(source: &Source, pieces_max: usize, sink: &mut Sink) -> Vec<Piece
             &source.name,
             Code::NothingToDo,
             "the file has no pieces".into(),
-            "a polynomial piece a line",
+            "one polynomial piece per line",
             None,
         );
     }
@@ -155,14 +155,14 @@ fn read_piece(row: &Row<'_>, names: &[String], source: &Source, sink: &mut Sink)
     None
 }
 
-/// The end of the piece; a finding where its boundaries are the same nanosecond.
+/// The end of the piece. Adds a finding if both of its boundaries are at the same nanosecond.
 fn check_end(start_s: f64, piece: &Piece, row: &Row<'_>, source: &Source, sink: &mut Sink) -> f64 {
     let end_s = start_s + piece.duration_s;
     match (keyframes::span(start_s), keyframes::span(end_s)) {
         (Some(start), Some(end)) if start < end && keyframes::span(piece.duration_s) > Some(Span::ZERO) => {}
         (Some(_), Some(_)) => {
             let message = format!("a piece lasts {} s", piece.duration_s);
-            let hint = Some("join the piece with its neighbour");
+            let hint = Some("merge the piece with an adjacent one");
             sink.found(source, row.spot(0), Code::TimesCollide, message, "pieces of at least 1 ns", hint);
         }
         _ => {
@@ -176,9 +176,9 @@ fn check_end(start_s: f64, piece: &Piece, row: &Row<'_>, source: &Source, sink: 
 
 fn too_many_pieces(pieces_max: usize, row: &Row<'_>, source: &Source, sink: &mut Sink) {
     let all = rows(source, Dialect::of(source, 0, None)).count() - 1;
-    let message = format!("the trajectory has {all} pieces, one robot holds {pieces_max}");
+    let message = format!("the trajectory has {all} pieces, but a robot holds at most {pieces_max}");
     let hint =
-        "a Crazyflie has 4 KB for pieces of 132 bytes; split the file into scenes, or say --max-pieces";
+        "a Crazyflie has 4 KB for pieces of 132 bytes; split the file into scenes, or set --max-pieces";
     let expected = format!("at most {pieces_max} pieces");
     sink.found(source, row.spot(0), Code::TooManyPieces, message, expected, Some(hint));
 }

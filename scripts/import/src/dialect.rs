@@ -1,4 +1,4 @@
-//! How a table is written: what separates its cells, what its decimal mark is, and which lines are not part of it.
+//! The notation of a table: the separator of its cells, its decimal mark, and lines that do not belong to it.
 
 use std::borrow::Cow;
 use std::str::FromStr;
@@ -7,11 +7,11 @@ use downbeat_yaml::source::Source;
 
 use super::table::{Row, is_row, rows};
 
-/// Lines that are searched for the beginning of a table behind a title, and rows that have to agree there.
+/// Number of lines that are searched for a table after a title, and of rows that must agree there.
 const TITLE_LINES_MAX: usize = 20;
 const ROWS_AGREEING: usize = 3;
 
-/// What separates the whole part of a number from its fraction.
+/// The decimal mark of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decimal {
     /// `1234.5` or `1,234.5`.
@@ -32,19 +32,19 @@ impl FromStr for Decimal {
     }
 }
 
-/// How a table is written.
+/// The notation of a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dialect {
-    /// A space stands for any run of blanks.
+    /// The separator of cells. A space represents any run of blanks.
     pub(super) separator: char,
-    /// Lines before the table.
+    /// Number of lines before the table.
     pub(super) skipped: usize,
-    /// `None` where only numbers without commas are read.
+    /// The decimal mark. `None` if only numbers without commas are read.
     pub(super) decimal: Option<Decimal>,
 }
 
 impl Dialect {
-    /// As the user says, else as the text shows.
+    /// The dialect that the user states, or else the one detected from the text.
     pub fn of(source: &Source, skipped: usize, decimal: Option<Decimal>) -> Self {
         let (separator, skipped) = stated_separator(source, skipped)
             .unwrap_or_else(|| (separator_of(source.text.lines().skip(skipped)), skipped));
@@ -53,7 +53,7 @@ impl Dialect {
     }
 }
 
-/// `sep=;` in the first line, which tells Excel how to read a file.
+/// Parses `sep=;` in the first line, which tells Excel the separator.
 fn stated_separator(source: &Source, skipped: usize) -> Option<(char, usize)> {
     let first = source.text.lines().nth(skipped)?.trim_matches(|c| c == '"' || c == '\r');
     let (key, separator) = first.split_at_checked("sep=".len())?;
@@ -62,7 +62,7 @@ fn stated_separator(source: &Source, skipped: usize) -> Option<(char, usize)> {
     (key.eq_ignore_ascii_case("sep=") && rest.is_none()).then_some((separator, skipped + 1))
 }
 
-/// The separator that the first line uses most: comma, semicolon or tab; blanks where it has none of them.
+/// The most frequent separator in the first line: comma, semicolon or tab. Blanks if it contains none of them.
 fn separator_of<'a>(mut lines: impl Iterator<Item = &'a str>) -> char {
     let first = lines.find(|line| is_row(line)).unwrap_or("");
     let count = |separator: char| first.chars().filter(|c| *c == separator).count();
@@ -73,9 +73,9 @@ fn separator_of<'a>(mut lines: impl Iterator<Item = &'a str>) -> char {
     if is_blank { ' ' } else { most }
 }
 
-/// The decimal mark on which all numbers agree that leave no doubt.
+/// The decimal mark of all unambiguous numbers, if they agree.
 fn decimal_of(source: &Source, dialect: Dialect) -> Option<Decimal> {
-    // With commas between cells, only cells in quotes contain any.
+    // If commas separate cells, only quoted cells can contain any.
     let may_differ =
         if dialect.separator == ',' { source.text.contains('"') } else { source.text.contains(',') };
     if !may_differ {
@@ -93,7 +93,7 @@ fn decimal_of(source: &Source, dialect: Dialect) -> Option<Decimal> {
     shown
 }
 
-/// The decimal mark of a number, if only one reading is possible: `1,500` may be both.
+/// The decimal mark of a number, if it is unambiguous: `1,500` is not.
 fn mark_of(text: &str) -> Option<Decimal> {
     if !text.contains([',', '.']) {
         return None;
@@ -106,7 +106,7 @@ fn mark_of(text: &str) -> Option<Decimal> {
     }
 }
 
-/// A number with a decimal point and without separators of thousands. `None` where it has commas or points that are neither.
+/// A number with a decimal point and without thousands separators. `None` if it contains other commas or points.
 pub(super) fn plain(text: &str, decimal: Option<Decimal>) -> Option<Cow<'_, str>> {
     let (mark, group) = match decimal {
         None => return (!text.contains(',')).then_some(Cow::Borrowed(text)),
@@ -128,8 +128,8 @@ pub(super) fn plain(text: &str, decimal: Option<Decimal>) -> Option<Cow<'_, str>
     Some(Cow::Owned(format!("{}{point}{fraction}", whole.replace(group, ""))))
 }
 
-/// A table that begins later than the text: how many lines are before it, and its number of cells. There, rows of values follow
-/// that agree on more cells than the first line has.
+/// Detects a table that begins after a title. Returns the number of lines before it, and its number of cells. The table begins at a
+/// row with more cells than the first line, followed by rows of values with the same number of cells.
 pub(super) fn table_behind_title(source: &Source, dialect: Dialect) -> Option<(usize, usize)> {
     let lines = source.text.lines().enumerate().skip(dialect.skipped).filter(|(_, line)| is_row(line));
     let lines: Vec<(usize, &str)> = lines.take(TITLE_LINES_MAX).collect();

@@ -1,5 +1,5 @@
-//! The fleet that goes with a scenario: which robots there are, and an initialization block for them from the data's own
-//! range, to be replaced by what the robots really can do.
+//! The fleet for a scenario: its robots, and an initialization block derived from the range of the data. The user must replace it by the
+//! actual limits of the robots.
 
 use std::collections::BTreeMap;
 
@@ -9,23 +9,23 @@ use super::grid::{self, Grid, grid_of};
 use super::yaml::{Scenes, line, number, one_line, scalar, scenario_text};
 use super::{Clearance, Course, DeviceMotion, Imported, Piece, bernstein, keyframes, position};
 
-/// Most steps that a generated block asks for at least.
+/// Minimum number of steps that a generated block declares.
 const STEPS_MIN: usize = 2;
-/// Eight, for the chords of a curve, by the half of the tolerance that the grid leaves; and some more for safety.
+/// 8 from the chord error, times the half of the tolerance that the grid leaves, minus a safety margin.
 const CHORDS: f64 = 3.5;
-/// Most steps that are counted for a piece.
+/// Maximum number of steps that are counted per piece.
 const STEPS_PIECE_MAX: f64 = 1e6;
 
-/// A file to be written, by its path from the output folder.
+/// A file to be written, with its path relative to the output folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FilePart {
-    /// With `/` between its parts.
+    /// The path, with `/` as separator.
     pub path: String,
-    /// All of it.
+    /// The content.
     pub text: String,
 }
 
-/// The scenario, the fleet and the initialization blocks. With `init`, that text is the block.
+/// The scenario, the fleet and the initialization blocks. If `init` is given, its text is the block.
 #[must_use]
 pub fn files_of(
     imported: &Imported,
@@ -59,7 +59,7 @@ struct Kind {
 }
 
 fn path_of(kind: &Kind) -> String {
-    // The name becomes a file name, so nothing in it may lead elsewhere.
+    // The name becomes part of a path, so it must not contain path separators.
     let safe = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '-' };
     format!("robots/{}.yaml", kind.name.chars().map(safe).collect::<String>())
 }
@@ -91,7 +91,7 @@ fn kinds(imported: &Imported, all_alike: bool) -> Vec<Kind> {
 
 fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
     let mut text = format!(
-        "# The robots of `{}`, simulated. Give a robot `address: tcp://host:port` to drive a real one.\n",
+        "# The robots of `{}`, simulated. Set `address: tcp://host:port` to drive a real robot.\n",
         one_line(&imported.name)
     );
     let flying = position::robots(imported);
@@ -101,9 +101,9 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
         line(
             &mut text,
             format_args!(
-                "# `check` reports robots whose centres come nearer to each other than `distance`, in metres.\n\
-                 # {metres} is {origin}: write what your robots need, or a `radius` for each `body`.\n\
-                 # Remove `body` from robots whose x, y and z do not count from the same origin.\n\
+                "# `check` reports robots whose centres come closer to each other than `distance`, in metres.\n\
+                 # {metres} is {origin}: write the distance that your robots need, or a `radius` for each `body`.\n\
+                 # Remove `body` from robots whose x, y and z do not have the same origin.\n\
                  space: {{distance: {metres}}}"
             ),
         );
@@ -118,18 +118,18 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
     text
 }
 
-/// A device of all robots that have it.
+/// The combined requirements of all robots for a device.
 pub(super) struct Asked<'a> {
     name: &'a str,
     unit: &'a str,
     /// The course of the device in the first robot's first scene.
     course: &'a Course,
     pub(super) grid: Grid,
-    /// The most steps that one robot takes in all scenes together.
+    /// The largest number of steps that one robot needs in all scenes together.
     steps: usize,
 }
 
-/// Each device with what all robots together ask of it.
+/// The requirements for each device.
 pub(super) fn asked(imported: &Imported) -> Vec<Asked<'_>> {
     let mut order: Vec<&str> = Vec::new();
     let mut motions: BTreeMap<&str, Vec<(&str, &DeviceMotion)>> = BTreeMap::new();
@@ -158,8 +158,8 @@ fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Optio
     Some(Asked { name, unit: &first.unit, course: &first.course, grid, steps })
 }
 
-/// As many steps as are enough. Chords of a curve that bends by this much are off by an eighth of that times the square of
-/// their length; half of the tolerance is for the grid.
+/// A sufficient number of steps. The chord error of a curve is an eighth of its bend times the squared length of the chord. Half of the
+/// tolerance is reserved for the grid.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is clamped")]
 fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {
     let Course::Pieces(pieces) = &motion.course else { return motion.keyframes.len() };
@@ -172,9 +172,9 @@ fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {
 
 fn block_text(imported: &Imported, kind: &Kind) -> String {
     let mut text = format!(
-        "# A robot that can do what {} asks for, and no more.\n\
-         # min_value, max_value, granularity, max_error and max_number_of_steps below are taken from the DATA, not from a robot:\n\
-         # replace them by the robot's own limits before anything moves.\n",
+        "# A robot with exactly the capabilities that {} needs.\n\
+         # min_value, max_value, granularity, max_error and max_number_of_steps below are derived from the DATA, not from a robot:\n\
+         # replace them with the limits of the real robot before anything moves.\n",
         one_line(&imported.origin)
     );
     line(&mut text, format_args!("id: {}\napi_version: \"1\"\nreports: true\ndevices:", scalar(&kind.name)));

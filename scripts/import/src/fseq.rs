@@ -1,4 +1,4 @@
-//! xLights' and Falcon Player's light sequences, `.fseq` version 2: a byte for each channel, many times a second.
+//! Light sequences of xLights and Falcon Player, `.fseq` version 2: one byte per channel in each frame.
 
 use std::io::Read;
 
@@ -12,13 +12,13 @@ use super::sink::Sink;
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, by_robot};
 
 const HEADER: usize = 32;
-/// Largest window of a compressed block, and most bytes that are unpacked in all.
+/// Largest window of a compressed block, and maximum number of unpacked bytes in total.
 const WINDOW_MAX: u64 = 8 << 20;
 const ALL_BYTES_MAX: u64 = 1 << 30;
-/// Most channels that are used.
+/// Maximum number of channels that are mapped.
 const CHANNELS_MAX: usize = 100_000;
 
-/// The first bytes of a file.
+/// The header of a file.
 struct Header {
     data: usize,
     channels: usize,
@@ -26,13 +26,13 @@ struct Header {
     step_ms: i64,
     packed: Packed,
     blocks: Vec<usize>,
-    /// First channel, from 0, and count.
+    /// The first channel of each range, from 0, and its number of channels.
     ranges: Vec<(usize, usize)>,
     variables: Vec<String>,
 }
 
 impl Header {
-    /// When the frame of this number begins, counted from 0.
+    /// The start of this frame, counted from 0.
     fn begin(&self, frame: usize) -> Span {
         Span::from_millis(i64::try_from(frame).unwrap_or(i64::MAX).saturating_mul(self.step_ms))
     }
@@ -45,7 +45,7 @@ enum Packed {
     Zlib,
 }
 
-/// A device with the places of its bytes in a frame.
+/// A device, with the positions of its bytes in a frame.
 struct Mapped {
     robot: String,
     motion: DeviceMotion,
@@ -87,7 +87,7 @@ fn number(bytes: &[u8], at: usize, width: usize) -> Result<usize, String> {
 
 fn read_header(bytes: &[u8]) -> Result<Header, String> {
     match bytes.get(..4) {
-        // The first versions began with FSEQ.
+        // The first versions of the format begin with FSEQ.
         Some(b"PSEQ" | b"FSEQ") => {}
         Some(b"ESEQ") => {
             return Err(
@@ -111,7 +111,7 @@ fn read_header(bytes: &[u8]) -> Result<Header, String> {
         0 => Packed::Plain,
         1 => Packed::Zstd,
         2 => Packed::Zlib,
-        other => return Err(format!("compression {other} is not known")),
+        other => return Err(format!("unknown compression {other}")),
     };
     let blocks = ((kind >> 4) << 8) | number(bytes, 21, 1)?;
     let ranges = HEADER + 8 * blocks;
@@ -136,19 +136,19 @@ fn read_header(bytes: &[u8]) -> Result<Header, String> {
 fn check(header: &Header) -> Result<(), String> {
     let Header { channels, frames, step_ms, .. } = *header;
     if channels == 0 || frames == 0 || step_ms == 0 {
-        return Err(format!("{channels} channels, {frames} frames, {step_ms} ms a frame"));
+        return Err(format!("invalid header: {channels} channels, {frames} frames, {step_ms} ms per frame"));
     }
     let sum: usize = header.ranges.iter().map(|(_, count)| count).sum();
     if !header.ranges.is_empty() && sum != channels {
-        return Err(format!("the ranges have {sum} channels, the file {channels}"));
+        return Err(format!("the ranges have {sum} channels, but the file has {channels}"));
     }
     if (frames as u64).saturating_mul(channels as u64) > ALL_BYTES_MAX {
-        return Err(format!("{frames} frames of {channels} channels, more than {ALL_BYTES_MAX} bytes"));
+        return Err(format!("{frames} frames of {channels} channels are more than {ALL_BYTES_MAX} bytes"));
     }
     Ok(())
 }
 
-/// The two-letter names of what else the file says.
+/// The two-letter names of the variable headers.
 fn variables(bytes: &[u8], mut at: usize, end: usize) -> Vec<String> {
     let mut names = Vec::new();
     while at + 4 <= end.min(bytes.len()) && names.len() < 100 {
@@ -164,7 +164,7 @@ fn variables(bytes: &[u8], mut at: usize, end: usize) -> Vec<String> {
 
 fn mapped(header: &Header, input: &Input, options: &ImportOptions) -> Result<Vec<Mapped>, String> {
     if options.columns.is_empty() {
-        return Err(format!("nothing says which of the {} channels move what", header.channels));
+        return Err(format!("none of the {} channels is mapped to a device", header.channels));
     }
     let mut mapped = Vec::new();
     for (target, channels) in &options.columns {
@@ -179,15 +179,19 @@ fn mapped(header: &Header, input: &Input, options: &ImportOptions) -> Result<Vec
     }
     let all: usize = mapped.iter().map(|mapped| mapped.places.len()).sum();
     if all > CHANNELS_MAX {
-        return Err(format!("{all} channels are mapped, the limit is {CHANNELS_MAX}"));
+        return Err(format!("{all} channels are mapped, but the limit is {CHANNELS_MAX}"));
     }
     Ok(mapped)
 }
 
-/// `lamp=1,2,3` as it is; `px*=1-300/3` as `px1=1,2,3`, `px2=4,5,6` and so on.
+/// `lamp=1,2,3` remains unchanged; `px*=1-300/3` becomes `px1=1,2,3`, `px2=4,5,6` and so on.
 fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, String> {
-    let wrong =
-        || format!("`{}` names no channels: write 1,2,3, or with a star 1-300/3", shortened(channels));
+    let wrong = || {
+        format!(
+            "`{}` is not a list of channels: write 1,2,3, or for a device name with a star 1-300/3",
+            shortened(channels)
+        )
+    };
     let number =
         |text: &str| text.trim().parse::<usize>().ok().filter(|number| *number > 0).ok_or_else(wrong);
     if !target.contains('*') {
@@ -202,7 +206,7 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
     let (first, last) = range.split_once('-').ok_or_else(wrong)?;
     let (first, last, width) = (number(first)?, number(last)?, width?);
     if last < first || last - first >= CHANNELS_MAX || (last - first + 1) % width != 0 {
-        return Err(format!("{first} to {last} are not whole devices of {width} channels"));
+        return Err(format!("channels {first} to {last} cannot be divided into devices of {width} channels"));
     }
     let device = |index: usize| {
         let from = first + index * width;
@@ -211,7 +215,7 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
     Ok((0..(last - first + 1) / width).map(device).collect())
 }
 
-/// Where a channel, from 1, is in a frame.
+/// The position of a channel, counted from 1, in a frame.
 fn place(header: &Header, channel: usize) -> Result<usize, String> {
     let mut before = 0;
     for (first, count) in &header.ranges {
@@ -241,7 +245,7 @@ fn read_frames(
         let end = at.saturating_add(*length);
         let block = data
             .get(at..end)
-            .ok_or_else(|| format!("a block ends after the file, at byte {}", header.data + end))?;
+            .ok_or_else(|| format!("the file ends within a block that ends at byte {}", header.data + end))?;
         at = end;
         match header.packed {
             Packed::Zstd => {
@@ -254,7 +258,7 @@ fn read_frames(
     frames.finish()
 }
 
-/// Frames as they come, in pieces of any size.
+/// Assembles frames from data in pieces of any size.
 struct Frames<'a> {
     header: &'a Header,
     mapped: &'a mut [Mapped],
@@ -315,19 +319,19 @@ impl Frames<'_> {
         if !self.index.is_multiple_of(64) || self.sink.has_room_for(all() as f64) {
             Ok(())
         } else {
-            Err("the mapped channels change more than two million times".into())
+            Err("the mapped channels change more than 2000000 times".into())
         }
     }
 
     fn finish(self) -> Result<usize, String> {
         let frames = self.header.frames;
         if self.index == frames {
-            // The last frame lasts as long as any other.
+            // The last frame has the same duration as all others.
             let end = self.header.begin(frames);
             self.mapped.iter_mut().for_each(|mapped| mapped.end(end));
             Ok(frames)
         } else {
-            Err(format!("the file has {} frames, its header says {frames}", self.index))
+            Err(format!("the file has {} frames, but its header states {frames}", self.index))
         }
     }
 }
@@ -359,16 +363,16 @@ fn note(header: &Header, mapped: &[Mapped], name: &str, frames: usize, sink: &mu
         mapped.iter().flat_map(|mapped| &mapped.places).copied().collect();
     let left = header.channels - used.len();
     sink.note(format!(
-        "{name}: {frames} frames, one every {} ms; those that change nothing are left out",
+        "{name}: {frames} frames, one every {} ms; frames without a change are left out",
         header.step_ms
     ));
     if left > 0 {
         sink.note(format!(
-            "{name}: left out {} that nothing maps",
+            "{name}: ignored {} without a mapping",
             downbeat_yaml::render::counted(left, "channel")
         ));
     }
     if !header.variables.is_empty() {
-        sink.note(format!("{name}: left out what else the file says: {}", header.variables.join(", ")));
+        sink.note(format!("{name}: ignored other entries of the file: {}", header.variables.join(", ")));
     }
 }

@@ -1,26 +1,26 @@
-//! The range and the grid of values that are in files, for robots whose own limits are not stated.
+//! The range and the grid of the values in files, for robots whose own limits are not known.
 
-/// One step of the servos with 4096 steps a turn that many robots are made of, in degrees.
+/// The step of common servos with 4096 steps per turn, in degrees.
 const SERVO_STEP_DEG: f64 = 360.0 / 4096.0;
-/// That grid is believed from this part of the values on.
+/// The fraction of values on this grid above which it is assumed.
 const SERVO_SHARE: f64 = 0.9;
-/// Least and most digits after the point that a grid has.
+/// Minimum and maximum number of decimal digits of a grid.
 const DIGITS_MIN: i32 = 3;
 const DIGITS_MAX: i32 = 9;
-/// How far, in steps, a value may lie off its grid through rounding.
+/// Largest rounding error of a value on a grid, in steps.
 const TOLERANCE: f64 = 1e-6;
 
-/// What the values of a device have in common.
+/// The common range and grid of a device's values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grid {
     pub(super) min: f64,
     pub(super) max: f64,
     pub(super) granularity: f64,
-    /// Whether all values are multiples of it.
+    /// Whether all values are multiples of the granularity.
     pub(super) complete: bool,
 }
 
-/// The range of values, rounded outward, and the coarsest grid on which they lie.
+/// The range of the values, rounded outward, and the coarsest grid that contains them.
 pub(super) fn grid_of(values: &[f64], unit: &str) -> Grid {
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -36,7 +36,7 @@ pub(super) fn grid_of(values: &[f64], unit: &str) -> Grid {
     Grid { min, max, granularity, complete: decimal.is_some() }
 }
 
-/// The range of curves, and a grid that is fine enough for what such a unit measures.
+/// The range of curves, and a grid that is fine enough for their unit.
 pub(super) fn of_curves(bounds: &[f64], unit: &str) -> Grid {
     let least = bounds.iter().copied().fold(f64::INFINITY, f64::min);
     let most = bounds.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -50,20 +50,20 @@ pub(super) fn of_curves(bounds: &[f64], unit: &str) -> Grid {
     Grid { min, max, granularity, complete: true }
 }
 
-/// Whether a value is a multiple of a step, but for rounding.
+/// Whether a value is a multiple of the granularity, except for rounding.
 pub(super) fn on_grid(value: f64, granularity: f64) -> bool {
     let steps = value / granularity;
     (steps - steps.round()).abs() <= TOLERANCE
 }
 
-/// A range with two digits more than its width needs, and one unit wide where there is none.
+/// Rounds a range outward to two significant digits of its width. An empty range becomes at least one unit wide.
 fn outward(least: f64, most: f64) -> (f64, f64) {
     if least >= most || !least.is_finite() || !most.is_finite() {
         return (least.floor() - 1.0, most.ceil() + 1.0);
     }
     let digits = (most - least).log10().floor() - 1.0;
     let digits = digits.clamp(-12.0, 300.0);
-    // Powers of ten above one are exact, those below are not: divide by their inverse.
+    // Powers of ten from 1 are exact, but their inverses are not: divide by the power instead.
     if digits < 0.0 {
         let scale = 10_f64.powf(-digits).round();
         ((least * scale).floor() / scale, (most * scale).ceil() / scale)

@@ -1,4 +1,4 @@
-//! From the arguments to the files, and from their names to robots and scenes.
+//! Finds the files for the arguments, and derives robots and scenes from their names.
 
 use std::collections::HashSet;
 use std::fs;
@@ -10,10 +10,10 @@ use super::natural::{is_number, natural_order};
 use super::sink::Sink;
 use super::{ImportFormat, ImportOptions};
 
-/// Most files of one import.
+/// Maximum number of files of one import.
 const FILES_MAX: usize = 10_000;
 
-/// A file with the robot and the scene that its name stands for.
+/// A file with the robot and the scene that its name denotes.
 #[derive(Clone, Debug)]
 pub(super) struct Input {
     pub(super) path: PathBuf,
@@ -21,7 +21,7 @@ pub(super) struct Input {
     pub(super) scene: String,
 }
 
-/// All files behind the arguments.
+/// All files that the arguments denote.
 pub(super) fn gather(
     format: ImportFormat,
     paths: &[PathBuf],
@@ -52,8 +52,8 @@ fn name_of(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// Files are robots; so are folders, and the files in them are scenes. A single folder of files that are not named by
-/// numbers is a folder of robots, and so is a folder of folders.
+/// A file is a robot. A folder is also a robot, and its files are scenes. A single folder is a folder of robots if its files are not
+/// named by numbers, or if it only contains folders.
 fn crazyswarm(paths: &[PathBuf], sink: &mut Sink) -> Vec<Input> {
     let mut robots: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for path in paths {
@@ -99,11 +99,11 @@ fn crazyswarm(paths: &[PathBuf], sink: &mut Sink) -> Vec<Input> {
 fn note_sorted(robots: &[(PathBuf, Vec<PathBuf>)], sink: &mut Sink) {
     let scenes = robots.iter().map(|(_, files)| files.len()).max().unwrap_or(0);
     if scenes > 1 {
-        sink.note(format!("sorted {scenes} scenes by number, the same for {} robots", robots.len()));
+        sink.note(format!("sorted {scenes} scenes of each of {} robots by number", robots.len()));
     }
 }
 
-/// `1` and `pp1` are the names that Crazyswarm gives to the files of drone 1.
+/// Crazyswarm names the files of drone 1 `1` or `pp1`.
 pub(super) fn drone_name(stem: &str) -> String {
     match stem.strip_prefix("pp").unwrap_or(stem) {
         number if is_number(number) => format!("cf{number}"),
@@ -115,7 +115,7 @@ fn scene_name(stem: &str) -> String {
     if is_number(stem) { format!("scene {stem}") } else { stem.to_owned() }
 }
 
-/// Files are scenes of the same robots, unless as many names as files say that each is a robot of its own.
+/// Files are scenes of the same robots, unless the user gives as many names as files: then each file is a separate robot.
 fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sink: &mut Sink) -> Vec<Input> {
     let extensions = format.facts().ends;
     let mut files = Vec::new();
@@ -177,7 +177,7 @@ fn robots_apart(mut files: Vec<PathBuf>, sink: &mut Sink) -> Vec<Input> {
     inputs
 }
 
-/// The names of files as scenes, with their folders where they are equal otherwise.
+/// The names of files as scenes. If they are not distinct, the names of their folders are used or added.
 fn scene_names(files: &[PathBuf]) -> Vec<String> {
     let stems: Vec<String> = files.iter().map(|file| stem(file)).collect();
     let folders = folder_names(files);
@@ -190,7 +190,7 @@ fn scene_names(files: &[PathBuf]) -> Vec<String> {
     }
 }
 
-/// The folder of each file: its name, or its whole path where two folders have the same name.
+/// The folder of each file: its name, or its whole path if two folders have the same name.
 fn folder_names(files: &[PathBuf]) -> Vec<String> {
     let of = |file: &PathBuf| file.parent().map(Path::to_path_buf).unwrap_or_default();
     let name = |folder: &PathBuf| {
@@ -209,12 +209,12 @@ fn are_distinct(names: impl Iterator<Item = String>) -> bool {
     names.into_iter().all(|name| seen.insert(name))
 }
 
-/// Whether each file moves a robot of its own: no `--map` names a robot.
+/// Whether each file moves a separate robot: no `--map` names a robot.
 fn robot_a_file(options: &ImportOptions) -> bool {
     !options.columns.is_empty() && options.columns.iter().all(|(to, _)| !to.contains('/'))
 }
 
-/// Files with one of the extensions, and folders; both in the order of their numbers.
+/// Files with one of the extensions, and folders; both in natural order.
 fn listed(folder: &Path, extensions: &[&str], sink: &mut Sink) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,

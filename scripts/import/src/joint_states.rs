@@ -1,4 +1,4 @@
-//! Recordings of ROS in MCAP: the positions of every topic of `sensor_msgs/JointState`, as CDR (ROS 2) or as ROS 1 wrote them.
+//! Recordings of ROS in MCAP: the positions of all topics of type `sensor_msgs/JointState`, in CDR (ROS 2) or in the encoding of ROS 1.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::Read;
@@ -16,30 +16,30 @@ use super::units::OF_JOINTS;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const SCHEMAS: [&str; 2] = ["sensor_msgs/msg/JointState", "sensor_msgs/JointState"];
-/// Largest chunk that is unpacked, all of them, and the window of their compression, in bytes.
+/// Maximum unpacked bytes of a chunk and of all chunks, and the largest window of their compression.
 const CHUNK_BYTES_MAX: u64 = 32 << 20;
 const ALL_BYTES_MAX: u64 = 512 << 20;
 const WINDOW_MAX: u64 = 8 << 20;
-/// Most joints of a message, and longest name.
+/// Maximum number of joints of a message, and longest name.
 const JOINTS_MAX: usize = 1_000;
 const NAME_BYTES_MAX: usize = 1_024;
-/// Most topics.
+/// Maximum number of topics.
 const TOPICS_MAX: usize = 10_000;
 
-/// How the numbers of a message are written.
+/// The encoding of a message.
 #[derive(Clone, Copy, PartialEq)]
 enum Encoding {
     Cdr,
     Ros1,
 }
 
-/// What was recorded of one topic.
+/// The recorded positions of one topic.
 struct Topic {
     name: String,
     encoding: Encoding,
     joints: Vec<String>,
     by_name: HashMap<String, usize>,
-    /// Nanoseconds and positions of each joint.
+    /// Times in nanoseconds, and positions, for each joint.
     positions: Vec<Vec<(u64, f64)>>,
     empty: usize,
     unstamped: usize,
@@ -55,7 +55,7 @@ struct Recording {
     more: bool,
 }
 
-/// Reads one file: a robot a topic, in one scene.
+/// Reads one file: one robot per topic, in one scene.
 pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> Vec<Motion> {
     let mut recording = Recording { left: ALL_BYTES_MAX, ..Recording::default() };
     if let Err(message) = recording.read(bytes, sink) {
@@ -67,11 +67,11 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
     if topics.is_empty() {
         let others = names(recording.others.iter().take(12).map(String::as_str));
         let expected = "a topic of sensor_msgs/JointState, as CDR or ROS 1, with positions";
-        let hint = Some(format!("in it are {others}")).filter(|_| !others.is_empty());
+        let hint = Some(format!("it contains {others}")).filter(|_| !others.is_empty());
         sink.about(
             name,
             Code::NothingToDo,
-            "the recording moves no joints".into(),
+            "the recording contains no joint positions".into(),
             expected,
             hint.as_deref(),
         );
@@ -83,7 +83,9 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
         sink.note(format!("{name}: left out {count}: {others}"));
     }
     let first = topics.iter().flat_map(Topic::times).min().unwrap_or(0);
-    sink.note(format!("{name}: times count from the first message; left out velocities and efforts"));
+    sink.note(format!(
+        "{name}: times are counted from the first message; velocities and efforts are ignored"
+    ));
     let single = topics.len() == 1;
     let mut motions = Vec::new();
     for topic in topics {
@@ -94,13 +96,13 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
     motions
 }
 
-/// Takes each record that says something of messages. Others are not even looked at: the library panics at some that are broken.
+/// Passes all records that concern messages to `take`. Other records are not parsed, because the library panics on some invalid ones.
 fn records(
     mut bytes: &[u8],
     options: LinearReaderOptions,
     mut take: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), String> {
-    // Without a limit the library computes with any length that a record claims to have.
+    // Without this limit, the library uses any length that a record states.
     let mut reader = LinearReader::new_with_options(options.with_record_length_limit(bytes.len()));
     while let Some(event) = reader.next_event() {
         match event.map_err(|error| error.to_string())? {
@@ -128,7 +130,7 @@ impl Recording {
                 Record::Chunk { header, data } => self.chunk(&header, &data, sink)?,
                 other => self.record(other, sink)?,
             }
-            if self.more { Err("it has more than two million positions: cut it".into()) } else { Ok(()) }
+            if self.more { Err("it has more than 2000000 positions: split it".into()) } else { Ok(()) }
         })
         .map_err(|error| format!("the recording cannot be read: {error}"))
     }
@@ -141,7 +143,7 @@ impl Recording {
             "lz4" => unpacked(lz4_flex::frame::FrameDecoder::new(data), most)?,
             other => {
                 return Err(format!(
-                    "its chunks are compressed by {other}: `mcap recover --compression zstd` makes them readable"
+                    "the compression {other} of its chunks is not supported: convert it with `mcap recover --compression zstd`"
                 ));
             }
         };
@@ -216,7 +218,7 @@ impl Topic {
         self.positions.iter().flatten().map(|(at_ns, _)| *at_ns)
     }
 
-    /// Takes a message; how many positions it has.
+    /// Adds a message, and returns its number of positions.
     fn message(&mut self, data: &[u8], log_time: u64) -> Result<usize, String> {
         let wrong = |error: &str| format!("a message of `{}`: {error}", self.name);
         let state = JointState::read(data, self.encoding).map_err(|error| wrong(&error))?;
@@ -234,7 +236,7 @@ impl Topic {
         for (name, value) in state.names.into_iter().zip(state.positions) {
             if !value.is_finite() {
                 return Err(format!(
-                    "a message of `{}`: `{}` is at {value}",
+                    "a message of `{}` has the invalid position {value} of `{}`",
                     self.name,
                     downbeat_yaml::shown::shortened(&name)
                 ));
@@ -277,7 +279,7 @@ impl Topic {
             }
             if keyframes.last().is_some_and(|last| keyframes::seconds(last.at) > keyframes::SECONDS_MAX) {
                 let message = format!("`{topic}` lasts longer than {} s", keyframes::SECONDS_MAX);
-                sink.about(file, Code::ImportTime, message, "stamps of one recording", None);
+                sink.about(file, Code::ImportTime, message, "timestamps of a single recording", None);
             }
             devices.push(DeviceMotion {
                 device: joint,
@@ -286,9 +288,10 @@ impl Topic {
                 ..DeviceMotion::default()
             });
         }
-        for (count, text) in
-            [(replaced, "position: another has the same time"), (self.empty, "message without positions")]
-        {
+        for (count, text) in [
+            (replaced, "position replaced by another at the same time"),
+            (self.empty, "message without positions"),
+        ] {
             if count > 0 {
                 sink.note(format!("{file}: `{topic}`: left out {count} {text}"));
             }
@@ -296,16 +299,16 @@ impl Topic {
         if self.unstamped > 0 {
             let messages = downbeat_yaml::render::counted(self.unstamped, "message");
             sink.note(format!(
-                "{file}: `{topic}`: {messages} without a stamp: taken as of when it was recorded"
+                "{file}: `{topic}`: {messages} without a timestamp: the time of recording is used"
             ));
         }
         devices
     }
 }
 
-/// What is used of a message.
+/// The used parts of a message.
 struct JointState {
-    /// Nanoseconds; 0 where it is not set.
+    /// In nanoseconds; 0 if it is not set.
     stamp: u64,
     names: Vec<String>,
     positions: Vec<f64>,
@@ -321,12 +324,12 @@ impl JointState {
                     kind @ (0 | 1) if data[0] == 0 => {
                         Bytes { data: body, at: 0, big: kind == 0, aligned: true }
                     }
-                    kind => return Err(format!("the encoding {kind} of CDR is not known")),
+                    kind => return Err(format!("unknown CDR encoding {kind}")),
                 }
             }
         };
         if encoding == Encoding::Ros1 {
-            // The count of messages.
+            // The sequence number.
             bytes.u32()?;
         }
         let (seconds, nanos) = (bytes.u32()?, bytes.u32()?);
@@ -339,7 +342,7 @@ impl JointState {
     }
 }
 
-/// Numbers and texts one after the other, in CDR each at a multiple of its size.
+/// Consecutive numbers and texts; in CDR, each is aligned to its size.
 struct Bytes<'a> {
     data: &'a [u8],
     at: usize,
@@ -371,7 +374,7 @@ impl Bytes<'_> {
 
     fn count(&mut self, most: usize) -> Result<usize, String> {
         let count = self.u32()? as usize;
-        if count > most { Err(format!("{count} entries, the limit is {most}")) } else { Ok(count) }
+        if count > most { Err(format!("{count} entries, but the limit is {most}")) } else { Ok(count) }
     }
 
     fn text(&mut self) -> Result<String, String> {

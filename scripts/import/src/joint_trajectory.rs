@@ -14,7 +14,7 @@ use super::sink::Sink;
 use super::units::OF_JOINTS;
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, tree};
 
-/// Digits after the point of sampled values.
+/// Number of decimal digits of sampled values.
 const DIGITS: i32 = 7;
 
 /// One point of all joints.
@@ -22,16 +22,16 @@ struct JointPoint {
     at: Span,
     positions: Vec<f64>,
     velocities: Option<Vec<f64>>,
-    /// It has accelerations or efforts.
+    /// Whether it has accelerations or efforts.
     has_more: bool,
 }
 
-/// What becomes of the way between points.
+/// The conversion of the course between points.
 #[derive(Clone, Copy, PartialEq)]
 enum Between {
     Straight,
     Cubic,
-    /// So many times a second.
+    /// Sampled with this frequency, in Hz.
     Sampled(f64),
 }
 
@@ -49,7 +49,7 @@ fn are_curved(points: &[JointPoint]) -> bool {
     !points.is_empty() && points.iter().all(|point| point.velocities.is_some())
 }
 
-/// Reads one file: one robot in a scene for each message. `ros2 topic echo` ends each with `---`.
+/// Reads one file: one robot, and one scene per message. `ros2 topic echo` ends each message with `---`.
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let messages = messages(source);
     let several = messages.len() > 1;
@@ -102,7 +102,7 @@ fn read_message(input: &Input, source: &Source, options: &ImportOptions, sink: &
     let Some((joints, points)) = read else { return Vec::new() };
     if points.first().is_some_and(|point| point.at == Span::ZERO) {
         sink.note(format!(
-            "{}: the first point is at 0 s: the robot must be there when it starts",
+            "{}: the first point is at 0 s: the robot must be at this point before the start",
             source.name
         ));
     }
@@ -143,20 +143,20 @@ fn note(points: &[JointPoint], between: Between, options: &ImportOptions, source
     let file = &source.name;
     match between {
         Between::Cubic => {
-            sink.note(format!("{file}: the way between points is the cubic of its positions and velocities"));
+            sink.note(format!("{file}: the path between points is a cubic through their positions and velocities"));
         }
         Between::Straight if are_curved(points) => sink.note(format!(
-            "{file}: velocities are left out, the way between points is straight; --rate samples the curve"
+            "{file}: velocities are ignored, the path between points is straight; use --rate to sample the curve"
         )),
         Between::Straight if options.rate_hz.is_some() => {
-            sink.note(format!("{file}: no velocities, so --rate has no curve to sample"));
+            sink.note(format!("{file}: the points have no velocities, so --rate has no effect"));
         }
         _ => {}
     }
     let more = points.iter().filter(|point| point.has_more).count();
     if more > 0 {
         let points = downbeat_yaml::render::counted(more, "point");
-        sink.note(format!("{file}: left out accelerations and efforts of {points}"));
+        sink.note(format!("{file}: ignored accelerations and efforts of {points}"));
     }
 }
 
@@ -177,7 +177,7 @@ fn times(
     keyframes::sampled_times(last_s, rate)
 }
 
-/// Samples from the first point on: before it the robot is on its way there.
+/// Samples since the first point: before it, the robot moves there.
 fn curve(points: &[JointPoint], joint: usize, times: &[Span]) -> Vec<Keyframe> {
     let point = |p: &JointPoint| {
         let slope = p.velocities.as_ref().map_or(0.0, |velocities| velocities[joint]);
@@ -195,11 +195,11 @@ fn curve(points: &[JointPoint], joint: usize, times: &[Span]) -> Vec<Keyframe> {
 }
 
 fn read_points(root: &At<'_>, findings: &mut Reader) -> Option<(Vec<String>, Vec<JointPoint>)> {
-    // Goals of actions and displays wrap the message in a field of this name.
+    // Goals of actions and display messages contain the trajectory in such a field.
     let inner = tree::optional(root, "trajectory").or_else(|| tree::optional(root, "joint_trajectory"));
     let root = inner.as_ref().unwrap_or(root);
     if tree::optional(root, "name").is_some() && tree::optional(root, "position").is_some() {
-        let message = "this is a message of joint states, not a joint trajectory";
+        let message = "this is a joint state message, not a joint trajectory";
         let hint = "record the topic with `ros2 bag record --storage mcap`, and import the recording as mcap";
         findings.add(
             Code::MissingKey,
@@ -286,7 +286,7 @@ fn read_time(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {
         findings.add(
             Code::MissingKey,
             at.place(),
-            format!("{what} has a time without seconds"),
+            format!("the time of {what} has no seconds"),
             expected,
             None,
         );

@@ -1,4 +1,4 @@
-//! Times to the nanosecond, in order; values with as many digits as they are worth.
+//! Times with nanosecond precision in ascending order, and values rounded to a given number of digits.
 
 use std::cmp::Ordering;
 
@@ -9,10 +9,10 @@ use downbeat_yaml::finding::Code;
 
 use super::Keyframe;
 
-/// Longest time that is read, in seconds: 100 days and more, within what the protocol carries.
+/// Longest time that is read, in seconds: more than 100 days, within the limits of the protocol.
 pub(super) const SECONDS_MAX: f64 = 1e7;
 
-/// Seconds to the nearest nanosecond; `None` where they are negative or beyond all measure.
+/// Converts seconds to the nearest nanosecond; `None` if they are negative or too large.
 #[expect(clippy::cast_possible_truncation, reason = "the range is checked before")]
 pub(super) fn span(seconds: f64) -> Option<Span> {
     (0.0..=SECONDS_MAX).contains(&seconds).then(|| Span::from_nanos((seconds * 1e9).round() as i64))
@@ -21,12 +21,12 @@ pub(super) fn span(seconds: f64) -> Option<Span> {
 /// From 1990 to 2200, in seconds since 1970.
 const DATES_S: std::ops::Range<f64> = 631_152_000.0..7_258_118_400.0;
 
-/// Whether a time is one of a calendar and cannot count from the start of a scene.
+/// Whether a time is a calendar date, which cannot be relative to the start of a scene.
 pub(super) fn is_date(at: Span) -> bool {
     DATES_S.contains(&seconds(at))
 }
 
-/// In seconds, for notes and curves.
+/// The time in seconds, for notes and curves.
 pub(super) fn seconds(span: Span) -> f64 {
     span.as_nanos() as f64 / 1e9
 }
@@ -41,15 +41,15 @@ pub(super) fn sampled_times(duration_s: f64, rate_hz: f64) -> Vec<Span> {
     times
 }
 
-/// A value rounded to this many digits after the point, without a negative zero.
+/// A value rounded to this number of decimal digits, without a negative zero.
 pub(super) fn rounded(value: f64, digits: i32) -> f64 {
     let scale = 10_f64.powi(digits);
     let scaled = (value * scale).round();
-    // Values beyond the precision of doubles have no such digits to lose.
+    // Larger doubles have no such digits.
     if scaled.abs() < 9e15 { scaled / scale + 0.0 } else { value }
 }
 
-/// Adds whole periods so that no value is more than half of one from the value before; says how often that was needed.
+/// Adds whole periods, so that no value differs from the previous one by more than half a period. Returns the number of such corrections.
 pub(super) fn unwrap(keyframes: &mut [Keyframe], period: f64) -> usize {
     let (mut turns, mut jumps) = (0.0, 0);
     let mut before = None;
@@ -70,12 +70,12 @@ pub(super) fn check_later(before: Span, at: Span) -> Option<(Code, String, &'sta
     match at.cmp(&before) {
         Ordering::Greater => None,
         Ordering::Less => {
-            let message = format!("the time {at_s} s comes after {before_s} s");
-            Some((Code::ImportTime, message, "times go forward: sort the lines, or correct the time"))
+            let message = format!("the time {at_s} s follows the later time {before_s} s");
+            Some((Code::ImportTime, message, "times must increase: sort the lines, or correct the time"))
         }
         Ordering::Equal => {
-            let message = format!("the time {at_s} s appears twice");
-            Some((Code::TimesCollide, message, "two values at one time: keep one of them"))
+            let message = format!("duplicate time {at_s} s");
+            Some((Code::TimesCollide, message, "keep only one value per time"))
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Imports choreography files of other tools. Each format has a reader, every reader returns an [`Imported`], and one writer turns
-//! it into a readable scenario with its fleet. `docs/import.md` describes the rules of each format. The caller writes the files.
+//! Imports choreography files of other tools. Each format has a reader that returns an [`Imported`], and one writer converts it to a
+//! readable scenario with its fleet. `docs/import.md` describes the rules of each format. The caller writes the files.
 
 mod archive;
 mod assemble;
@@ -60,16 +60,16 @@ pub use urdf::{UrdfOutcome, urdf};
 pub use yaml::scalar;
 pub use yaml::{Scenes, scenario_text, steps_written};
 
-/// Most keyframes of one import: two million, far beyond what any device takes.
+/// Maximum number of keyframes of one import: two million, far more than any device accepts.
 const KEYFRAMES_MAX: usize = 2_000_000;
 
-/// What the user wishes.
+/// The options of an import that the user sets.
 #[derive(Clone, Debug, Default)]
 pub struct ImportOptions {
-    /// Samples a second for curves, from 0.001 to 1000; piece boundaries or points where absent. Frames a second for a CSV whose
-    /// times are numbers of frames or timecodes.
+    /// Samples per second for curves, from 0.001 to 1000. If it is `None`, the boundaries of pieces or the points are used. For a CSV
+    /// whose times are frame numbers or timecodes: frames per second.
     pub rate_hz: Option<f64>,
-    /// Most polynomial pieces that a robot holds.
+    /// Maximum number of polynomial pieces that a robot can hold.
     pub pieces_max: Option<usize>,
     /// The name of the scenario.
     pub name: Option<String>,
@@ -77,108 +77,108 @@ pub struct ImportOptions {
     pub robots: Vec<String>,
     /// The kind of robot, which names the initialization block.
     pub kind: Option<String>,
-    /// The scenes to take; all where empty.
+    /// The scenes to import; all if empty.
     pub only: Vec<String>,
     /// Factors for the values: `device=factor` or `robot/device=factor`.
     pub scales: Vec<(String, f64)>,
-    /// The column of times of a CSV, by name or by number from 1.
+    /// The column of times in a CSV, by name or by number from 1.
     pub time_column: Option<String>,
-    /// What the times of a CSV mean; otherwise its header has to say it.
+    /// The meaning of times in a CSV. `None` if its header states it.
     pub time_unit: Option<TimeUnit>,
     /// Lines of a CSV before its header.
     pub skip: usize,
-    /// The decimal mark of a CSV; otherwise the one on which its numbers agree.
+    /// The decimal mark of a CSV. `None` if it is detected from the numbers.
     pub decimal: Option<Decimal>,
-    /// `robot/device`, or `device` where each file is a robot; and its column, several with commas between. A `*` in both
-    /// stands for what differs.
+    /// Targets `robot/device` (or `device`, if each file is one robot) with their columns; several columns are separated by commas. A `*`
+    /// in both represents the part that differs.
     pub columns: Vec<(String, String)>,
-    /// Devices of a CSV that stay at each value until the next: `device` or `robot/device`.
+    /// Devices of a CSV that hold each value until the next one: `device` or `robot/device`.
     pub holds: Vec<String>,
-    /// The values at which devices begin again, such as 360: `device` or `robot/device`.
+    /// The periods after which values of devices wrap around, such as 360: `device` or `robot/device`.
     pub unwraps: Vec<(String, f64)>,
-    /// When the first value of each scene is set; otherwise when the file sets it.
+    /// The time of the first value of each scene. `None` if it is that of the file.
     pub start: Option<Span>,
-    /// The block of the robots that shall play it.
+    /// The initialization block of the robots that will play the scenario.
     pub init: Option<InitializationBlock>,
 }
 
-/// Choreography, whatever it came from.
+/// An imported choreography, independent of its format.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imported {
     /// Name of the scenario.
     pub name: String,
-    /// From where, for the comment at the top.
+    /// The origin, for the comment at the top of the scenario.
     pub origin: String,
     /// The kind of robot.
     pub kind: String,
-    /// One after the other.
+    /// The scenes, in order.
     pub scenes: Vec<Scene>,
-    /// Values that repeat the one before, because the file pauses or leaves a device out.
+    /// Number of values that repeat the previous one, because the file contains a pause or leaves a device out.
     pub held: usize,
-    /// How near to each other robots with a position in space may come.
+    /// The smallest allowed distance between robots with a position in space.
     pub clearance: Clearance,
 }
 
-/// A part that is played as a whole.
+/// A part that is played as a unit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
-    /// For people.
+    /// The name of the scene, for readers.
     pub name: String,
-    /// All at once.
+    /// The robots, which move simultaneously.
     pub robots: Vec<RobotMotion>,
 }
 
-/// What one robot does in a scene.
+/// The motion of one robot in a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotMotion {
     /// Its name in the fleet.
     pub robot: String,
-    /// In the order of the file.
+    /// The devices, in the order of the file.
     pub devices: Vec<DeviceMotion>,
 }
 
-/// What one device does in a scene.
+/// The motion of one device in a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceMotion {
     /// Its id in the initialization block.
     pub device: String,
     /// Unit of the values; empty if unknown.
     pub unit: String,
-    /// In order of time, each later than the one before. Of pieces: where they meet.
+    /// Keyframes with strictly increasing times. For pieces, the keyframes at their boundaries.
     pub keyframes: Vec<Keyframe>,
-    /// How it moves from one to the next.
+    /// The course between keyframes.
     pub course: Course,
 }
 
-/// What a device does between its keyframes.
+/// The course of a device between its keyframes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Course {
-    /// It goes straight from each to the next.
+    /// Linear interpolation.
     #[default]
     Straight,
-    /// It stays at each until the next.
+    /// Each value is held until the next keyframe.
     Held,
-    /// It stays too, and each keyframe has several values, of which its own is the first.
+    /// Each value is held, and each keyframe has several values; the keyframe's own value is the first of them.
     Several(Vec<Vec<f64>>),
-    /// It follows these, one after the other from the beginning of the scene.
+    /// Consecutive polynomials, from the beginning of the scene.
     Pieces(Vec<Piece>),
 }
 
-/// A polynomial: p(t) = sum of c_i t^i, with t in seconds from the beginning of the piece.
+/// A polynomial: p(t) = sum of c_i t^i, with t in seconds since the beginning of the piece.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
-    /// How long it lasts.
+    /// The duration of the piece.
     pub length: Span,
-    /// In the device's unit, the constant first.
+    /// The coefficients in the device's unit, starting with the constant.
     pub coefficients: Vec<f64>,
 }
 
-/// A value and when it is reached.
+/// A value, and the time at which it is reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keyframe {
-    /// Since the scene began.
+    /// The time since the beginning of the scene.
     pub at: Span,
-    /// In the device's unit.
+    /// The value in the device's unit.
     pub value: f64,
 }
 
@@ -189,7 +189,7 @@ impl Imported {
         robots.flat_map(|robot| robot.devices.iter().map(move |device| (robot, device)))
     }
 
-    /// The names of the robots, each once, in order.
+    /// The distinct names of the robots, in order.
     #[must_use]
     pub fn robots(&self) -> Vec<&str> {
         let mut seen = std::collections::HashSet::new();
@@ -197,13 +197,13 @@ impl Imported {
         all.filter(|name| seen.insert(*name)).collect()
     }
 
-    /// How many keyframes there are.
+    /// The number of keyframes.
     #[must_use]
     pub fn steps(&self) -> usize {
         self.devices().map(|(_, device)| device.keyframes.len()).sum()
     }
 
-    /// The length of all scenes one after the other.
+    /// The total length of all scenes.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.scenes.iter().map(Scene::duration).fold(Span::ZERO, Add::add)
@@ -227,7 +227,7 @@ impl RobotMotion {
 }
 
 impl DeviceMotion {
-    /// When it has ended.
+    /// The end of the motion.
     #[must_use]
     pub fn duration(&self) -> Span {
         match &self.course {
@@ -248,7 +248,7 @@ impl DeviceMotion {
         }
     }
 
-    /// Takes out keyframes that change nothing where values stay until the next, but for the last one; says how many.
+    /// Removes keyframes of held values that change nothing, except for the last one. Returns their number.
     fn thin(&mut self) -> usize {
         let count = self.keyframes.len();
         let changes = |index: usize, same: bool| index == 0 || index + 1 == count || !same;
@@ -272,7 +272,7 @@ impl DeviceMotion {
         count - self.keyframes.len()
     }
 
-    /// Every value that is in it; of pieces bounds that hold all of them.
+    /// All values of the motion; for pieces, bounds that contain them.
     fn values(&self) -> Vec<f64> {
         match &self.course {
             Course::Pieces(pieces) => pieces.iter().flat_map(bernstein::bounds).collect(),
@@ -281,7 +281,7 @@ impl DeviceMotion {
         }
     }
 
-    /// How many keyframes or pieces are written.
+    /// The number of keyframes or pieces that are written.
     fn written(&self) -> usize {
         match &self.course {
             Course::Pieces(pieces) => pieces.len(),
@@ -290,14 +290,14 @@ impl DeviceMotion {
     }
 }
 
-/// What became of an import.
+/// The result of an import.
 #[derive(Clone, Debug, Default)]
 pub struct ImportOutcome {
-    /// There only without errors.
+    /// `None` if there are errors.
     pub imported: Option<Imported>,
-    /// Which rules were applied to what.
+    /// The rules that were applied.
     pub notes: Vec<String>,
-    /// What is wrong, in all files at once.
+    /// The errors of all files.
     pub findings: Vec<Finding>,
 }
 
@@ -307,7 +307,7 @@ pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) 
     let mut sink = Sink::default();
     let inputs = input::gather(format, paths, options, &mut sink);
     if options.rate_hz.is_some() && !format.facts().has_curves && format != ImportFormat::Csv {
-        sink.note(format!("{} has no curves: --rate samples nothing", format.word()));
+        sink.note(format!("{} has no curves, so --rate has no effect", format.word()));
     }
     let mut motions = Vec::new();
     for input in &inputs {
@@ -329,7 +329,7 @@ struct Motion {
     robot: RobotMotion,
 }
 
-/// Devices put together by robot, in the order in which the robots come.
+/// Groups devices by robot, in the order in which the robots first occur.
 fn by_robot(scene: &str, devices: impl IntoIterator<Item = (String, DeviceMotion)>) -> Vec<Motion> {
     let mut motions: Vec<Motion> = Vec::new();
     let mut places = std::collections::HashMap::new();
@@ -366,7 +366,7 @@ fn read(
     motions
 }
 
-/// How a file of a format is read.
+/// The function that reads a file of a format.
 enum Reader {
     Bytes(fn(&Input, &str, &[u8], &ImportOptions, &mut Sink) -> Vec<Motion>),
     Text(fn(&Input, &Source, &ImportOptions, &mut Sink) -> Vec<Motion>),
@@ -392,7 +392,7 @@ fn reader(format: ImportFormat) -> Reader {
     }
 }
 
-/// Reads the bytes of one file, as if it had been read from a place of that name.
+/// Reads the bytes of one file, as if it had been read from a path with this name.
 #[must_use]
 pub fn import_bytes(
     format: ImportFormat,
@@ -408,13 +408,16 @@ pub fn import_bytes(
     finish(format, &[path], motions, options, sink)
 }
 
-/// What to do about a file that is not of this format.
+/// A hint for a file that is not of this format.
 fn other_format(format: ImportFormat, file: &str) -> String {
     match format_of(file).filter(|other| *other != format) {
         Some(other) => {
             format!("the name of the file suggests another format: `downbeat import {} {file}`", other.word())
         }
-        None => format!("is it of the format {}? `downbeat import --help` lists the formats", format.word()),
+        None => format!(
+            "check that the file has the format {}: `downbeat import --help` lists the formats",
+            format.word()
+        ),
     }
 }
 

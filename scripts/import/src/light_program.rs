@@ -1,48 +1,48 @@
-//! Skybrush's light programs: bytes that set colours, fade, wait and repeat, in frames of 20 ms.
+//! Light programs of Skybrush: bytes that set colours, fade, wait and repeat, in frames of 20 ms.
 
 /// One frame, in milliseconds.
 const FRAME_MS: u64 = 20;
-/// Most commands that are executed, and loops within loops.
+/// Maximum number of executed commands, and of nested loops.
 const COMMANDS_MAX: usize = 200_000;
 const LOOPS_MAX: usize = 16;
 
 /// Red, green and blue, from 0 to 255.
 pub(super) type Color = [u8; 3];
 
-/// What the lamp does from a time on.
+/// A change of the lamp's colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Glow {
     pub(super) from_ms: u64,
-    /// The end of the fade; the beginning where it only changes.
+    /// The end of the fade; equal to the beginning for an immediate change.
     pub(super) until_ms: u64,
     pub(super) from: Color,
     pub(super) to: Color,
 }
 
-/// What became of a program.
+/// The result of a program.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Lights {
-    /// One after the other.
+    /// The changes of colour, in order.
     pub(super) glows: Vec<Glow>,
-    /// When the program ends.
+    /// The end of the program.
     pub(super) end_ms: u64,
-    /// Commands for fireworks, which are left out.
+    /// Number of commands for fireworks, which are ignored.
     pub(super) pyro: usize,
-    /// Whether it continues beyond the end of the show.
+    /// Whether it would continue beyond the end of the show.
     pub(super) endless: bool,
 }
 
 struct Player<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where each loop begins, and how often it is still to be played; `None` is forever.
+    /// The start of each loop, and its remaining repetitions; `None` for an endless loop.
     loops: Vec<(usize, Option<u8>)>,
     now_ms: u64,
     color: Color,
     lights: Lights,
 }
 
-/// Plays a program as far as a time; what is wrong with it otherwise.
+/// Plays a program until this time. Returns an error if it is invalid.
 pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
     let mut player =
         Player { bytes, at: 0, loops: Vec::new(), now_ms: 0, color: [0; 3], lights: Lights::default() };
@@ -62,7 +62,7 @@ pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
 }
 
 impl Player<'_> {
-    /// One command. False at the end.
+    /// Executes one command. Returns false at the end.
     fn step(&mut self) -> Result<bool, String> {
         let begin = self.at;
         let Some(command) = self.bytes.get(self.at).copied() else { return Ok(false) };
@@ -84,7 +84,7 @@ impl Player<'_> {
             18 | 19 => return Err(told(begin, "jumps")),
             14 => return Err(told(begin, "sets the clock back")),
             other => {
-                return Err(format!("command {other} at byte {begin} of the light program is not known"));
+                return Err(format!("unknown command {other} at byte {begin} of the light program"));
             }
         }
         Ok(true)
@@ -121,7 +121,7 @@ impl Player<'_> {
     fn begin_loop(&mut self) -> Result<(), String> {
         let turns = self.byte()?;
         if self.loops.len() == LOOPS_MAX {
-            return Err(format!("more than {LOOPS_MAX} loops within each other in the light program"));
+            return Err(format!("the light program has more than {LOOPS_MAX} nested loops"));
         }
         self.loops.push((self.at, (turns > 0).then_some(turns)));
         Ok(())
@@ -129,7 +129,7 @@ impl Player<'_> {
 
     fn end_loop(&mut self) -> Result<(), String> {
         let Some((begin, left)) = self.loops.last_mut() else {
-            return Err(format!("a loop ends at byte {} of the light program where none began", self.at - 1));
+            return Err(format!("unexpected end of a loop at byte {} of the light program", self.at - 1));
         };
         match left {
             Some(1) => drop(self.loops.pop()),
@@ -148,7 +148,7 @@ impl Player<'_> {
         byte.ok_or_else(|| "the light program ends within a command".to_owned())
     }
 
-    /// Seven bits a byte, the lowest first.
+    /// Seven bits per byte, least significant first.
     fn duration(&mut self) -> Result<u64, String> {
         let mut frames = 0_u64;
         for shift in [0, 7, 14, 21] {
@@ -163,10 +163,10 @@ impl Player<'_> {
 }
 
 fn told(at: usize, what: &str) -> String {
-    format!("the light program {what} at byte {at}, which only the show itself decides")
+    format!("the light program {what} at byte {at}, which depends on the running show and is not supported")
 }
 
-/// The colours at every period and where something changes, each with its time; the last one where the program ends.
+/// The colours at every period and at every change, each with its time; the last one at the end of the program.
 pub(super) fn sampled(lights: &Lights, period_ms: u64) -> Vec<(u64, Color)> {
     let mut samples: Vec<(u64, Color)> = vec![(0, [0; 3])];
     let mut add = |at_ms: u64, color: Color| match samples.last_mut() {
@@ -176,7 +176,7 @@ pub(super) fn sampled(lights: &Lights, period_ms: u64) -> Vec<(u64, Color)> {
     for glow in &lights.glows {
         let length = glow.until_ms - glow.from_ms;
         let mut at_ms = glow.from_ms + period_ms;
-        // A fade begins with the colour that is there.
+        // A fade starts with the current colour.
         while at_ms < glow.until_ms {
             add(at_ms, between(glow, (at_ms - glow.from_ms) as f64 / length as f64));
             at_ms += period_ms;
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn colours_are_set_faded_and_repeated() {
-        // Red for 100 ms; twice: fade to white in 40 ms, black for 20 ms; wait until 1 s; grey.
+        // Red for 100 ms; then twice: fade to white in 40 ms, and black for 20 ms; then wait until 1 s; grey.
         let program = [4, 255, 0, 0, 5, 12, 2, 11, 2, 6, 1, 13, 3, 50, 5, 7, 0, 0];
         let lights = play(&program, 60_000).unwrap();
         assert_eq!(lights.end_ms, 1_000);

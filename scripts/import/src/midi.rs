@@ -1,4 +1,4 @@
-//! Standard MIDI files: what each note, controller and wheel of each channel is set to, and when.
+//! Standard MIDI files: the values of each note, controller and wheel of each channel, with their times.
 
 use std::collections::BTreeMap;
 
@@ -11,14 +11,14 @@ use super::sink::Sink;
 use super::standard_midi::{self, Event, Song, Timing};
 use super::{Course, DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
-/// Microseconds of a beat where the file says no tempo.
+/// Duration of a beat without a tempo in the file, in microseconds.
 const BEAT_US: f64 = 500_000.0;
-/// Most notes about parts of a file that are no tracks.
+/// Maximum number of notes about parts of a file that are not tracks.
 const PASSED_OVER_MAX: usize = 20;
-/// Most events of a file.
+/// Maximum number of events of a file.
 const EVENTS_MAX: usize = 2_000_000;
 
-/// What is set, in the order in which devices are written.
+/// The kind of a set value, in the order in which devices are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum What {
     Note(u8),
@@ -37,11 +37,11 @@ struct Set {
     value: f64,
 }
 
-/// Everything of a file that matters here.
+/// The parts of a file that the import uses.
 #[derive(Default)]
 struct Read {
     sets: Vec<Set>,
-    /// Ticks and microseconds a beat from there on.
+    /// Tempo changes: the tick, and the microseconds per beat after it.
     tempi: Vec<(u64, f64)>,
     exclusive: usize,
     texts: usize,
@@ -60,7 +60,13 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
     };
     if read.sets.is_empty() {
         let expected = "at least one note or controller";
-        sink.about(name, Code::NothingToDo, "the file sets nothing".into(), expected, None);
+        sink.about(
+            name,
+            Code::NothingToDo,
+            "the file has no notes or controller values".into(),
+            expected,
+            None,
+        );
         return Vec::new();
     }
     let Some(devices) = devices(&read, song.timing, name, sink) else { return Vec::new() };
@@ -69,11 +75,11 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
 }
 
 fn read_events(bytes: &[u8]) -> Result<(Song, Read), (Code, String)> {
-    // An event takes at least two bytes, and tens of them in memory.
+    // An event takes at least two bytes in the file, but tens of bytes in memory.
     if bytes.len() > 2 * EVENTS_MAX {
         return Err((
             Code::ImportLimit,
-            format!("the file has {} bytes, the limit is {}", bytes.len(), 2 * EVENTS_MAX),
+            format!("the file has {} bytes, but the limit is {}", bytes.len(), 2 * EVENTS_MAX),
         ));
     }
     let mut read = Read::default();
@@ -102,7 +108,7 @@ impl Read {
     }
 }
 
-/// What the message of a channel sets.
+/// The value that a channel message sets.
 fn what(status: u8, [first, second]: [u8; 2]) -> (What, f64) {
     let value = f64::from(second);
     match status {
@@ -116,7 +122,7 @@ fn what(status: u8, [first, second]: [u8; 2]) -> (What, f64) {
     }
 }
 
-/// The seconds of a tick, along the changes of tempo; asked for in order.
+/// Converts ticks to seconds across tempo changes. Ticks must be queried in ascending order.
 struct Clock<'a> {
     timing: Timing,
     tempi: &'a [(u64, f64)],
@@ -169,7 +175,7 @@ fn devices(read: &Read, timing: Timing, name: &str, sink: &mut Sink) -> Option<V
     }
     if replaced > 0 {
         let values = downbeat_yaml::render::counted(replaced, "value");
-        sink.note(format!("{name}: left out {values} that another replaces at the same time"));
+        sink.note(format!("{name}: left out {values} replaced by another at the same time"));
     }
     let device = |((channel, what), keyframes): ((u8, What), Vec<Keyframe>)| DeviceMotion {
         device: device_name(channel, what),
@@ -195,18 +201,18 @@ fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
     let tempi = downbeat_yaml::render::counted(read.tempi.len(), "tempo");
     sink.note(match song.timing {
         Timing::Beats(_) if read.tempi.is_empty() => {
-            format!("{name}: no tempo is stated: 120 beats per minute")
+            format!("{name}: the file states no tempo: 120 beats per minute are assumed")
         }
-        Timing::Beats(_) => format!("{name}: times follow {tempi} of the file"),
-        Timing::Frames(rate, _) => format!("{name}: times are frames, {rate:.2} a second"),
+        Timing::Beats(_) => format!("{name}: times are computed from {tempi} of the file"),
+        Timing::Frames(rate, _) => format!("{name}: times are frames, {rate:.2} per second"),
     });
     sink.note(format!(
-        "{name}: a note is its velocity while it sounds, and 0 else; how fast it is let go is left out"
+        "{name}: the value of a note is its velocity while it sounds, otherwise 0; release velocities are ignored"
     ));
     for (count, what) in [
         (read.exclusive, "system exclusive message"),
         (read.texts, "text"),
-        (read.other, "signature or other mark"),
+        (read.other, "signature or other meta event"),
     ] {
         if count > 0 {
             sink.note(format!("{name}: left out {}", downbeat_yaml::render::counted(count, what)));
@@ -214,9 +220,7 @@ fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
     }
     if song.resumed > 0 {
         let events = downbeat_yaml::render::counted(song.resumed, "event");
-        sink.note(format!(
-            "{name}: {events} continue a running status behind a text or an exclusive message"
-        ));
+        sink.note(format!("{name}: {events} used a running status after a text or an exclusive message"));
     }
     for part in song.passed_over.iter().take(PASSED_OVER_MAX) {
         sink.note(format!("{name}: left out {part}"));

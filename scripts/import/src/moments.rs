@@ -1,4 +1,4 @@
-//! Times as tables write them: numbers in some unit, frames, timecodes, hours, minutes and seconds with colons between, dates.
+//! Times in tables: numbers in some unit, frames, timecodes, hours, minutes and seconds with colons, dates.
 
 use std::str::FromStr;
 
@@ -8,26 +8,26 @@ use urrcp::Span;
 
 use downbeat_motion::exact::{Exact, Fraction, decimal, fraction, near_fraction, to_f64};
 
-/// What the numbers of a column of times mean.
+/// The meaning of the values in a column of times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TimeUnit {
-    /// Numbers of a unit with this many nanoseconds.
+    /// Numbers in a unit of this many nanoseconds.
     Nanos(u64),
-    /// Frames, this many a second.
+    /// Frame numbers, with this number of frames per second.
     Frames(f64),
     /// `hh:mm:ss` and `hh:mm:ss.fff`.
     HoursMinutesSeconds,
     /// `mm:ss` and `mm:ss.fff`.
     MinutesSeconds,
-    /// `mm:ss:ms`, where the last number counts milliseconds.
+    /// `mm:ss:ms`, where the last number is milliseconds.
     MinutesSecondsMillis,
-    /// `hh:mm:ss:ff`, where the last number counts frames, this many a second; `hh:mm:ss;ff` leaves numbers out (drop-frame).
+    /// `hh:mm:ss:ff`, where the last number is a frame, with this number of frames per second. `hh:mm:ss;ff` skips numbers (drop-frame).
     Timecode(f64),
-    /// `2026-11-23T19:30:00.5+01:00`, without a zone in UTC.
+    /// `2026-11-23T19:30:00.5+01:00`; in UTC without a zone.
     Date,
 }
 
-/// What can be told where a unit is asked for.
+/// The units that a user may state.
 pub(super) const UNITS: &str = "h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss or mm:ss:ms";
 
 const CLOCKS: [(&str, TimeUnit); 3] = [
@@ -36,17 +36,17 @@ const CLOCKS: [(&str, TimeUnit); 3] = [
     ("mm:ss:ms", TimeUnit::MinutesSecondsMillis),
 ];
 
-/// Units in which Unix times are counted, in nanoseconds, with their words.
+/// Units of Unix times with their names, in nanoseconds.
 const UNIX: [(&str, u64); 4] = [("s", 1_000_000_000), ("ms", 1_000_000), ("us", 1_000), ("ns", 1)];
-/// Numbers are Unix times if they are from 2000 to 2100, and the last one at most `UNIX_LENGTH_S` after the first.
+/// Numbers are Unix times if they are between 2000 and 2100, and the first and the last one differ by at most `UNIX_LENGTH_S`.
 const YEARS_S: std::ops::Range<i64> = 946_684_800..4_102_444_800;
 const UNIX_LENGTH_S: i64 = 10_000_000;
-/// Largest exponent of a number, in either direction; largest number, which is beyond all Unix times in nanoseconds; most digits of a
-/// whole number between colons. Fractions of these have room in 128 bits.
+/// Largest absolute exponent of a number; largest number, which exceeds all Unix times in nanoseconds; maximum number of digits of a
+/// whole number between colons. Fractions of such numbers fit in 128 bits.
 const EXPONENT_MAX: u32 = 18;
 const NUMBER_MAX: f64 = 1e19;
 const DIGITS_MAX: usize = 9;
-/// Decimals that are read of a number.
+/// Maximum number of decimal digits that are read.
 const PART_MAX: usize = 18;
 
 impl FromStr for TimeUnit {
@@ -62,7 +62,7 @@ impl FromStr for TimeUnit {
 }
 
 impl TimeUnit {
-    /// The time that a text says, to the nearest nanosecond, if it is a time of this kind.
+    /// Parses a text as a time of this kind, to the nearest nanosecond.
     pub(super) fn time(self, text: &str) -> Option<Span> {
         let text = text.trim();
         let parts: Vec<&str> = text.split(':').collect();
@@ -88,7 +88,7 @@ impl TimeUnit {
     }
 }
 
-/// A number of any sign, with or without an exponent, exactly where it has few enough digits.
+/// A number with or without sign and exponent, exact if it has few enough digits.
 fn number(text: &str) -> Option<Fraction> {
     let text = text.trim();
     let value = text.parse::<f64>().ok().filter(|value| value.abs() <= NUMBER_MAX)?;
@@ -106,7 +106,7 @@ fn number(text: &str) -> Option<Fraction> {
     Some(exact().unwrap_or_else(|| near_fraction(value)))
 }
 
-/// A decimal number as [`decimal`] reads it, with room for Unix times in nanoseconds.
+/// A decimal number like [`decimal`], but with enough digits for Unix times in nanoseconds.
 fn long_decimal(text: &str) -> Option<Fraction> {
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
@@ -122,7 +122,7 @@ fn whole(text: &str) -> Option<Fraction> {
     decimal(text).filter(|_| !text.contains('.') && text.len() <= DIGITS_MAX)
 }
 
-/// Seconds with or without decimals, of two digits at most: `033` is no number of seconds.
+/// Seconds with or without decimals, with at most two digits before the point: `033` is invalid.
 fn second(text: &str) -> Option<Fraction> {
     let text = text.replace(',', ".");
     if text.split('.').next().is_some_and(|whole| whole.len() > 2) {
@@ -135,20 +135,20 @@ fn sixtieth(value: Fraction) -> Option<Fraction> {
     (value < Ratio::from_integer(60)).then_some(value)
 }
 
-/// A number of frames by their rate, rounded where the fraction is too long.
+/// Frames divided by their rate, rounded if the fraction is too long.
 fn divided(frames: Fraction, rate: Fraction) -> Fraction {
     frames.checked_div(&rate).unwrap_or_else(|| near_fraction(to_f64(frames) / to_f64(rate)))
 }
 
-/// Frames a second. 23.976, 29.97 and 59.94 stand for 24, 30 and 60 times 1000/1001.
+/// Frames per second. 23.976, 29.97 and 59.94 represent 24, 30 and 60 times 1000/1001.
 fn frame_rate(rate: f64) -> Fraction {
     let video = [24, 30, 48, 60, 120].into_iter().map(|whole| Ratio::new(whole * 1_000, 1_001));
     let near = |exact: &Fraction| (to_f64(*exact) - rate).abs() < 0.005;
     video.into_iter().find(near).unwrap_or_else(|| fraction(rate))
 }
 
-/// The seconds of `hh:mm:ss:ff`: frames are numbered without gaps, or with `;` such that the clock follows 29.97 or 59.94 frames a
-/// second (SMPTE 12M): two numbers of each 30 are left out every minute but each tenth.
+/// The seconds of `hh:mm:ss:ff`. Frames are numbered without gaps. With `;`, numbers are skipped so that the timecode follows 29.97 or
+/// 59.94 frames per second (SMPTE 12M): two of every 30 numbers at the start of each minute, except for every tenth minute.
 fn timecode(text: &str, rate: f64) -> Option<Fraction> {
     let parts: Vec<&str> = text.split([':', ';']).collect();
     let [h, m, s, f] = parts.as_slice() else { return None };
@@ -164,7 +164,7 @@ fn timecode(text: &str, rate: f64) -> Option<Fraction> {
     Some(divided(number, rate))
 }
 
-/// The seconds since 1970 of a date and a time as in ISO 8601.
+/// The seconds since 1970 of a date and time in ISO 8601.
 fn date(text: &str) -> Option<Fraction> {
     let (day, time) = text.split_once(['T', 't', ' '])?;
     let (time, zone) = match time.find(['Z', 'z', '+', '-']) {
@@ -195,7 +195,7 @@ fn zone(text: &str) -> Option<Fraction> {
     Some(if sign == "-" { -seconds } else { seconds })
 }
 
-/// Days from 1970-01-01 to a day of the Gregorian calendar.
+/// Days from 1970-01-01 to a date of the Gregorian calendar.
 fn days(text: &str) -> Option<i128> {
     let parts: Option<Vec<i128>> = text.split('-').map(|part| Some(whole(part)?.to_integer())).collect();
     let [year, month, day] = parts?[..] else { return None };
@@ -211,7 +211,7 @@ fn days(text: &str) -> Option<i128> {
     Some(years + lengths[..before].iter().sum::<i128>() + day - 1)
 }
 
-/// The only unit in which both ends of a column of numbers are Unix times, with its name.
+/// The unit, with its name, in which both ends of a column of numbers are Unix times. At most one unit fits.
 pub(super) fn unix(first: &str, last: &str) -> Option<(&'static str, TimeUnit)> {
     UNIX.into_iter().map(|(word, nanos)| (word, TimeUnit::Nanos(nanos))).find(|(_, unit)| {
         let seconds = |text| unit.time(text).map(|time| time.as_nanos() / 1_000_000_000);
@@ -220,13 +220,13 @@ pub(super) fn unix(first: &str, last: &str) -> Option<(&'static str, TimeUnit)> 
     })
 }
 
-/// What the name of a column of times says about its unit.
+/// The information about a unit in the name of a column of times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Said {
     Unit(TimeUnit),
-    /// Numbers of frames.
+    /// Frame numbers.
     Frames,
-    /// It says something, but not which unit.
+    /// The name contains a unit, but it is unknown or ambiguous.
     Unclear,
     Nothing,
 }
@@ -242,7 +242,7 @@ pub(super) fn said_by(header: &str) -> Said {
     let words = words(header);
     let last = words.len().saturating_sub(1);
     let mut units = words.iter().enumerate().filter_map(|(index, word)| {
-        // A single letter in front is a name, as in `s1 time`.
+        // A single letter at the beginning is a name, as in `s1 time`.
         (index == last || word.chars().count() > 1).then(|| spelled(word)).flatten()
     });
     match (units.next(), units.next()) {
@@ -256,7 +256,7 @@ pub(super) fn said_by(header: &str) -> Said {
     }
 }
 
-/// Its words, apart also where a capital follows a small letter.
+/// The words of a text; they are also separated where a capital letter follows a small one.
 fn words(text: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut before = ' ';
@@ -274,7 +274,7 @@ fn words(text: &str) -> Vec<String> {
     words
 }
 
-/// A unit as people spell it.
+/// The unit for one of its usual spellings.
 fn spelled(word: &str) -> Option<TimeUnit> {
     Some(TimeUnit::Nanos(match word.to_lowercase().trim_end_matches('.') {
         "h" | "hr" | "hrs" | "hour" | "hours" => 3_600_000_000_000,
@@ -289,7 +289,7 @@ fn spelled(word: &str) -> Option<TimeUnit> {
     }))
 }
 
-/// The ways of writing clock times that fit all of these texts, with their words.
+/// The notations of clock times that fit all of these texts, with their names.
 pub(super) fn clocks<'a>(texts: impl Iterator<Item = &'a str>) -> Vec<(&'static str, TimeUnit)> {
     let mut fitting = CLOCKS.to_vec();
     for text in texts {
@@ -379,7 +379,7 @@ mod tests {
         assert_eq!(nanos(TimeUnit::Frames(23.976), "24"), Some(1_001_000_000));
         assert_eq!(nanos(TimeUnit::Frames(120.0), "1"), Some(8_333_333));
         assert_eq!(nanos(TimeUnit::Timecode(25.0), "01:00:00:24"), Some(3_600_960_000_000));
-        // Without dropped numbers an hour of them lasts 3.6 s longer than an hour; with them it is 3.6 ms short of one.
+        // Without drop-frame, an hour of timecode lasts 3.6 s longer than an hour; with it, 3.6 ms less.
         assert_eq!(nanos(TimeUnit::Timecode(29.97), "01:00:00:00"), Some(3_603_600_000_000));
         assert_eq!(nanos(TimeUnit::Timecode(29.97), "01:00:00;00"), Some(3_599_996_400_000));
         assert_eq!(nanos(TimeUnit::Timecode(59.94), "00:01:00;04"), Some(60_060_000_000));
@@ -392,7 +392,7 @@ mod tests {
     fn dates_count_from_1970_in_utc() {
         let nanos = |text| TimeUnit::Date.time(text).map(Span::as_nanos);
         assert_eq!(nanos("1970-01-01T00:00:00Z"), Some(0));
-        // `date --date ... +%s`
+        // The reference is `date --date ... +%s`.
         for text in ["2026-11-23T20:30:00.25+01:00", "2026-11-23 19:30:00,25", "2026-11-23T14:30:00.25-0500"]
         {
             assert_eq!(nanos(text), Some(1_795_462_200_250_000_000), "{text}");
@@ -412,7 +412,7 @@ mod tests {
         assert_eq!(unit("1795462200.25", "1795462300"), Some("s"));
         assert_eq!(unit("1795462200250", "1795462300000"), Some("ms"));
         assert_eq!(unit("1795462200250000000", "1795462200260000000"), Some("ns"));
-        // A second or two in nanoseconds, from some other beginning.
+        // One or two seconds in nanoseconds, with some other origin.
         assert_eq!(unit("1000000000", "2000000000"), None);
         assert_eq!(unit("0", "1795462300"), None);
     }

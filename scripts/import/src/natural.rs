@@ -1,8 +1,8 @@
-//! Names in the order in which people count: 2 before 10.
+//! Natural order of names: 2 before 10.
 
 use std::cmp::Ordering;
 
-/// Digits compare as numbers, all else as text.
+/// Compares digits as numbers, and everything else as text.
 pub(super) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a, b);
     while !left.is_empty() && !right.is_empty() {
@@ -18,7 +18,7 @@ pub(super) fn natural_order(a: &str, b: &str) -> Ordering {
     left.len().cmp(&right.len()).then_with(|| a.cmp(b))
 }
 
-/// Whether it is made of digits only.
+/// Whether a text consists of digits only.
 pub(super) fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }

@@ -11,7 +11,7 @@ use super::input::Input;
 use super::sink::Sink;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes, tree};
 
-/// Reads one file: one robot in as many scenes as there are motions.
+/// Reads one file: one robot, with one scene per motion.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let motions =
         tree::read(source, sink, |root, findings, _| read_motions(root, findings)).unwrap_or_default();
@@ -22,7 +22,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     if !from_zero.is_empty() {
         let names = downbeat_yaml::finding::names(from_zero);
         sink.note(format!(
-            "{}: the first time is 0 s in {names}: the robot must be there when it starts",
+            "{}: the first time in {names} is 0 s: the robot must be at this position before the start",
             source.name
         ));
     }
@@ -34,7 +34,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
 }
 
 fn read_motions(root: &At<'_>, findings: &mut Reader) -> Option<Vec<(String, Vec<DeviceMotion>)>> {
-    // The parameters of a ROS 2 node stand under its name and `ros__parameters`; the older files begin with `motions`.
+    // The parameters of a ROS 2 node are below its name and `ros__parameters`; older files begin with `motions`.
     let node = match root.node {
         Node::Map(entries) => entries
             .iter()
@@ -74,7 +74,7 @@ fn read_motion(name: &str, at: &At<'_>, findings: &mut Reader) -> Option<Vec<Dev
         let (found, joints, times) = (positions.len(), joints.len(), times.len());
         let message = format!("{what} has {found} positions for {joints} joints at {times} times");
         let expected = format!("{joints} x {times} = {} positions", joints * times);
-        let hint = "positions are flat: all joints of the first time, then all of the second";
+        let hint = "`positions` is a flat list: all joints at the first time, then all joints at the second";
         findings.add(Code::ImportShape, positions_at.place(), message, expected, Some(hint.into()));
         return None;
     }
@@ -129,7 +129,7 @@ fn read_times(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<Span
     (times.len() == seconds.len()).then_some(times)
 }
 
-/// Lengths for what slides, angles for what turns: TIAGo's torso and fingers slide.
+/// Metres for joints that slide (TIAGo's torso and fingers), radians for joints that turn.
 fn unit_of(joint: &str) -> &'static str {
     match joint {
         "torso_lift_joint" | "gripper_left_finger_joint" | "gripper_right_finger_joint" => "m",

@@ -1,25 +1,25 @@
-//! Trajectories of polynomial pieces: p(t) = sum of c_i t^i, with t from the beginning of the piece.
+//! Trajectories of polynomial pieces: p(t) = sum of c_i t^i, where t starts at the beginning of the piece.
 
 use super::keyframes;
 
-/// Axes of a quadrotor's trajectory and their units.
+/// Axes of a quadrotor's trajectory, with their units.
 pub(super) const AXES: [(&str, &str); 4] = [("x", "m"), ("y", "m"), ("z", "m"), ("yaw", "rad")];
-/// Coefficients of a polynomial: seventh degree.
+/// Number of coefficients of a polynomial of degree 7.
 pub(super) const COEFFICIENTS: usize = 8;
 
 /// One piece.
 #[derive(Clone, Debug)]
 pub(super) struct Piece {
     pub(super) duration_s: f64,
-    /// By axis.
+    /// The coefficients by axis.
     pub(super) coefficients: [[f64; COEFFICIENTS]; AXES.len()],
 }
 
-/// Pieces one after the other.
+/// Consecutive pieces.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Trajectory {
     pieces: Vec<Piece>,
-    /// When each piece begins, in seconds; and when the last one ends.
+    /// The start of each piece and the end of the last one, in seconds.
     bounds_s: Vec<f64>,
 }
 
@@ -34,7 +34,7 @@ impl Trajectory {
         Self { pieces, bounds_s }
     }
 
-    /// One axis, without the powers that it does not need.
+    /// The pieces of one axis, without unused higher powers.
     pub(super) fn pieces_of(&self, axis: usize) -> Vec<super::Piece> {
         let piece = |piece: &Piece| {
             let own = &piece.coefficients[axis];
@@ -55,7 +55,7 @@ impl Trajectory {
         self.bounds_s.last().copied().unwrap_or(0.0)
     }
 
-    /// The value at a time; where two pieces meet, that of the later one. It rests at its ends.
+    /// The value at a time; at a boundary, that of the later piece. It is constant before and after the trajectory.
     pub(super) fn value(&self, axis: usize, at_s: f64) -> f64 {
         let begun = self.bounds_s.partition_point(|bound| *bound <= at_s);
         let index = begun.saturating_sub(1).min(self.pieces.len().saturating_sub(1));
@@ -64,7 +64,7 @@ impl Trajectory {
         horner(&piece.coefficients[axis], local)
     }
 
-    /// The largest jump where two pieces meet, with its axis and time.
+    /// The largest jump between two pieces, with its axis and time.
     pub(super) fn largest_jump(&self) -> Option<(usize, f64, f64)> {
         let jumps = self.pieces.windows(2).enumerate().flat_map(|(index, pair)| {
             (0..AXES.len()).map(move |axis| {

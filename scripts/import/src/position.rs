@@ -1,4 +1,4 @@
-//! Which robots have their position in space as devices: `x`, `y` and `z` in a unit of length.
+//! Detects robots whose devices are their position in space: `x`, `y` and `z` in a unit of length.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,23 +7,23 @@ use super::{Course, DeviceMotion, Imported, units};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// How near to each other the centres of two robots may come.
+/// The smallest allowed distance between the centres of two robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearance {
     /// In metres.
     pub metres: f64,
-    /// Where the distance is from, for people.
+    /// The origin of the distance, for readers of the fleet file.
     pub origin: &'static str,
 }
 
 impl Default for Clearance {
     /// A Crazyflie is 0.14 m wide with its propellers.
     fn default() -> Self {
-        Self { metres: 0.24, origin: "for Crazyflies, 0.1 m from propeller to propeller" }
+        Self { metres: 0.24, origin: "the distance between Crazyflies whose propellers are 0.1 m apart" }
     }
 }
 
-/// The robots that have all three, each in a unit of length.
+/// The robots that have all three axes, each in a unit of length.
 pub(super) fn robots(imported: &Imported) -> BTreeSet<&str> {
     let units = axes(imported);
     let is_length =
@@ -31,20 +31,20 @@ pub(super) fn robots(imported: &Imported) -> BTreeSet<&str> {
     units.into_iter().filter(|(_, units)| is_length(units)).map(|(robot, _)| robot).collect()
 }
 
-/// Notes robots that are not compared with others because their units are unknown.
+/// Notes robots that are not compared with others, because their units are unknown.
 pub(super) fn note_unknown(imported: &Imported, sink: &mut Sink) {
     let unknown: Vec<_> =
         axes(imported).into_iter().filter(|(_, units)| units.values().any(|unit| unit.is_empty())).collect();
     if let [(robot, _), others @ ..] = unknown.as_slice() {
         let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
         sink.note(format!(
-            "the unit of `x`, `y`, `z` of `{robot}`{more} is not known, so distances between robots are not checked: \
-             name the columns with it, as in `x [m]`, or write a `body` in the fleet file"
+            "the unit of `x`, `y`, `z` of `{robot}`{more} is unknown, so distances between robots are not checked: \
+             add it to the column names, as in `x [m]`, or add a `body` in the fleet file"
         ));
     }
 }
 
-/// The units of the axes of all robots that have all three.
+/// The units of the axes, for all robots that have all three axes.
 fn axes(imported: &Imported) -> BTreeMap<&str, BTreeMap<&str, &str>> {
     let mut units: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
     let is_axis = |device: &DeviceMotion| {

@@ -1,4 +1,4 @@
-//! What is remarkable about an import though nothing is wrong with it: robots that rest, scenes that do not meet.
+//! Notes about valid but remarkable properties of an import: robots that rest, scenes that do not meet.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,12 +9,12 @@ use downbeat_yaml::finding::names;
 use super::sink::Sink;
 use super::{Course, Scene, keyframes, units};
 
-/// Scenes may end and begin so far apart without a word: rounding of the files' own digits.
+/// Gaps between scenes up to this are not noted: rounding of the digits in the files.
 const JOIN_TOLERANCE: f64 = 1e-9;
-/// An angle that changes by this part of a turn within so short a time has begun again at the other end of its range.
+/// If an angle changes by this fraction of a turn within `TURN_TIME`, it has wrapped around at an end of its range.
 const TURN_SHARE: f64 = 0.75;
 const TURN_TIME: Span = Span::from_millis(100);
-/// Most devices that a note about turns names.
+/// Maximum number of devices that a note about turns names.
 const TURNING_MAX: usize = 6;
 
 pub(super) fn note_absent(scenes: &[Scene], sink: &mut Sink) {
@@ -30,7 +30,7 @@ pub(super) fn note_absent(scenes: &[Scene], sink: &mut Sink) {
     }
 }
 
-/// Notes angles that jump by about a turn, with the option that removes the jumps.
+/// Notes angles that jump by about one turn, with the option that removes these jumps.
 pub(super) fn note_turns(scenes: &[Scene], sink: &mut Sink) {
     let mut turning: Vec<(&str, f64)> = Vec::new();
     let (mut count, mut first) = (0_usize, Span::MAX);
@@ -59,7 +59,7 @@ pub(super) fn note_turns(scenes: &[Scene], sink: &mut Sink) {
     }
     let how_often = if count == 1 { "once".to_owned() } else { format!("{count} times") };
     sink.note(format!(
-        "angles jump by about a turn {how_often}, first at {first}: {devices}; {} removes the jumps",
+        "angles jump by about one turn {how_often}, first at {first}: {devices}; use {} to remove the jumps",
         options.join(" ")
     ));
 }
@@ -80,7 +80,7 @@ pub(super) fn note_ends(scenes: &[Scene], sink: &mut Sink) {
     }
 }
 
-/// The largest way that a device would have to go in no time where two scenes meet.
+/// Notes the largest distance that a device would have to cover in no time between two scenes.
 pub(super) fn note_joins(scenes: &[Scene], sink: &mut Sink) {
     let mut largest: Option<(f64, String)> = None;
     let mut last: HashMap<(&str, &str), f64> = HashMap::new();
@@ -104,6 +104,8 @@ pub(super) fn note_joins(scenes: &[Scene], sink: &mut Sink) {
         }
     }
     if let Some((_, text)) = largest {
-        sink.note(format!("scenes do not begin quite where the ones before ended, off by at most {text}"));
+        sink.note(format!(
+            "scenes do not begin exactly where the previous scene ended: the difference is at most {text}"
+        ));
     }
 }

@@ -1,4 +1,4 @@
-//! What an import has to say: findings with their places, and notes about the rules that it applied.
+//! The output of an import: findings with their places, and notes about the rules that it applied.
 
 use downbeat_reader::fields::Reader;
 use downbeat_yaml::finding::{Code, Finding, Severity};
@@ -7,31 +7,31 @@ use downbeat_yaml::source::Source;
 
 use super::{Clearance, KEYFRAMES_MAX, Motion};
 
-/// Most findings of one file: a file that is of another format altogether is wrong in every line.
+/// Maximum number of findings per file: a file of a different format is wrong in every line.
 pub(super) const FINDINGS_A_FILE_MAX: usize = 100;
 /// Longest line that a finding carries, in bytes.
 const LINE_BYTES_MAX: usize = 4_000;
 
-/// Collects.
+/// Collects notes and findings.
 #[derive(Default)]
 pub(super) struct Sink {
     pub(super) notes: Vec<String>,
     pub(super) findings: Vec<Finding>,
-    /// Keyframes so far, counted so that the import stays bounded.
+    /// Number of keyframes so far, which limits the size of the import.
     keyframes: usize,
-    /// Values that repeat the one before.
+    /// Number of values that repeat the previous one.
     pub(super) held: usize,
-    /// How near to each other robots may come, if the files say it.
+    /// The smallest allowed distance of robots, if the files state it.
     pub(super) clearance: Option<Clearance>,
 }
 
 /// A place in a text file: part of a line.
 #[derive(Clone, Copy)]
 pub(super) struct Spot<'a> {
-    /// From 1.
+    /// The line number, from 1.
     pub(super) line: usize,
     pub(super) text: &'a str,
-    /// In bytes.
+    /// Byte offset and width in the line.
     pub(super) start: usize,
     pub(super) width: usize,
 }
@@ -68,7 +68,7 @@ impl Sink {
         });
     }
 
-    /// A text that is no JSON, with the place where it stops being it.
+    /// A finding for a text that is not valid JSON, at the place of the error.
     pub(super) fn found_json(&mut self, source: &Source, error: &serde_json::Error) {
         let text = source.text.lines().nth(error.line().saturating_sub(1)).unwrap_or("");
         let start = (0..=error.column().saturating_sub(1).min(text.len())).rev();
@@ -91,7 +91,7 @@ impl Sink {
         self.push(Finding::about_file(code, file, message, expected, hint.map(str::to_owned)));
     }
 
-    /// Findings that know their place in a tree.
+    /// Findings whose places are paths in a tree.
     pub(super) fn located(&mut self, source: &Source, findings: Reader) {
         let mut pending = findings.found;
         pending.truncate(FINDINGS_A_FILE_MAX + 1);
@@ -100,12 +100,12 @@ impl Sink {
         }
     }
 
-    /// Whether a file has so many findings that more of them do not help.
+    /// Whether a file has too many findings to report more of them.
     pub(super) fn is_full(&self, source: &Source) -> bool {
         self.of(&source.name) > FINDINGS_A_FILE_MAX
     }
 
-    /// Stops an import that grows beyond all measure.
+    /// Counts keyframes, and adds a finding if the import becomes too large.
     pub(super) fn count(&mut self, motions: &[Motion], file: &str) {
         let devices = motions.iter().flat_map(|motion| &motion.robot.devices);
         let before = self.keyframes;
@@ -115,20 +115,20 @@ impl Sink {
         }
     }
 
-    /// The finding of an import that is too large.
+    /// The finding for an import that is too large.
     pub(super) fn too_many(&mut self, file: &str, keyframes: f64) {
-        let message = format!("the import would have {keyframes:.0} keyframes or more");
+        let message = format!("the import would have at least {keyframes:.0} keyframes");
         let expected = format!("at most {KEYFRAMES_MAX} keyframes");
         self.about(
             file,
             Code::ImportLimit,
             message,
             &expected,
-            Some("sample at a lower --rate, or import fewer files"),
+            Some("use a lower --rate, or import fewer files"),
         );
     }
 
-    /// Whether this many more keyframes can be taken.
+    /// Whether this number of additional keyframes is allowed.
     pub(super) fn has_room_for(&self, keyframes: f64) -> bool {
         self.keyframes as f64 + keyframes <= KEYFRAMES_MAX as f64
     }
@@ -142,8 +142,8 @@ impl Sink {
             0..FINDINGS_A_FILE_MAX => self.findings.push(finding),
             FINDINGS_A_FILE_MAX => {
                 let message = format!("the file has more than {FINDINGS_A_FILE_MAX} findings");
-                let hint = Some("is it of this format? see `docs/import.md`".to_owned());
-                let expected = "a file of the format that was named";
+                let hint = Some("check that the file has this format, see `docs/import.md`".to_owned());
+                let expected = "a file of the given format";
                 self.findings.push(Finding::about_file(finding.code, &finding.file, message, expected, hint));
             }
             _ => {}
@@ -151,13 +151,13 @@ impl Sink {
     }
 }
 
-/// The same with its line as far as it matters.
+/// The finding with its line cut to a reasonable length.
 pub(super) fn with_short_line(mut finding: Finding) -> Finding {
     finding.source_line = shown(&finding.source_line, finding.column);
     finding
 }
 
-/// The line as far as it matters.
+/// The line, cut to a reasonable length.
 fn shown(line: &str, start: usize) -> String {
     if line.len() <= LINE_BYTES_MAX {
         return line.to_owned();

@@ -1,5 +1,5 @@
-//! Skybrush's compiled drone shows, `.skyc`: a zip of `show.json` and what it refers to, with Bezier curves for the ways,
-//! headings, and programs for the lamps.
+//! Compiled drone shows of Skybrush, `.skyc`: a ZIP of `show.json` and the files that it refers to, with Bezier curves for the paths,
+//! headings, and light programs.
 
 use std::collections::BTreeSet;
 
@@ -21,21 +21,21 @@ use super::{
     Clearance, Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, keyframes, tree,
 };
 
-/// Most control points between two points: curves of the seventh degree, as Skybrush's own.
+/// Maximum number of control points between two points: curves of degree 7, like those of Skybrush.
 const CONTROLS_MAX: usize = 6;
-/// Most drones.
+/// Maximum number of drones.
 const DRONES_MAX: usize = 10_000;
-/// Samples of fades a second, where the user says nothing else: every frame of the light programs.
+/// Default sampling rate of fades per second: every frame of the light programs.
 const FADE_HZ: f64 = 50.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
-/// What is used of a show, and of a drone's settings.
+/// The keys of a show and of a drone's settings that are used.
 const SHOW_KEYS: [&str; 4] = ["version", "swarm", "settings", "environment"];
-/// Smallest distances of shows that state none, in metres: those of Skybrush's viewer.
+/// Default smallest distances in metres, from Skybrush's viewer.
 const INDOOR_M: f64 = 0.5;
 const OUTDOOR_M: f64 = 3.0;
 const DRONE_KEYS: [&str; 4] = ["name", "trajectory", "lights", "yawControl"];
 
-/// A drone's parts, each in its own file or in the show's.
+/// The parts of a drone, each in a separate file or in the show's file.
 struct Drone {
     name: String,
     trajectory: Part,
@@ -43,13 +43,13 @@ struct Drone {
     yaw: Option<Part>,
 }
 
-/// Where a part of the show stands.
+/// The location of a part of the show.
 enum Part {
     Here(Node),
     File(String),
 }
 
-/// What is reported once for all drones.
+/// Facts that are reported once for all drones.
 #[derive(Default)]
 struct Told {
     left_out: BTreeSet<String>,
@@ -62,7 +62,7 @@ struct Told {
     clearance: Option<Clearance>,
 }
 
-/// What one drone's files are read with.
+/// The context for reading one drone's files.
 struct Show<'a> {
     archive: Archive<'a>,
     name: &'a str,
@@ -85,7 +85,7 @@ pub(super) fn read(
                 name,
                 Code::Unreadable,
                 message,
-                "a compiled show of Skybrush, a zip with `show.json`",
+                "a compiled Skybrush show, a ZIP archive with `show.json`",
                 None,
             );
             return Vec::new();
@@ -124,14 +124,17 @@ impl Told {
             }
         };
         tell(self.pyro, "left out fireworks");
-        tell(self.auto_yaw, "left out that the heading follows the way");
+        tell(self.auto_yaw, "headings that follow the path are ignored");
         tell(self.endless, "lights that repeat forever end with the path");
         tell(
             self.late_yaw,
-            "headings count from the start of the show, not from the takeoff, as Skybrush plays them",
+            "heading times are counted from the start of the show, not from the takeoff, as in Skybrush",
         );
-        tell(self.still, "points that repeat the one before at the same time are left out");
-        tell(self.fades, &format!("lamps fade in steps, one every {period_ms} ms; --rate says how many"));
+        tell(self.still, "left out points that repeat the previous point at the same time");
+        tell(
+            self.fades,
+            &format!("lights fade in steps, one every {period_ms} ms; use --rate to change this"),
+        );
         if !self.left_out.is_empty() {
             sink.note(format!("{file}: left out {}", names(self.left_out.iter().map(String::as_str))));
         }
@@ -172,7 +175,7 @@ fn read_show(root: &At<'_>, told: &mut Told, findings: &mut Reader) -> Option<Ve
     Some(drones)
 }
 
-/// The smallest distance between drones for which the show was checked.
+/// The smallest distance between drones for which the show was validated.
 fn clearance(root: &At<'_>) -> Clearance {
     let stated = tree::optional(root, "settings").and_then(|settings| {
         let validation = tree::optional(&settings, "validation")?;
@@ -187,9 +190,13 @@ fn clearance(root: &At<'_>) -> Clearance {
         tree::optional(&environment, "type").map(|at| at.node == &Node::Text("indoor".into()))
     });
     match (stated, is_indoor) {
-        (Some(metres), _) => Clearance { metres, origin: "what the Skybrush show states" },
-        (None, Some(true)) => Clearance { metres: INDOOR_M, origin: "what Skybrush demands of indoor shows" },
-        (None, _) => Clearance { metres: OUTDOOR_M, origin: "what Skybrush demands of outdoor shows" },
+        (Some(metres), _) => Clearance { metres, origin: "the distance stated in the Skybrush show" },
+        (None, Some(true)) => {
+            Clearance { metres: INDOOR_M, origin: "the distance that Skybrush requires in indoor shows" }
+        }
+        (None, _) => {
+            Clearance { metres: OUTDOOR_M, origin: "the distance that Skybrush requires in outdoor shows" }
+        }
     }
 }
 
@@ -206,12 +213,12 @@ fn version(at: &At<'_>, what: &str, findings: &mut Reader) {
     if let Some(version) = tree::required(at, "version", what, findings)
         && *version.node != Node::Number(1.0)
     {
-        let message = format!("{what} has as its version {}", version.node.kind());
+        let message = format!("unsupported version of {what}: {}", version.node.kind());
         findings.add(Code::ImportShape, version.place(), message, "version 1", None);
     }
 }
 
-/// `{"$ref": "./drones/drone_01/trajectory.json#"}` stands for another file of the archive.
+/// `{"$ref": "./drones/drone_01/trajectory.json#"}` refers to another file of the archive.
 fn part(at: &At<'_>) -> Part {
     match tree::optional(at, "$ref").map(|at| at.node) {
         Some(Node::Text(reference)) => {
@@ -230,7 +237,7 @@ impl Show<'_> {
             Err(message) => {
                 let known: Vec<String> = self.archive.names().take(6).collect();
                 let known = names(known.iter().map(String::as_str));
-                let hint = Some(format!("in it are {known}")).filter(|_| !known.is_empty());
+                let hint = Some(format!("the archive contains {known}")).filter(|_| !known.is_empty());
                 sink.about(&name, Code::Unreadable, message, "a file of the show", hint.as_deref());
                 return None;
             }
@@ -238,7 +245,7 @@ impl Show<'_> {
         Source::of_bytes(&name, bytes).map_err(|finding| sink.findings.push(finding)).ok()
     }
 
-    /// Reads a part of a drone, wherever it stands.
+    /// Reads a part of a drone from its location.
     fn part<T>(
         &mut self,
         part: &Part,
@@ -314,7 +321,7 @@ impl Show<'_> {
     }
 }
 
-/// The way of a drone, from the start of the show.
+/// The path of a drone, from the start of the show.
 struct Way {
     takeoff: Span,
     end: Span,
@@ -325,12 +332,12 @@ struct Way {
 struct Waypoint {
     at: Span,
     position: [f64; 3],
-    /// Control points of the way from the previous point to here.
+    /// Control points of the curve from the previous point to this one.
     controls: Vec<[f64; 3]>,
 }
 
 impl Way {
-    /// Straight ways are keyframes, all else is curves.
+    /// Straight paths become keyframes; all others become curves.
     fn device(&self, axis: usize) -> DeviceMotion {
         let first = self
             .points
@@ -414,8 +421,8 @@ impl Way {
             return;
         }
         let [before, now] = [last.at, point.at].map(keyframes::seconds);
-        let message = format!("point {} at {now} s comes after one at {before} s", index + 1);
-        let hint = "times go forward, and nothing moves in no time".to_owned();
+        let message = format!("point {} at {now} s follows a point at {before} s", index + 1);
+        let hint = "times must increase from point to point".to_owned();
         findings.add(Code::ImportTime, at.place(), message, format!("a time after {before} s"), Some(hint));
     }
 }
@@ -501,7 +508,7 @@ fn read_yaw(at: &At<'_>, findings: &mut Reader) -> Option<Yaw> {
                     Code::ImportTime,
                     item.place(),
                     message,
-                    "times from 0 on that go forward",
+                    "times of at least 0 that increase",
                     None,
                 );
                 return None;
@@ -515,14 +522,14 @@ fn read_lights(at: &At<'_>, end_ms: u64, findings: &mut Reader) -> Option<Lights
     version(at, "the light program", findings);
     let data = tree::required(at, "data", "the light program", findings)?;
     let Node::Text(text) = data.node else {
-        findings.wrong_type(&data, "bytes as text in base64");
+        findings.wrong_type(&data, "a base64 text");
         return None;
     };
     let bytes = STANDARD.decode(text.trim()).map_err(|error| format!("this is not base64: {error}"));
     match bytes.and_then(|bytes| light_program::play(&bytes, end_ms)) {
         Ok(lights) => Some(lights),
         Err(message) => {
-            findings.add(Code::ImportShape, data.place(), message, "a light program of Skybrush", None);
+            findings.add(Code::ImportShape, data.place(), message, "a Skybrush light program", None);
             None
         }
     }

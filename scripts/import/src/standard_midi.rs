@@ -1,18 +1,18 @@
-//! The bytes of standard MIDI files: chunks, tracks and their events. Every byte is read, or reported with its place.
+//! Parses the bytes of standard MIDI files: chunks, tracks and their events. Every byte is read, or reported with its position.
 
-/// How ticks become time.
+/// The time of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Timing {
-    /// Ticks a beat.
+    /// Ticks per beat.
     Beats(f64),
-    /// Frames a second, and ticks a frame.
+    /// Frames per second, and ticks per frame.
     Frames(f64, f64),
 }
 
-/// What happens at a tick.
+/// An event at a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Event<'a> {
-    /// A message of a channel from 1 to 16: its status without the channel, and one or two bytes.
+    /// A message of a channel from 1 to 16: its status without the channel, and one or two data bytes.
     Channel {
         channel: u8,
         status: u8,
@@ -25,13 +25,13 @@ pub(super) enum Event<'a> {
     Exclusive,
 }
 
-/// A file without its events.
+/// The properties of a file except its events.
 #[derive(Debug)]
 pub(super) struct Song {
     pub(super) timing: Timing,
     /// Events whose status was stated before a meta event or an exclusive message.
     pub(super) resumed: usize,
-    /// Parts that were passed over, for people.
+    /// Parts that were skipped, as text for the user.
     pub(super) passed_over: Vec<String>,
 }
 
@@ -39,7 +39,7 @@ const HEADER: usize = 14;
 const CHUNK: usize = 8;
 const END_OF_TRACK: u8 = 0x2f;
 
-/// Reads all tracks, one after the other. Ticks count from the start of each.
+/// Reads all tracks in order. Ticks count from the start of each track.
 pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) -> Result<Song, String> {
     let bytes = unwrapped(bytes);
     let (timing, tracks, length) = header(bytes)?;
@@ -48,7 +48,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
     while at < bytes.len() {
         if found == tracks {
             let rest = downbeat_yaml::render::counted(bytes.len() - at, "byte");
-            song.passed_over.push(format!("{rest} behind the last track"));
+            song.passed_over.push(format!("{rest} after the last track"));
             break;
         }
         let begin = at + CHUNK;
@@ -79,13 +79,13 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
         Ok(song)
     } else {
         Err(format!(
-            "the header states {}, the file has {found}",
+            "the header states {}, but the file has {found}",
             downbeat_yaml::render::counted(tracks, "track")
         ))
     }
 }
 
-/// The song in a RIFF file (RMID); other files as they are.
+/// The contents of a RIFF file (RMID); other files remain unchanged.
 fn unwrapped(bytes: &[u8]) -> &[u8] {
     let is_riff = bytes.starts_with(b"RIFF") && bytes.get(8..16) == Some(b"RMIDdata");
     if is_riff { bytes.get(20..).unwrap_or_default() } else { bytes }
@@ -106,26 +106,31 @@ fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
         ));
     };
     if length < HEADER - CHUNK {
-        return Err(format!("the header has {length} bytes, at least {} are expected", HEADER - CHUNK));
+        return Err(format!("the header has {length} bytes, but at least {} are expected", HEADER - CHUNK));
     }
     if format == 2 && tracks > 1 {
-        return Err("the tracks are songs of their own (format 2): save them one a file".to_owned());
+        return Err("format 2, in which each track is a separate song, is not supported: save each track as a separate file".to_owned());
     }
     let low = (division & 0xff) as f64;
     let timing = match (division >> 8, division) {
-        (_, 0) => return Err("the header states 0 ticks a beat".to_owned()),
+        (_, 0) => return Err("the header states 0 ticks per beat".to_owned()),
         (0..0x80, ticks) => Timing::Beats(ticks as f64),
-        _ if low == 0.0 => return Err("the header states 0 ticks a frame".to_owned()),
+        _ if low == 0.0 => return Err("the header states 0 ticks per frame".to_owned()),
         (0xe8, _) => Timing::Frames(24.0, low),
         (0xe7, _) => Timing::Frames(25.0, low),
         (0xe3, _) => Timing::Frames(30_000.0 / 1_001.0, low),
         (0xe2, _) => Timing::Frames(30.0, low),
-        (rate, _) => return Err(format!("the header states {} SMPTE frames a second", 256 - rate)),
+        (rate, _) => {
+            return Err(format!(
+                "the header states {} SMPTE frames per second, which is not supported",
+                256 - rate
+            ));
+        }
     };
     Ok((timing, tracks, length))
 }
 
-/// The message about a file that does not begin with `MThd`. It shows the first bytes if they are text.
+/// The message for a file that does not begin with `MThd`. It shows the first bytes if they are text.
 fn not_midi(bytes: &[u8]) -> String {
     let begin = &bytes[..bytes.len().min(4)];
     match begin {
@@ -137,7 +142,7 @@ fn not_midi(bytes: &[u8]) -> String {
     }
 }
 
-/// The most significant byte comes first.
+/// Parses a big-endian number.
 fn number(bytes: &[u8], at: usize, width: usize) -> Option<usize> {
     let part = bytes.get(at..at + width)?;
     Some(part.iter().fold(0, |sum, byte| (sum << 8) | usize::from(*byte)))
@@ -147,11 +152,11 @@ struct Track<'a> {
     /// The file up to the end of the track.
     bytes: &'a [u8],
     at: usize,
-    /// From 1.
+    /// The number of the track, from 1.
     number: usize,
-    /// The last status of a channel.
+    /// The running status.
     status: Option<u8>,
-    /// Whether something else followed that status.
+    /// Whether another event followed that status.
     interrupted: bool,
 }
 
@@ -168,7 +173,7 @@ impl<'a> Track<'a> {
         }
         if self.at < self.bytes.len() {
             let rest = downbeat_yaml::render::counted(self.bytes.len() - self.at, "byte");
-            song.passed_over.push(format!("{rest} behind the end of track {}", self.number));
+            song.passed_over.push(format!("{rest} after the end of track {}", self.number));
         }
         Ok(())
     }
@@ -187,14 +192,15 @@ impl<'a> Track<'a> {
                 self.data()?;
                 return Ok(Event::Exclusive);
             }
-            0xf1.. => return Err(self.wrong(at, &format!("the status {first:#04x} is not one of a file"))),
+            0xf1.. => return Err(self.wrong(at, &format!("the status {first:#04x} is not valid in a file"))),
             0x80.. => {
                 self.interrupted = false;
                 first
             }
             _ => {
                 self.at = at;
-                // The standard ends a running status there, but many programs continue it, and the byte has no other meaning.
+                // According to the standard, such an event ends the running status. But many programs continue it, and the byte has no
+                // other meaning.
                 song.resumed += usize::from(std::mem::take(&mut self.interrupted));
                 self.status.ok_or_else(|| self.wrong(at, &format!("the value {first:#04x} has no status")))?
             }
@@ -216,16 +222,18 @@ impl<'a> Track<'a> {
         byte.ok_or_else(|| self.wrong(self.at, "the track ends within an event"))
     }
 
-    /// A byte of a message.
+    /// A data byte of a message.
     fn value(&mut self) -> Result<u8, String> {
         match self.byte()? {
             value @ 0..0x80 => Ok(value),
-            other => Err(self
-                .wrong(self.at - 1, &format!("{other:#04x} within a message, expected a value below 0x80"))),
+            other => Err(self.wrong(
+                self.at - 1,
+                &format!("unexpected {other:#04x} within a message, expected a value below 0x80"),
+            )),
         }
     }
 
-    /// Seven bits a byte, the most significant first.
+    /// A number with seven bits per byte, most significant first.
     fn variable(&mut self) -> Result<usize, String> {
         let begin = self.at;
         let mut sum = 0;
@@ -236,16 +244,16 @@ impl<'a> Track<'a> {
                 return Ok(sum);
             }
         }
-        Err(self.wrong(begin, "a number of more than four bytes"))
+        Err(self.wrong(begin, "a number has more than four bytes"))
     }
 
-    /// As many bytes as the number before them states.
+    /// The number of bytes that the preceding length states.
     fn data(&mut self) -> Result<&'a [u8], String> {
         let (begin, length) = (self.at, self.variable()?);
         let data = self.bytes.get(self.at..self.at + length);
         self.at += data.map_or(0, <[u8]>::len);
         data.ok_or_else(|| {
-            self.wrong(begin, &format!("a message of {length} bytes goes beyond the end of the track"))
+            self.wrong(begin, &format!("a message of {length} bytes extends beyond the end of the track"))
         })
     }
 }

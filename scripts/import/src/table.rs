@@ -1,4 +1,4 @@
-//! Tables as text: lines of cells that know where they stand. Blank lines and lines that begin with `#` are passed over.
+//! Tables as text: lines of cells with their positions. Blank lines and lines that begin with `#` are ignored.
 
 use std::borrow::Cow;
 
@@ -10,13 +10,13 @@ use downbeat_yaml::source::Source;
 use super::dialect::{self, Decimal, Dialect};
 use super::sink::{Sink, Spot};
 
-/// Most cells of a line that are told apart.
+/// Maximum number of cells per line.
 const CELLS_MAX: usize = 50_000;
 
-/// One line.
+/// One line of a table.
 #[derive(Clone, Debug)]
 pub struct Row<'a> {
-    /// From 1.
+    /// The line number, from 1.
     pub line: usize,
     pub(super) text: &'a str,
     /// Its cells.
@@ -24,7 +24,7 @@ pub struct Row<'a> {
     decimal: Option<Decimal>,
 }
 
-/// What stands between two separators, without quotes and space around it.
+/// The text between two separators, without quotes and surrounding spaces.
 #[derive(Clone, Debug)]
 pub struct Cell<'a> {
     /// The content of the cell, without quotes.
@@ -41,12 +41,12 @@ pub fn rows(source: &Source, dialect: Dialect) -> impl Iterator<Item = Row<'_>> 
     commented_header(source, dialect).into_iter().chain(rows).map(with_decimal)
 }
 
-/// All lines of a table, also those that begin with `#`.
+/// All lines of a table, including those that begin with `#`.
 pub(super) fn every_row(source: &Source, separator: char) -> impl Iterator<Item = Row<'_>> {
     source.text.lines().enumerate().map(move |(index, text)| Row::of(index, text, separator))
 }
 
-/// A header that is written as a comment, `# duration,x^0`: the last one ahead of numbers, of as many columns.
+/// A header that is written as a comment, `# duration,x^0`: the last comment before numbers with the same number of columns.
 fn commented_header(source: &Source, dialect: Dialect) -> Option<Row<'_>> {
     let Dialect { separator, skipped, .. } = dialect;
     let lines = || source.text.lines().enumerate().skip(skipped);
@@ -75,7 +75,7 @@ pub(super) fn is_row(line: &str) -> bool {
     !trimmed.is_empty() && !trimmed.starts_with('#')
 }
 
-/// The cells of a line from a byte on.
+/// The cells of a line, starting at a byte offset.
 fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     if separator == ' ' {
         return cells_between_blanks(line, from);
@@ -91,7 +91,7 @@ fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     }
 }
 
-/// The same between runs of blanks. A unit in brackets belongs to the name before it.
+/// The same for cells separated by blanks. A unit in brackets belongs to the preceding name.
 fn cells_between_blanks(line: &str, mut from: usize) -> Vec<Cell<'_>> {
     let mut cells: Vec<Cell<'_>> = Vec::new();
     while cells.len() < CELLS_MAX {
@@ -116,7 +116,7 @@ fn cells_between_blanks(line: &str, mut from: usize) -> Vec<Cell<'_>> {
     cells
 }
 
-/// Where the separator stands that ends the cell; those within quotes do not.
+/// The position of the separator that ends the cell, ignoring separators in quotes.
 fn cell_end(rest: &str, separator: char) -> Option<usize> {
     let mut quoted = false;
     let opens = rest.trim_start_matches(' ').starts_with('"');
@@ -138,28 +138,28 @@ fn cell(line: &str, from: usize, end: usize) -> Cell<'_> {
 }
 
 impl<'a> Row<'a> {
-    /// A line by its index from 0.
+    /// The row for a line with this index, counted from 0.
     pub(super) fn of(index: usize, text: &'a str, separator: char) -> Self {
         Self { line: index + 1, text, cells: cells(text, 0, separator), decimal: None }
     }
 }
 
 impl Row<'_> {
-    /// The place of a cell, of the line's end where there is none.
+    /// The place of a cell; the end of the line if the cell is missing.
     pub(super) fn spot(&self, index: usize) -> Spot<'_> {
         let (start, width) =
             self.cells.get(index).map_or((self.text.len(), 0), |cell| (cell.start, cell.width));
         Spot { line: self.line, text: self.text, start, width }
     }
 
-    /// Drops one empty cell at the end, where a separator ends the line.
+    /// Drops one empty cell at the end, if the line ends with a separator.
     pub(super) fn drop_trailing(&mut self, columns: usize) {
         if self.cells.len() == columns + 1 && self.cells.last().is_some_and(|cell| cell.text.is_empty()) {
             self.cells.pop();
         }
     }
 
-    /// Whether it has as many cells as the header; a finding otherwise.
+    /// Whether it has as many cells as the header. Otherwise adds a finding.
     pub(super) fn has(&self, columns: usize, source: &Source, sink: &mut Sink) -> bool {
         let found = self.cells.len();
         if found == columns {
@@ -172,13 +172,13 @@ impl Row<'_> {
         false
     }
 
-    /// A cell with a decimal point, if it is a number; as it is otherwise.
+    /// The text of a cell; numbers get a decimal point.
     pub fn plain(&self, index: usize) -> Cow<'_, str> {
         let text = self.cells.get(index).map_or("", |cell| &cell.text);
         dialect::plain(text, self.decimal).unwrap_or(Cow::Borrowed(text))
     }
 
-    /// A cell as a finite number; a finding otherwise.
+    /// A cell as a finite number; anything else is a finding.
     pub(super) fn number(&self, index: usize, what: &str, source: &Source, sink: &mut Sink) -> Option<f64> {
         let text = self.cells.get(index).map_or("", |cell| &cell.text);
         let plain = dialect::plain(text, self.decimal);
@@ -194,7 +194,7 @@ impl Row<'_> {
         let hint = match self.decimal {
             Some(Decimal::Comma) if text.contains('.') => Some("write decimal commas everywhere"),
             _ if text.contains(',') => {
-                Some("write decimal points, or state the mark with --decimal comma or --decimal point")
+                Some("write decimal points, or set the decimal mark with --decimal comma or --decimal point")
             }
             _ if text.contains(';') => Some("use one separator between columns"),
             _ => None,

@@ -1,4 +1,4 @@
-//! No text makes an importer panic, and what is written reads back.
+//! No text makes an importer panic, and written files are read back.
 
 use std::fs;
 use std::path::PathBuf;
@@ -76,7 +76,7 @@ fn imported(format: ImportFormat, text: &str) -> ImportOutcome {
     import_bytes(format, "test", text.as_bytes(), &options)
 }
 
-/// What every outcome must be, right or wrong.
+/// Properties that every outcome must have, with or without errors.
 fn check_outcome(format: ImportFormat, text: &str) {
     let ImportOutcome { imported, findings, .. } = imported(format, text);
     assert!(imported.is_some() || !findings.is_empty() || text.is_empty(), "silence about {text:?}");
@@ -107,7 +107,7 @@ fn what_is_read_is_what_stands_there() {
         imported.devices().map(|(_, device)| (device.device.clone(), keyframes(device))).collect()
     };
     let expected = [
-        // Held for its pause, and again where the second keyframe leaves it out.
+        // Held for its pause, and again because the second keyframe omits it.
         ("a".to_owned(), vec![(1_000.0, 1.0), (1_500.0, 1.0), (2_500.0, 1.0), (3_500.0, 2.0)]),
         ("b".to_owned(), vec![(2_500.0, 1.0)]),
     ];
@@ -152,7 +152,7 @@ fn folders_are_robots_and_their_files_scenes_in_numerical_order() {
     assert_eq!(steps_written(&imported, Scenes::Acts), 2 * 2 * 4 * 2);
 }
 
-/// A folder that removes itself.
+/// A folder that deletes itself.
 struct Folder(PathBuf);
 
 impl Drop for Folder {
@@ -171,7 +171,7 @@ fn tempfile(names: &[&str], text: &str) -> Folder {
     folder
 }
 
-/// A text with some of its bytes replaced, taken out or doubled.
+/// A text with some of its bytes replaced, removed or duplicated.
 fn mutated(text: &str, changes: &[(usize, u8, String)]) -> String {
     let mut chars: Vec<char> = text.chars().collect();
     for (place, kind, other) in changes {
@@ -189,7 +189,7 @@ fn mutated(text: &str, changes: &[(usize, u8, String)]) -> String {
 fn brackets_within_brackets_are_refused_at_once() {
     let deep = format!("{{\"keyframes\": {}", "[".repeat(100_000));
     let outcome = imported(ImportFormat::Bitbots, &deep);
-    assert!(outcome.findings[0].message.contains("more than 500 deep"), "{:?}", outcome.findings);
+    assert!(outcome.findings[0].message.contains("more than 500 levels deep"), "{:?}", outcome.findings);
 }
 
 proptest! {
@@ -238,7 +238,7 @@ proptest! {
     }
 }
 
-/// ROS and Webots have radians and metres.
+/// ROS and Webots use radians and metres.
 #[test]
 fn joints_become_the_units_of_the_robot() {
     let device = |id: &str, unit: &str| {
@@ -280,7 +280,7 @@ fn joints_become_the_units_of_the_robot() {
             );
         }
     }
-    // What the user has scaled measures what the user says.
+    // Only the user knows the unit of scaled values.
     let scales = vec![("turn".to_owned(), 57.295_78)];
     let options = ImportOptions { init: Some(init), scales, ..ImportOptions::default() };
     let scaled =

@@ -1,4 +1,4 @@
-//! Texts as other programs save them: also in UTF-16 with its mark, and with the line ends of old Macs.
+//! Reads texts as other programs save them: also in UTF-16 with a byte order mark, and with the line ends of old Macs.
 
 use downbeat_yaml::finding::Finding;
 use downbeat_yaml::source::Source;
@@ -6,7 +6,7 @@ use downbeat_yaml::source::Source;
 /// The text of a file, with `\n` at the end of each line.
 ///
 /// # Errors
-/// A finding when the bytes are not text.
+/// Returns a finding if the bytes are not text.
 pub(super) fn source(name: &str, bytes: Vec<u8>) -> Result<Source, Finding> {
     let mut source = match of_utf16(&bytes) {
         Some(text) => Source { name: name.to_owned(), text },
@@ -18,7 +18,7 @@ pub(super) fn source(name: &str, bytes: Vec<u8>) -> Result<Source, Finding> {
     Ok(source)
 }
 
-/// The text behind the mark of UTF-16. `None` without a mark, and where it is no text.
+/// Decodes UTF-16 after its byte order mark. `None` without a mark, or if the text is invalid.
 fn of_utf16(bytes: &[u8]) -> Option<String> {
     let unit: fn([u8; 2]) -> u16 = match bytes.get(..2)? {
         [0xff, 0xfe] => u16::from_le_bytes,

@@ -1,4 +1,4 @@
-//! Any CSV with a column of times: which column moves what is said by the user.
+//! Any CSV with a column of times. The user assigns columns to devices.
 
 use std::collections::HashSet;
 
@@ -22,11 +22,11 @@ struct Mapped {
     motion: DeviceMotion,
     indices: Vec<usize>,
     empty: usize,
-    /// Lines that repeat what is held anyway.
+    /// Number of lines that repeat the held value.
     same: usize,
 }
 
-/// Where the times stand, and what they mean.
+/// The column of times, and their meaning.
 struct TimeColumn {
     index: usize,
     unit: TimeUnit,
@@ -46,7 +46,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let dialect = Dialect::of(source, options.skip, options.decimal);
     let mut rows = rows(source, dialect).peekable();
     let Some(first) = rows.peek().cloned() else {
-        let expected = "a header and a line a time";
+        let expected = "a header and one line per time";
         sink.about(&source.name, Code::ImportTable, "the file is empty".into(), expected, None);
         return Vec::new();
     };
@@ -60,7 +60,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     }
     let Some((time, mut mapped)) = columns(&table, input, sink) else { return Vec::new() };
     if dialect.decimal == Some(Decimal::Comma) && options.decimal.is_none() {
-        sink.note(format!("{}: numbers have decimal commas", source.name));
+        sink.note(format!("{}: numbers are read with decimal commas", source.name));
     }
     let found = sink.findings.len();
     let mut clock = Clock { time, first: None, last: None };
@@ -81,7 +81,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
             &source.name,
             Code::NothingToDo,
             "the file has no lines of values".into(),
-            "a line a time",
+            "one line per time",
             None,
         );
     }
@@ -89,15 +89,15 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     motions(input, mapped, source, sink)
 }
 
-/// Whether lines with fewer cells are before the table; a finding then.
+/// Whether lines with fewer cells precede the table, which is a finding.
 fn begins_with_title(table: &Table<'_>, sink: &mut Sink) -> bool {
     let Some((before, cells)) = dialect::table_behind_title(table.source, table.dialect) else {
         return false;
     };
     let own = downbeat_yaml::render::counted(table.header.width, "column");
-    let message = format!("the first line has {own}, but those from line {} on have {cells}", before + 1);
-    let hint = format!("if the lines before it are a title, --skip {before} leaves them out");
-    let expected = "the names of all columns";
+    let message = format!("the first line has {own}, but the lines from {} on have {cells}", before + 1);
+    let hint = format!("if the lines above are a title, skip them with --skip {before}");
+    let expected = "a header with the names of all columns";
     sink.found(table.source, table.header.row.spot(0), Code::ImportTable, message, expected, Some(&hint));
     true
 }
@@ -118,7 +118,7 @@ fn columns(table: &Table<'_>, input: &Input, sink: &mut Sink) -> Option<(TimeCol
     let mut complete = true;
     let mut used: HashSet<usize> = index.into_iter().collect();
     let time = used.clone();
-    // What stands for every column is left those that others name.
+    // A pattern for all columns only matches those that no other one names.
     let (every, others): (Vec<_>, Vec<_>) = options.columns.iter().partition(|(_, columns)| columns == "*");
     for (to, columns) in others.into_iter().chain(every) {
         let taken = if columns == "*" { &used } else { &time };
@@ -152,7 +152,8 @@ fn columns(table: &Table<'_>, input: &Input, sink: &mut Sink) -> Option<(TimeCol
     Some((TimeColumn { index, unit }, mapped))
 }
 
-/// What the times mean: as the user says, else as the header says, else as the times show by themselves. Never a guess.
+/// The meaning of the times: as stated by the user, or else by the header, or else as the times themselves show unambiguously. Never a
+/// guess.
 fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUnit> {
     let Table { header, options, source, .. } = *table;
     let said = moments::said_by(header.text(index));
@@ -160,7 +161,7 @@ fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUni
         if matches!(said, Said::Unit(other) if other != unit) {
             let column = shortened(header.text(index));
             sink.note(format!(
-                "{}: --time-unit is taken, though the column is named `{column}`",
+                "{}: --time-unit is used, although the column is named `{column}`",
                 source.name
             ));
         }
@@ -176,27 +177,23 @@ fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUni
     }
     match (first.matches([':', ';']).count(), said, options.rate_hz) {
         (3, _, Some(rate)) => Some(TimeUnit::Timecode(rate)),
-        (3, _, None) => {
-            table.unclear(index, "nothing says how many frames a second the timecodes have", FRAMES, sink)
-        }
+        (3, _, None) => table.unclear(index, "the frame rate of the timecodes is unknown", FRAMES, sink),
         (1.., ..) => clock(table, index, &first, &times().collect::<Vec<_>>(), sink),
         (0, Said::Unit(unit), _) => Some(unit),
         (0, Said::Nothing | Said::Frames, Some(rate)) => Some(TimeUnit::Frames(rate)),
-        (0, Said::Frames, None) => {
-            table.unclear(index, "nothing says how many frames there are a second", FRAMES, sink)
-        }
-        (0, Said::Unclear, _) => table.unclear(index, "the unit of the times is not known", UNIT, sink),
+        (0, Said::Frames, None) => table.unclear(index, "the frame rate is unknown", FRAMES, sink),
+        (0, Said::Unclear, _) => table.unclear(index, "the unit of the times is unknown", UNIT, sink),
         (0, Said::Nothing, None) => match moments::unix(&first, &times().last().unwrap_or_default()) {
             Some((word, unit)) => {
                 sink.note(format!("{}: the times are Unix times in {word}", source.name));
                 Some(unit)
             }
-            None => table.unclear(index, "nothing says in which unit the times are", UNIT, sink),
+            None => table.unclear(index, "the unit of the times is unknown", UNIT, sink),
         },
     }
 }
 
-/// The only way in which all clock times can be read.
+/// The only notation that fits all clock times.
 fn clock(
     table: &Table<'_>,
     index: usize,
@@ -206,27 +203,32 @@ fn clock(
 ) -> Option<TimeUnit> {
     match moments::clocks(texts.iter().map(String::as_str)).as_slice() {
         [(_, one)] => Some(*one),
-        // Which line is wrong is found when it is read.
+        // The wrong line is reported when it is read.
         [] => match moments::clocks(std::iter::once(first)).first() {
             Some((_, unit)) => Some(*unit),
-            None => table.unclear(index, "the times can be read in no way", UNIT, sink),
+            None => table.unclear(index, "the times have no known format", UNIT, sink),
         },
         several => {
             let words: Vec<_> = several.iter().map(|(word, _)| *word).collect();
-            table.unclear(index, &format!("the times may be {}", words.join(" or ")), UNIT, sink)
+            table.unclear(
+                index,
+                &format!("the format of the times is ambiguous: {}", words.join(" or ")),
+                UNIT,
+                sink,
+            )
         }
     }
 }
 
-/// What to do where a unit is missing, or the rate of frames.
-const UNIT: &str = "say it with --time-unit, such as --time-unit s";
-const FRAMES: &str = "say it with --rate, such as --rate 25";
+/// Hints for a missing unit, and for a missing frame rate.
+const UNIT: &str = "set it with --time-unit, such as --time-unit s";
+const FRAMES: &str = "set it with --rate, such as --rate 25";
 
 impl Table<'_> {
     fn unclear(&self, index: usize, message: &str, hint: &str, sink: &mut Sink) -> Option<TimeUnit> {
         let expected = match hint {
-            FRAMES => "frames a second, by --rate".to_owned(),
-            _ => format!("{UNITS}, in the name of the column or by --time-unit"),
+            FRAMES => "frames per second, set with --rate".to_owned(),
+            _ => format!("{UNITS}, in the column name or set with --time-unit"),
         };
         let spot = self.header.row.spot(index);
         sink.found(self.source, spot, Code::ImportTime, message, expected, Some(hint));
@@ -259,7 +261,7 @@ impl Mapped {
     }
 }
 
-/// The times of one line after the other.
+/// Reads the times of consecutive lines.
 struct Clock {
     time: TimeColumn,
     first: Option<Span>,
@@ -275,7 +277,7 @@ impl Clock {
         let spot = row.spot(index);
         let Some(at) = unit.time(&row.plain(index)) else {
             let message = format!("the time is `{}`", shortened(&row.cells[index].text));
-            let expected = "a time like those before";
+            let expected = "a time in the same format as the previous ones";
             sink.found(source, spot, Code::ImportNumber, message, expected, None);
             return None;
         };
@@ -307,16 +309,16 @@ impl Clock {
         Some(at)
     }
 
-    /// Says what of the rate and of the first frame is not as the user may expect.
+    /// Notes properties of the rate and of the first frame that the user may not expect.
     fn note(&self, options: &ImportOptions, source: &Source, sink: &mut Sink) {
         let file = &source.name;
         let is_counted = matches!(self.time.unit, TimeUnit::Frames(_) | TimeUnit::Timecode(_));
         if options.rate_hz.is_some() && !is_counted {
-            sink.note(format!("{file}: the times count no frames, so --rate is left out"));
+            sink.note(format!("{file}: the times are not frame numbers, so --rate has no effect"));
         }
         let late = self.first.filter(|first| *first > Span::ZERO && options.start.is_none());
         if let (TimeUnit::Frames(_), Some(first)) = (self.time.unit, late) {
-            sink.note(format!("{file}: the first frame is at {first}; --start 0s begins with it"));
+            sink.note(format!("{file}: the first frame is at {first}; use --start 0s to begin with it"));
         }
     }
 }
@@ -330,7 +332,7 @@ fn motions(input: &Input, mut mapped: Vec<Mapped>, source: &Source, sink: &mut S
 }
 
 impl Mapped {
-    /// Says what of it is not as it is in the file.
+    /// Notes differences between the imported motion and the file.
     fn note(&self, source: &Source, sink: &mut Sink) {
         let Self { robot, motion, empty, same, .. } = self;
         let device = &motion.device;
@@ -345,7 +347,7 @@ impl Mapped {
         if *same > 0 {
             let lines = downbeat_yaml::render::counted(*same, "line");
             sink.note(format!(
-                "{}: `{device}` of `{robot}` does not change in {lines}: left out",
+                "{}: left out {lines} in which `{device}` of `{robot}` does not change",
                 source.name
             ));
         }

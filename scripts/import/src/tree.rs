@@ -1,5 +1,5 @@
-//! Reading YAML and JSON of other programs: keys that are not needed are passed over, tags are refused, since what they
-//! mean is known only to the program that wrote them.
+//! Reads YAML and JSON of other programs. Unused keys are ignored. Tags are rejected, because only the program that wrote them knows
+//! their meaning.
 
 use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::finding::Code;
@@ -10,15 +10,15 @@ use downbeat_yaml::tags::foreign_tags;
 
 use super::sink::{FINDINGS_A_FILE_MAX, Sink, with_short_line};
 
-/// Largest texts that become trees, which take many times their room.
+/// Largest texts that are parsed into trees, which take many times their memory.
 const YAML_BYTES_MAX: usize = 2 << 20;
 const JSON_BYTES_MAX: usize = 6 << 20;
-/// Most commas of a JSON text, of which each stands for a value: short ones take a hundred times their room.
+/// Maximum number of commas in a JSON text. Each represents a value, and short values take a hundred times their size in memory.
 const COMMAS_MAX: usize = 1_000_000;
-/// Most brackets that may be open at once.
+/// Maximum number of brackets that are open at once.
 const DEPTH_MAX: usize = 500;
 
-/// Parses a file, refuses foreign tags, and hands its tree to a reader whose findings get their places.
+/// Parses a file, rejects foreign tags, and passes its tree to a reader. The reader's findings get their places.
 pub(super) fn read<T>(
     source: &Source,
     sink: &mut Sink,
@@ -38,8 +38,8 @@ pub(super) fn read<T>(
         return None;
     }
     if is_too_deep(&source.text) {
-        let message = format!("brackets within brackets, more than {DEPTH_MAX} deep");
-        let hint = "nothing here nests deeper than a handful of levels";
+        let message = format!("brackets are nested more than {DEPTH_MAX} levels deep");
+        let hint = "valid files nest only a few levels deep";
         sink.about(&source.name, Code::Syntax, message, "a YAML or JSON document", Some(hint));
         return None;
     }
@@ -48,7 +48,7 @@ pub(super) fn read<T>(
         Err(mut finding) => {
             finding.expected = "a YAML or JSON document".into();
             if finding.hint.as_deref().is_some_and(|hint| hint.contains("downbeat init")) {
-                finding.hint = Some("see `docs/import.md` for what goes into it".into());
+                finding.hint = Some("see `docs/import.md` for the contents of the file".into());
             }
             sink.findings.push(with_short_line(finding));
             return None;
@@ -62,7 +62,7 @@ pub(super) fn read<T>(
     read_document(&document, source, sink, read)
 }
 
-/// The same for what can only be JSON.
+/// The same for files that must be JSON.
 pub(super) fn read_json<T>(
     source: &Source,
     sink: &mut Sink,
@@ -103,7 +103,7 @@ fn has_too_many_values(source: &Source, sink: &mut Sink) -> bool {
     commas > COMMAS_MAX
 }
 
-/// Whether more brackets are open at once than any file of these formats has: the time to parse them grows with their square.
+/// Whether brackets nest more deeply than in any file of these formats: the parsing time grows with the square of their depth.
 fn is_too_deep(text: &str) -> bool {
     let mut depth = 0_usize;
     text.bytes().any(|byte| {
@@ -116,7 +116,7 @@ fn is_too_deep(text: &str) -> bool {
     })
 }
 
-/// The points of a trajectory, under the key `points`; a finding where there are none.
+/// The points of a trajectory, under the key `points`. An empty list is a finding.
 pub(super) fn points<'a>(list: &'a At<'a>, findings: &mut Reader) -> Vec<At<'a>> {
     let items = findings.list(list, "a list of points");
     if items.is_empty() && matches!(list.node, Node::List(_)) {
@@ -126,18 +126,18 @@ pub(super) fn points<'a>(list: &'a At<'a>, findings: &mut Reader) -> Vec<At<'a>>
     items
 }
 
-/// Whether more findings would not help.
+/// Whether there are too many findings to report more of them.
 pub(super) fn is_full(findings: &Reader) -> bool {
     findings.found.len() > FINDINGS_A_FILE_MAX
 }
 
-/// The value of a key, if it is there.
+/// The value of a key, if the key exists.
 pub(super) fn optional<'a>(at: &'a At<'a>, key: &'static str) -> Option<At<'a>> {
     let Node::Map(entries) = at.node else { return None };
     entries.iter().find(|(name, _)| name == key).map(|(_, node)| at.entry(key, 0, node))
 }
 
-/// The value of a key; a finding where it is missing.
+/// The value of a key. A missing key is a finding.
 pub(super) fn required<'a>(
     at: &'a At<'a>,
     key: &'static str,
@@ -156,7 +156,7 @@ pub(super) fn required<'a>(
     found
 }
 
-/// A finite number; a finding otherwise.
+/// A finite number; anything else is a finding.
 pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {
     match at.node {
         Node::Number(value) if value.is_finite() => Some(*value),
@@ -170,7 +170,7 @@ pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f
     }
 }
 
-/// A list of finite numbers. All that are wrong are found.
+/// A list of finite numbers. All wrong entries are reported.
 pub(super) fn numbers(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<f64>> {
     let items = findings.list(at, &format!("{what}: a list of numbers"));
     let mut values = Vec::with_capacity(items.len());
@@ -183,15 +183,15 @@ pub(super) fn numbers(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<
     (values.len() == items.len() && matches!(at.node, Node::List(_))).then_some(values)
 }
 
-/// A list of names, each once.
+/// A list of distinct names.
 pub(super) fn unique_names(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     let mut seen = std::collections::HashSet::new();
     for item in findings.list(at, &format!("a list of {what}s")) {
         let name = findings.name(&item, &format!("the name of a {what}"))?;
         if !seen.insert(name.clone()) {
-            let message = format!("the {what} `{}` is listed twice", shortened(&name));
-            findings.add(Code::ImportNames, item.place(), message, "each name once", None);
+            let message = format!("duplicate {what} `{}`", shortened(&name));
+            findings.add(Code::ImportNames, item.place(), message, "unique names", None);
         }
         names.push(name);
     }

@@ -1,9 +1,9 @@
-//! Units as they are in headers, and what turns one into another.
+//! Units in headers, and their conversion.
 
 /// The unit of joints in ROS (REP 103) and Webots: radians where they turn, metres where they slide.
 pub(super) const OF_JOINTS: &str = "rad or m";
 
-/// Factor from one unit to another, where both measure the same.
+/// The conversion factor between two units of the same quantity.
 pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
     let (to_kind, to_size) = known(to)?;
     let from = match (from, to_kind) {
@@ -15,7 +15,7 @@ pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
     (from_kind == to_kind).then_some(from_size / to_size)
 }
 
-/// A full turn in a unit of angles.
+/// A full turn in this unit of angles.
 pub(super) fn turn(unit: &str) -> Option<f64> {
     match (factor(unit, "deg"), factor(unit, "rad")) {
         (Some(1.0), _) => Some(360.0),
@@ -24,7 +24,7 @@ pub(super) fn turn(unit: &str) -> Option<f64> {
     }
 }
 
-/// `x[m]` and `x (m)` as name and unit.
+/// Splits `x[m]` and `x (m)` into name and unit.
 pub(super) fn name_and_unit(header: &str) -> (&str, &str) {
     let header = header.trim();
     let square = header.strip_suffix(']').and_then(|rest| rest.split_once('['));

@@ -1,4 +1,4 @@
-//! From a robot's description in URDF to an initialization block: joints, limits, velocities and units.
+//! Converts a robot's description in URDF to an initialization block: joints, limits, velocities and units.
 
 use std::collections::BTreeMap;
 
@@ -13,29 +13,29 @@ use super::fleet_part::FilePart;
 use super::sink::{Sink, Spot};
 use super::yaml::{line, number, one_line, scalar};
 
-/// Largest file, and most elements and attributes in it.
+/// Largest file, and maximum number of XML nodes.
 const BYTES_MAX: usize = 8 << 20;
 const NODES_MAX: u32 = 1_000_000;
-/// Most attributes of one: the time to compare them grows with their square.
+/// Maximum number of attributes of an element: the time to compare them grows with the square of their number.
 const ATTRIBUTES_MAX: usize = 1_000;
-/// Most joints.
+/// Maximum number of joints.
 const JOINTS_MAX: usize = 1_000;
-/// What a URDF does not say.
+/// Defaults for values that a URDF does not contain.
 const GRANULARITY: f64 = 0.001;
 const STEPS: usize = 256;
-/// How far a joint without limits turns each way, in rad.
+/// The range of a joint without limits in each direction, in rad.
 const TURN: f64 = std::f64::consts::TAU;
 
-/// What became of a description.
+/// The result of converting a description.
 #[derive(Clone, Debug, Default)]
 pub struct UrdfOutcome {
-    /// The initialization block, and a fleet with one such robot and the limits of its speeds; none where something is wrong.
+    /// The initialization block, and a fleet with one such robot and its speed limits. Empty if there are errors.
     pub files: Vec<FilePart>,
-    /// How many devices it has.
+    /// The number of devices.
     pub devices: usize,
-    /// What was left out, and what was taken for what the file does not say.
+    /// The omissions and the assumed values.
     pub notes: Vec<String>,
-    /// What is wrong.
+    /// The errors.
     pub findings: Vec<Finding>,
 }
 
@@ -47,7 +47,7 @@ struct Joint {
     velocity: Option<f64>,
 }
 
-/// What is reported once for all joints.
+/// Facts that are reported once for all joints.
 #[derive(Default)]
 struct Told {
     fixed: usize,
@@ -59,7 +59,7 @@ struct Told {
     efforts: usize,
 }
 
-/// Makes an initialization block of a description. `id` names the robot, otherwise its description does.
+/// Converts a description to an initialization block. `id` is the id of the robot; if it is `None`, the description's name.
 #[must_use]
 pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
     let mut sink = Sink::default();
@@ -76,7 +76,7 @@ pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
     UrdfOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
 }
 
-/// The document, if it is one of a robot and not too large; findings otherwise.
+/// Parses the document of a robot. Any other document, or one that is too large, is a finding.
 pub(super) fn parsed<'s>(source: &'s Source, sink: &mut Sink) -> Option<Document<'s>> {
     if source.text.len() > BYTES_MAX {
         let message = format!("the file has {} bytes", source.text.len());
@@ -86,7 +86,7 @@ pub(super) fn parsed<'s>(source: &'s Source, sink: &mut Sink) -> Option<Document
     let crowded = |tag: &str| tag.bytes().filter(|byte| *byte == b'=').count() > ATTRIBUTES_MAX;
     if source.text.split(['<', '>']).any(crowded) {
         let message = format!("an element has more than {ATTRIBUTES_MAX} attributes");
-        sink.about(&source.name, Code::ImportLimit, message, "a description of a robot", None);
+        sink.about(&source.name, Code::ImportLimit, message, "a robot description", None);
         return None;
     }
     let options = ParsingOptions { allow_dtd: false, nodes_limit: NODES_MAX, ..ParsingOptions::default() };
@@ -101,19 +101,19 @@ pub(super) fn parsed<'s>(source: &'s Source, sink: &mut Sink) -> Option<Document
     };
     let robot = document.root_element();
     if robot.tag_name().name() != "robot" {
-        let message = format!("the document is a `{}`", shortened(robot.tag_name().name()));
+        let message = format!("the root element is `{}`", shortened(robot.tag_name().name()));
         found(robot, source, Code::ImportShape, message, "a `robot`", None, sink);
         return None;
     }
     if let Some(macros) =
         robot.descendants().find(|node| node.tag_name().namespace().is_some_and(|n| n.contains("xacro")))
     {
-        let hint = Some("expand it first: xacro robot.urdf.xacro > robot.urdf");
+        let hint = Some("expand it first with xacro: xacro robot.urdf.xacro > robot.urdf");
         found(
             macros,
             source,
             Code::ImportShape,
-            "the description has macros of xacro".into(),
+            "the description contains xacro macros".into(),
             "plain URDF",
             hint,
             sink,
@@ -130,7 +130,7 @@ fn read(source: &Source, id: Option<&str>, sink: &mut Sink) -> Option<(String, V
     let name = id.or(robot.attribute("name")).unwrap_or("robot");
     if let Err(error) = RobotId::new(name) {
         let message = format!("robot `{}`: {error}", shortened(name));
-        let hint = Some("name it with `--kind NAME`");
+        let hint = Some("set the name with `--kind NAME`");
         found(robot, source, Code::ImportNames, message, "a name of 1 to 256 characters", hint, sink);
     }
     Some((name.to_owned(), joints))
@@ -140,7 +140,7 @@ fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
     let mut told = Told::default();
     let mut joints = Vec::new();
     let mut seen = std::collections::HashSet::new();
-    // Transmissions name joints too, one level down.
+    // Transmissions also name joints, one level deeper.
     for node in robot.children().filter(|node| node.has_tag_name("joint")) {
         let Some(joint) = read_joint(node, &mut told, source, sink) else {
             if sink.is_full(source) {
@@ -149,8 +149,8 @@ fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
             continue;
         };
         if !seen.insert(joint.name.clone()) {
-            let message = format!("two joints are named `{}`", shortened(&joint.name));
-            found(node, source, Code::ImportNames, message, "each name once", None, sink);
+            let message = format!("duplicate joint name `{}`", shortened(&joint.name));
+            found(node, source, Code::ImportNames, message, "unique names", None, sink);
         }
         joints.push(joint);
     }
@@ -192,7 +192,8 @@ fn read_joint(node: Node<'_, '_>, told: &mut Told, source: &Source, sink: &mut S
             return None;
         }
         other => {
-            let message = format!("the joint `{}` is of type `{}`", shortened(&name), shortened(other));
+            let message =
+                format!("the joint `{}` has the unknown type `{}`", shortened(&name), shortened(other));
             let expected = "revolute, continuous, prismatic, fixed, floating or planar";
             found(node, source, Code::ImportShape, message, expected, None, sink);
             return None;
@@ -246,18 +247,18 @@ fn range(
         );
         return None;
     };
-    // URDF takes 0 for a bound that is not written.
+    // In URDF, missing bounds are 0.
     let lower = attribute(limit, "lower", source, sink)?.unwrap_or(0.0);
     let upper = attribute(limit, "upper", source, sink)?.unwrap_or(0.0);
     if lower < upper {
         return Some((lower, upper));
     }
-    let message = format!("the joint `{}` goes from {lower} to {upper}", shortened(name));
+    let message = format!("the limits of the joint `{}` are {lower} to {upper}", shortened(name));
     found(limit, source, Code::ImportShape, message, "a lower limit below the upper one", None, sink);
     None
 }
 
-/// Three numbers, or none where they are not written; nothing where they are something else, which is found.
+/// Three numbers. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
 pub(super) fn numbers(
     node: Node<'_, '_>,
     name: &str,
@@ -277,7 +278,7 @@ pub(super) fn numbers(
     parts.map(Some)
 }
 
-/// A number, or none where it is not written; nothing where it is no number, which is found.
+/// A number. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
 pub(super) fn attribute(
     node: Node<'_, '_>,
     name: &str,
@@ -328,11 +329,11 @@ impl Told {
             ));
         }
         for (list, text) in [
-            (&self.left_out, "left out, since they have more than one value"),
-            (&self.mimics, "left out, since they follow another joint"),
-            (&self.endless, "turn without end: one turn either way is taken, correct it"),
-            (&self.slow, "have no velocity: their speed is not limited"),
-            (&self.away, "cannot be at 0: their default_value is the limit next to it"),
+            (&self.left_out, "left out joints with more than one value"),
+            (&self.mimics, "left out joints that follow another joint"),
+            (&self.endless, "continuous joints, limited to one turn in each direction (correct the limits)"),
+            (&self.slow, "joints without a velocity limit (their speed is not limited)"),
+            (&self.away, "joints that cannot be at 0 (their default_value is the limit closest to 0)"),
         ] {
             if !list.is_empty() {
                 sink.note(format!("{file}: {text}: {}", listed(list)));
@@ -342,8 +343,8 @@ impl Told {
             sink.note(format!("{file}: left out {}", downbeat_yaml::render::counted(self.efforts, "effort")));
         }
         sink.note(format!(
-            "{file}: a URDF says nothing about granularity and max_error ({GRANULARITY} is taken), nor about \
-             max_number_of_steps ({STEPS}): correct them. Left out links, meshes, masses and transmissions"
+            "{file}: a URDF does not contain granularity and max_error (set to {GRANULARITY}) or \
+             max_number_of_steps (set to {STEPS}): correct them. Links, meshes, masses and transmissions are ignored"
         ));
     }
 }
@@ -374,14 +375,13 @@ fn block_text(id: &str, origin: &str, joints: &[Joint]) -> String {
 }
 
 fn fleet_text(id: &str, path: &str, joints: &[Joint]) -> String {
-    let mut text = String::from(
-        "# Simulated. Give the robot `address: tcp://host:port` to drive a real one.\nrobots:\n",
-    );
+    let mut text =
+        String::from("# Simulated. Set `address: tcp://host:port` to drive a real robot.\nrobots:\n");
     line(&mut text, format_args!("  {}:\n    init: {}\n    address: sim", scalar(id), scalar(path)));
     let limits: BTreeMap<&str, f64> =
         joints.iter().filter_map(|joint| Some((joint.name.as_str(), joint.velocity?))).collect();
     if !limits.is_empty() {
-        text.push_str("    limits: # the description's velocities, in the joint's unit a second\n");
+        text.push_str("    limits: # the velocities of the description, in the joint's unit per second\n");
         for joint in joints.iter().filter(|joint| limits.contains_key(joint.name.as_str())) {
             let speed = number(limits[joint.name.as_str()]);
             line(&mut text, format_args!("      {}: {{speed: {speed}}}", scalar(&joint.name)));

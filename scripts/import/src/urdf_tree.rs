@@ -1,4 +1,4 @@
-//! The tree of joints in a robot's description in URDF, for the arm of a body: where its joints are, and how thick its links.
+//! The tree of joints in a robot's URDF, for the arm of a body: the positions of its joints, and the thickness of its links.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -12,10 +12,10 @@ use downbeat_yaml::source::Source;
 use super::sink::Sink;
 use super::urdf::{attribute, found, numbers, parsed};
 
-/// What a description says of joints and links.
+/// The joints and links of a description.
 #[derive(Clone, Debug, Default)]
 pub struct Tree {
-    /// In the order of the file.
+    /// The joints, in the order of the file.
     pub joints: Vec<TreeJoint>,
     covers: HashMap<String, Cover>,
 }
@@ -31,24 +31,24 @@ pub struct TreeJoint {
     pub parent: String,
     /// The link that it moves.
     pub child: String,
-    /// In metres and radians in the frame of the parent.
+    /// The origin of the joint in the frame of the parent, in metres.
     pub xyz: [f64; 3],
-    /// Roll, pitch and yaw of the joint in its parent, in radians.
+    /// Roll, pitch and yaw of the joint's frame in that of the parent, in radians.
     pub rpy: [f64; 3],
-    /// Of length 1.
+    /// The axis, as a unit vector.
     pub axis: [f64; 3],
     /// The joint that this one follows, if any.
     pub mimic: Option<Mimic>,
 }
 
-/// How a joint moves.
+/// The motion of a joint.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Motion {
     /// The joint does not move.
     Fixed,
     /// The joint turns or slides.
     By(JointKind),
-    /// In more than one way, such as floating.
+    /// Several degrees of freedom, such as floating.
     Other(String),
 }
 
@@ -63,12 +63,12 @@ pub struct Mimic {
     pub offset: f64,
 }
 
-/// The shapes for collisions of a link.
+/// The collision shapes of a link.
 #[derive(Clone, Debug, Default)]
 enum Cover {
     #[default]
     Nothing,
-    /// Balls that hold the ends of cylinders and the spheres, in the frame of the link.
+    /// Balls around the ends of cylinders, and the spheres, in the frame of the link.
     Round(Vec<Round>),
     /// Meshes or boxes.
     Other,
@@ -80,14 +80,14 @@ struct Round {
     radius: f64,
 }
 
-/// Why no chain leads to a link.
+/// The reason why no chain leads to a link.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NoChain {
-    /// It ends at several links.
+    /// The tree ends at several links.
     Branches(BTreeSet<String>),
-    /// No joint leads to it; these are the links to which one leads.
+    /// No joint leads to the link. The set contains the links to which a joint leads.
     Unknown(BTreeSet<String>),
-    /// Its joints lead back to themselves.
+    /// The joints form a cycle.
     Round,
 }
 
@@ -114,17 +114,17 @@ impl Tree {
     fn add(&mut self, joint: TreeJoint, node: Node<'_, '_>, source: &Source, sink: &mut Sink) {
         if let Some(other) = self.joints.iter().find(|other| other.child == joint.child) {
             let message = format!(
-                "the joints `{}` and `{}` lead to the link `{}`",
+                "the joints `{}` and `{}` have the same child link `{}`",
                 shortened(&other.name),
                 shortened(&joint.name),
                 shortened(&joint.child)
             );
-            found(node, source, Code::ImportShape, message, "one joint to each link", None, sink);
+            found(node, source, Code::ImportShape, message, "at most one joint per child link", None, sink);
         }
         self.joints.push(joint);
     }
 
-    /// The joints from the root to a link, or to the only one at which the tree ends.
+    /// The joints from the root to a link. If `end` is `None`, to the only leaf of the tree.
     pub fn chain(&self, end: Option<&str>) -> Result<Vec<&TreeJoint>, NoChain> {
         let to: HashMap<&str, &TreeJoint> =
             self.joints.iter().map(|joint| (joint.child.as_str(), joint)).collect();
@@ -154,12 +154,12 @@ impl Tree {
         Ok(chain)
     }
 
-    /// The radius that holds the round shapes of a joint's child about the line to where the next joint is, in metres. `None` if
-    /// it has other shapes. A link without shapes is thin.
+    /// The radius of a capsule around the line to the next joint that encloses the round shapes of a joint's child link, in metres.
+    /// `None` if the link has other shapes. A link without shapes has radius 0.
     pub fn radius(&self, joint: &TreeJoint, next: [f64; 3]) -> Option<f64> {
         match self.covers.get(&joint.child) {
             None | Some(Cover::Nothing) => Some(0.0),
-            // What slides is not on the line from where its joint is.
+            // A sliding link is not on the line from its joint's origin.
             Some(Cover::Round(rounds)) if joint.motion != Motion::By(JointKind::Prismatic) => Some(
                 rounds.iter().map(|round| to_line(round.middle, next) + round.radius).fold(0.0, f64::max),
             ),
@@ -167,13 +167,13 @@ impl Tree {
         }
     }
 
-    /// Whether any link has shapes for collisions.
+    /// Whether any link has collision shapes.
     pub fn has_shapes(&self) -> bool {
         self.covers.values().any(|cover| !matches!(cover, Cover::Nothing))
     }
 }
 
-/// From a point to the line from 0 to another one.
+/// The distance of a point to the line segment from the origin to `end`.
 fn to_line(point: [f64; 3], end: [f64; 3]) -> f64 {
     let squared: f64 = end.iter().map(|part| part * part).sum();
     let along: f64 = point.iter().zip(&end).map(|(a, b)| a * b).sum();
@@ -195,7 +195,7 @@ fn joint(node: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<TreeJoi
     };
     let link = |tag: &str| Some(child(node, tag)?.attribute("link")?.to_owned());
     let (Some(parent), Some(to)) = (link("parent"), link("child")) else {
-        let message = format!("the joint `{}` does not say between which links it is", shortened(&name));
+        let message = format!("the joint `{}` has no parent or child link", shortened(&name));
         let expected = "<parent link=\"...\"/> and <child link=\"...\"/>";
         found(node, source, Code::MissingKey, message, expected, None, sink);
         return None;
@@ -253,7 +253,7 @@ fn cover(link: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<Cover> 
     Some(Cover::Round(rounds))
 }
 
-/// Where z points after roll, pitch and yaw about fixed axes.
+/// The direction of z after roll, pitch and yaw about fixed axes.
 fn upright([roll, pitch, yaw]: [f64; 3]) -> [f64; 3] {
     let ((sr, cr), (sp, cp), (sy, cy)) = (roll.sin_cos(), pitch.sin_cos(), yaw.sin_cos());
     [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr]

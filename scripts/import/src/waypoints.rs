@@ -1,4 +1,4 @@
-//! Waypoints: `id,x[m],y[m],z[m],t[s]`, a robot's position at a time in every line.
+//! Waypoints: `id,x[m],y[m],z[m],t[s]`, one position of a robot at one time per line.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const COLUMNS: [(&str, &str); 5] = [("id", ""), ("x", "m"), ("y", "m"), ("z", "m"), ("t", "s")];
 
-/// Most robots that a note of their own is given.
+/// Maximum number of robots with a separate note.
 const NOTES_MAX: usize = 20;
 
 struct Waypoint {
@@ -57,7 +57,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
             &source.name,
             Code::NothingToDo,
             "the file has no waypoints".into(),
-            "a waypoint a line",
+            "one waypoint per line",
             None,
         );
     }
@@ -71,7 +71,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     robots.into_iter().map(motion).collect()
 }
 
-/// What turns each column into metres and seconds.
+/// The factors that convert each column to metres and seconds.
 fn factors(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<[f64; 5]> {
     let mut factors = [1.0; 5];
     for (index, (name, unit)) in COLUMNS.iter().enumerate() {
@@ -108,7 +108,7 @@ fn read_waypoint(
     });
     let robot = drone_name(&row.cells[0].text);
     if robot.is_empty() {
-        let message = "the waypoint names no robot";
+        let message = "the waypoint has no robot id";
         sink.found(source, row.spot(0), Code::ImportNames, message, "the id of a robot", None);
     }
     let [x, y, z, at_s] = numbers;
@@ -131,13 +131,13 @@ fn is_later(last: &Waypoint, next: &Waypoint, row: &Row<'_>, source: &Source, si
     })
 }
 
-/// Robots with fewer waypoints than others are no fault: lines may be left out.
+/// Notes robots with fewer waypoints than others. This is not an error: lines may be omitted.
 fn note_unequal(robots: &[(String, Vec<Waypoint>)], source: &Source, sink: &mut Sink) {
     let most = robots.iter().map(|(_, own)| own.len()).max().unwrap_or(0);
     for (robot, own) in robots.iter().filter(|(_, own)| own.len() < most).take(NOTES_MAX) {
         let have = own.len();
         sink.note(format!(
-            "{}: `{robot}` has {have} waypoints where others have {most}: it moves straight through what is left out",
+            "{}: `{robot}` has {have} waypoints, but others have {most}: it moves straight between its own",
             source.name
         ));
     }

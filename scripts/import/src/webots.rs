@@ -1,4 +1,4 @@
-//! Webots' `.motion` files: `#WEBOTS_MOTION,V1.0,joint,..`, then a pose a line with its time, its name and a value a joint.
+//! Webots' `.motion` files: `#WEBOTS_MOTION,V1.0,joint,..`, then one pose per line with its time, its name and one value per joint.
 
 use urrcp::Span;
 
@@ -14,10 +14,10 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const MAGIC: &str = "#WEBOTS_MOTION";
 const VERSION: &str = "V1.0";
-/// Columns before the joints.
+/// Number of columns before the joints.
 const AHEAD: usize = 2;
 
-/// A joint with the time until which it is told nothing.
+/// A joint, with the time until which it has no command.
 struct Joint {
     motion: DeviceMotion,
     untold: Option<Span>,
@@ -28,7 +28,7 @@ struct Joint {
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let mut rows = every_row(source, ',').filter(|row| !row.text.trim().is_empty());
     let Some(mut header) = rows.next() else {
-        sink.about(&source.name, Code::ImportTable, "the file is empty".into(), "a motion of Webots", None);
+        sink.about(&source.name, Code::ImportTable, "the file is empty".into(), "a Webots motion file", None);
         return Vec::new();
     };
     header.drop_trailing(header.cells.len().saturating_sub(1));
@@ -44,7 +44,13 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
         }
     }
     if before.is_none() && sink.findings.len() == found {
-        sink.about(&source.name, Code::NothingToDo, "the motion has no poses".into(), "a pose a line", None);
+        sink.about(
+            &source.name,
+            Code::NothingToDo,
+            "the motion has no poses".into(),
+            "one pose per line",
+            None,
+        );
     }
     note(&joints, source, sink);
     let devices = joints.into_iter().map(|joint| joint.motion).filter(|motion| !motion.keyframes.is_empty());
@@ -73,7 +79,7 @@ fn joints(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<Vec<Join
     };
     let joints: Vec<Joint> = header.cells[AHEAD..].iter().map(|cell| joint(&cell.text)).collect();
     if joints.is_empty() {
-        let message = "the motion names no joints";
+        let message = "the header lists no joints";
         sink.found(source, header.spot(AHEAD), Code::ImportTable, message, "at least one joint", None);
         return None;
     }
@@ -116,7 +122,7 @@ fn read_pose(
 }
 
 impl Joint {
-    /// Webots tells the motor nothing, so it stays where it is.
+    /// Webots sends no command to the motor, so the joint keeps its position.
     fn skip(&mut self, at: Span) {
         self.gaps += 1;
         self.untold = Some(at);
@@ -134,13 +140,19 @@ fn note(joints: &[Joint], source: &Source, sink: &mut Sink) {
     let gaps: usize = joints.iter().map(|joint| joint.gaps).sum();
     if gaps > 0 {
         let gaps = downbeat_yaml::render::counted(gaps, "value");
-        sink.note(format!("{}: {gaps} `*`: the joint stays as it is until its next value", source.name));
+        sink.note(format!(
+            "{}: {gaps} `*`, at which the joint keeps its value until the next one",
+            source.name
+        ));
     }
     for joint in joints.iter().filter(|joint| joint.motion.keyframes.is_empty() && joint.gaps > 0) {
         let name = shortened(&joint.motion.device);
         sink.note(format!("{}: left out `{name}`, which has no values", source.name));
     }
-    sink.note(format!("{}: left out the names of the poses; rad or m, as the joint is", source.name));
+    sink.note(format!(
+        "{}: pose names are ignored; values are in rad or m, depending on the joint",
+        source.name
+    ));
 }
 
 /// `[[minutes:]seconds:]milliseconds`, each of any size.

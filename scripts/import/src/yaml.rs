@@ -1,4 +1,4 @@
-//! The scenario as people read it: one keyframe a line.
+//! Writes the scenario for human readers: one keyframe per line.
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -11,19 +11,19 @@ use super::fleet_part::asked;
 use super::grid::on_grid;
 use super::{Course, DeviceMotion, Imported, Keyframe, Scene};
 
-/// How scenes follow each other.
+/// How scenes are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scenes {
-    /// An act each.
+    /// One act per scene.
     Acts,
     /// One list of cues.
     Joined,
 }
 
-/// Values closer than this are the same value: rounding of the files' own digits.
+/// Values closer than this are equal: rounding of the digits in the files.
 const SAME: f64 = 1e-5;
 
-/// The text of a scenario file. `fleet` is the fleet file that it shall name.
+/// The text of a scenario file. `fleet` is the fleet file that it refers to.
 #[must_use]
 pub fn scenario_text(
     imported: &Imported,
@@ -38,7 +38,7 @@ pub fn scenario_text(
     }
     if !all_on_grid(imported, init) {
         text.push_str(
-            "off_grid: snap # not all values of the files are multiples of the robots' granularity\n",
+            "off_grid: snap # some values of the files are not multiples of the robots' granularity\n",
         );
     }
     match (imported.scenes.as_slice(), scenes) {
@@ -67,7 +67,7 @@ pub fn scenario_text(
     text
 }
 
-/// How many keyframes and pieces are written: where joined scenes meet, one value is enough.
+/// The number of keyframes and pieces that are written. Adjacent joined scenes share one value.
 #[must_use]
 pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
     if scenes == Scenes::Acts {
@@ -89,12 +89,12 @@ pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
     steps
 }
 
-/// Where each device of each robot was left, and when.
+/// The final time and value of each device of each robot.
 #[derive(Default)]
 struct Joints(std::collections::HashMap<(String, String), (Span, f64)>);
 
 impl Joints {
-    /// The keyframes of a device without the one that only repeats where the scene before left it.
+    /// The keyframes of a device, without a first one that only repeats the end of the previous scene.
     fn rest<'a>(&mut self, robot: &str, device: &'a DeviceMotion, start: Span) -> &'a [Keyframe] {
         let all = device.keyframes.as_slice();
         if let Course::Pieces(_) | Course::Several(_) = device.course {
@@ -177,11 +177,11 @@ impl Cues<'_> {
 }
 
 pub(super) fn line(text: &mut String, content: std::fmt::Arguments<'_>) {
-    // Writing to a string does not fail.
+    // Writing to a `String` cannot fail.
     let _infallible = writeln!(text, "{content}");
 }
 
-/// Whole seconds and milliseconds as such.
+/// Whole seconds and milliseconds are written as such.
 fn time(at: Span) -> String {
     let nanos = at.as_nanos();
     match (nanos % 1_000_000_000, nanos % 1_000_000) {
@@ -191,7 +191,7 @@ fn time(at: Span) -> String {
     }
 }
 
-/// A number that reads back as the same; very large and very small ones with an exponent.
+/// A number that reads back as the same value; very large and very small ones have an exponent.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     if size == 0.0 || (1e-9..1e15).contains(&size) { format!("{value}") } else { format!("{value:.17e}") }
@@ -202,7 +202,7 @@ fn list(values: &[f64]) -> String {
     format!("[{}]", values.join(", "))
 }
 
-/// A text as a YAML scalar: plain where it cannot be taken for anything else, in double quotes otherwise.
+/// A text as a YAML scalar: plain if it is unambiguous, otherwise in double quotes.
 #[must_use]
 pub fn scalar(text: &str) -> Cow<'_, str> {
     if is_plain(text) {

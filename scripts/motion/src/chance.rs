@@ -1,12 +1,12 @@
-//! Numbers that look random and are the same on every machine and in every version: the mixing of SplitMix64.
+//! Pseudorandom numbers that are identical on every machine and in every version: the mixing function of SplitMix64.
 //!
 //! G. L. Steele, D. Lea and C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014,
 //! <https://doi.org/10.1145/2660193.2660195>; the constants of `mix` are David Stafford's variant 13.
 
-/// What the state grows by from number to number: 2^64 over the golden ratio, odd.
+/// The increment of the state per number: 2^64 divided by the golden ratio, made odd.
 const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// Bits of a double behind its point.
+/// The precision of the random fractions, in bits: that of a double.
 const DRAWN_BITS: u32 = 53;
 
 const fn mix(z: u64) -> u64 {
@@ -15,18 +15,18 @@ const fn mix(z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// One number for all of these: of a single one what SplitMix64 gives first with it as seed, of several that of the result for
-/// all but the last, plus the last.
+/// A random number that depends on all these numbers. For a single number, the first output of SplitMix64 with that seed. For several,
+/// the seed is the result for all but the last number, plus the last number.
 pub fn drawn(from: &[f64]) -> u64 {
     from.iter().fold(0, |state: u64, number| mix(state.wrapping_add(bits(*number)).wrapping_add(GAMMA)))
 }
 
-/// The same as a part of one, in units of 2^-53: from 0 to below 1.
+/// The same as a fraction from 0 to below 1, in units of 2^-53: numerator and denominator.
 pub fn share(from: &[f64]) -> (u64, u64) {
     (drawn(from) >> (u64::BITS - DRAWN_BITS), 1 << DRAWN_BITS)
 }
 
-/// Whole numbers as they are, so that -0 is 0; others by their bits.
+/// The value of whole numbers, so that -0 equals 0; the bits of other numbers.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

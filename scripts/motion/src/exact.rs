@@ -1,5 +1,5 @@
-//! Times that are no whole number of nanoseconds, such as a beat at 110 beats a minute: exact until they are laid on the
-//! clock.
+//! Times that are not a whole number of nanoseconds, such as a beat at 110 beats per minute. They are exact until they are converted to
+//! clock time.
 
 use std::cmp::Ordering;
 
@@ -7,9 +7,9 @@ use num_rational::Ratio;
 use num_traits::{CheckedAdd, CheckedDiv, CheckedMul};
 use urrcp::Span;
 
-/// Most decimals of a number that are read.
+/// Maximum number of decimal digits that are read.
 const DECIMALS_MAX: usize = 18;
-/// Bits of a fraction that is too long to be kept as it is.
+/// Denominator bits of a fraction that is too long to be kept exactly.
 const COARSE_BITS: u32 = 20;
 
 /// A time in nanoseconds, as a fraction.
@@ -25,13 +25,13 @@ impl Exact {
     /// Zero.
     pub const ZERO: Self = Self(Ratio::ZERO);
 
-    /// So many times a length.
+    /// A multiple of this length.
     pub fn times(self, count: Fraction) -> Self {
         let approximate = || near(to_f64(self.0) * to_f64(count));
         Self(self.0.checked_mul(&count).unwrap_or_else(approximate))
     }
 
-    /// How many lengths of another make this one. None if the other is zero.
+    /// The quotient of two lengths. `None` if the other is zero.
     pub fn divided_by(self, other: Self) -> Option<Fraction> {
         let approximate = || near(to_f64(self.0) / to_f64(other.0));
         (other != Self::ZERO).then(|| self.0.checked_div(&other.0).unwrap_or_else(approximate))
@@ -50,27 +50,27 @@ impl Exact {
         self.plus(Self(-other.0))
     }
 
-    /// So many nanoseconds.
+    /// A number of nanoseconds.
     pub const fn of_nanos(nanos: Fraction) -> Self {
         Self(nanos)
     }
 
-    /// In nanoseconds.
+    /// The number of nanoseconds.
     pub const fn nanos(self) -> Fraction {
         self.0
     }
 
-    /// In seconds.
+    /// The number of seconds.
     pub fn seconds(self) -> f64 {
         to_f64(self.0) / 1e9
     }
 
-    /// The last whole nanosecond that is no later.
+    /// The latest whole nanosecond that is not later.
     pub fn rounded_down(self) -> Span {
         Span::from_nanos(saturated(self.0.numer().div_euclid(*self.0.denom())))
     }
 
-    /// The nearest whole nanosecond, of two the later.
+    /// The nearest whole nanosecond; halves are rounded up.
     pub fn rounded(self) -> Span {
         self.plus(Self(Ratio::new_raw(1, 2))).rounded_down()
     }
@@ -82,15 +82,15 @@ impl From<Span> for Exact {
     }
 }
 
-/// Where lengths that count from the start of a cue end on the clock.
+/// Converts lengths that count from the start of a cue to clock time.
 ///
-/// From a start that is known they end on the nearest nanosecond of the exact time, so that bars end where the next ones
-/// begin. From an unknown one they are rounded down: any number of lengths one after another ends no later than their sum.
+/// If the start is known, they end at the nanosecond nearest to the exact time, so that bars end where the next ones begin. If it is
+/// unknown, they are rounded down: the sum of any number of rounded lengths does not exceed their exact sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Beginning(pub Option<Exact>);
 
 impl Beginning {
-    /// The time from the start until this much later.
+    /// The clock time from the start until `length` later.
     pub fn lay(self, length: Exact) -> Span {
         match self.0 {
             Some(start) if !length.0.is_integer() => start.plus(length).rounded() - start.rounded(),
@@ -99,22 +99,22 @@ impl Beginning {
     }
 }
 
-/// Equal lengths one after another, such as the turns of a movement that is repeated.
+/// Consecutive equal lengths, such as the repetitions of a movement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Laps {
     /// The length of each.
     pub length: Exact,
-    /// When the first one begins, where that is fixed.
+    /// The start of the first one, if it is fixed.
     pub from: Beginning,
 }
 
 impl Laps {
-    /// When the lap of this number begins, counted from 0.
+    /// The start of this lap, counted from 0.
     pub fn begin(&self, lap: u32) -> Span {
         self.within(lap, Exact::ZERO)
     }
 
-    /// So much later than a lap begins.
+    /// A time after the start of a lap.
     pub fn within(&self, lap: u32, later: Exact) -> Span {
         self.from.lay(self.length.times(Ratio::from_integer(i128::from(lap))).plus(later))
     }
@@ -127,7 +127,7 @@ impl From<Span> for Laps {
     }
 }
 
-/// A decimal number as written, such as `104.5`. None if it is anything else, is negative or has very many digits.
+/// A decimal number as written, such as `104.5`. `None` if it is anything else, is negative or has too many digits.
 pub fn decimal(text: &str) -> Option<Fraction> {
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
@@ -139,31 +139,31 @@ pub fn decimal(text: &str) -> Option<Fraction> {
     Some(Ratio::new(numerator, 10i128.pow(u32::try_from(part.len()).ok()?)))
 }
 
-/// A number of the language as it was written: doubles are shown by the shortest text that reads as the same one.
+/// Converts a double to the fraction that was written: the shortest decimal that reads as the same double.
 pub fn fraction(value: f64) -> Fraction {
     decimal(&value.to_string()).unwrap_or_else(|| near(value))
 }
 
-/// The same of any sign; of very small and large numbers the nearest millionth.
+/// The same for any sign; for very small and very large numbers, the nearest millionth.
 pub fn near_fraction(value: f64) -> Fraction {
     let size = decimal(&value.abs().to_string()).unwrap_or_else(|| near(value.abs()));
     if value < 0.0 { -size } else { size }
 }
 
-/// Whether a fraction lies within bounds.
+/// Whether a fraction is within bounds, inclusive.
 pub fn within(value: Fraction, least: i128, most: i128) -> bool {
     value.cmp(&Ratio::from_integer(least)) != Ordering::Less
         && value.cmp(&Ratio::from_integer(most)) != Ordering::Greater
 }
 
-/// As a double.
+/// The nearest double.
 #[expect(clippy::cast_precision_loss, reason = "rounded as doubles are")]
 pub fn to_f64(value: Fraction) -> f64 {
     let (whole, rest) = (value.numer() / value.denom(), value.numer() % value.denom());
     whole as f64 + rest as f64 / *value.denom() as f64
 }
 
-/// The sum, off by less than a millionth where it is too long for 128 bits.
+/// The sum, with an error of less than a millionth if it is too long for 128 bits.
 pub fn sum(a: Fraction, b: Fraction) -> Fraction {
     a.checked_add(&b).unwrap_or_else(|| coarse(a) + coarse(b))
 }
@@ -178,7 +178,7 @@ fn near(value: f64) -> Fraction {
     Ratio::new((value * scale).round() as i128, 1 << COARSE_BITS)
 }
 
-/// With a denominator that adds up with others: rounded down to a millionth.
+/// Rounds down to a millionth, so that denominators do not grow in sums.
 fn coarse(value: Fraction) -> Fraction {
     let (whole, rest) = (value.numer().div_euclid(*value.denom()), value.numer().rem_euclid(*value.denom()));
     let shift = (128 - value.denom().leading_zeros()).saturating_sub(126 - COARSE_BITS);

@@ -1,11 +1,10 @@
 //! The fewest script steps that follow a curve within a tolerance, and the least error for a number of steps.
 //!
-//! Pure mathematics on numbers; what a curve is and where it comes from is not known here. Values of steps lie on the device's
-//! grid. For devices that hold their value, `hold` is optimal among all times. For devices that move linearly, steps lie at the
-//! times of samples: `linear` is optimal over the candidates of `lattice`, and `tube` proves how far any other could get.
-//! The two questions are the min-# and min-epsilon problems of Imai and Iri (Computer Vision, Graphics, and Image
-//! Processing 36, 1986), for errors measured along the value as in Hakimi and Schmeichel (CVGIP: Graphical Models and
-//! Image Processing 53, 1991).
+//! Pure mathematics on numbers; this module does not depend on the origin of a curve. Values of steps lie on the device's grid. For
+//! devices that hold their value, `hold` is optimal over all times. For devices that move linearly, steps are at the times of samples:
+//! `linear` is optimal over the candidates of `lattice`, and `tube` proves a bound for any other solution. The two questions are the
+//! min-# and min-epsilon problems of Imai and Iri (Computer Vision, Graphics, and Image Processing 36, 1986), for errors measured along
+//! the value as in Hakimi and Schmeichel (CVGIP: Graphical Models and Image Processing 53, 1991).
 
 mod cones;
 mod hold;
@@ -24,21 +23,21 @@ use problem::Problem;
 use tube::Tubes;
 pub use unfit::Unfit;
 
-/// A curve by its samples.
+/// A curve, given by samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<'a> {
-    /// Milliseconds, strictly increasing.
+    /// In milliseconds, strictly increasing.
     pub times: &'a [f64],
-    /// One for each time.
+    /// One value per time.
     pub values: &'a [f64],
-    /// Between two samples the curve lies off their chord by at most this.
+    /// Bound of the distance between the curve and its chord between two samples.
     pub slack: f64,
-    /// Half of what the curve jumps by at each sample, whose value is the middle of the jump. Empty: it jumps nowhere.
+    /// Half of the curve's jump at each sample; the sample's value is the middle of the jump. Empty if the curve is continuous.
     pub gaps: &'a [f64],
 }
 
 impl Samples<'_> {
-    /// What is left of the room at a sample.
+    /// The remaining room at a sample.
     fn room_at(&self, sample: usize, room: f64) -> f64 {
         room - self.gap(sample)
     }
@@ -47,7 +46,7 @@ impl Samples<'_> {
         self.gaps.get(sample).copied().unwrap_or(0.0)
     }
 
-    /// The least and the largest value within the room of a sample.
+    /// The least and the largest value within the room at a sample.
     fn gate(&self, sample: usize, room: f64) -> (f64, f64) {
         let (value, room) = (self.values[sample], self.room_at(sample, room));
         (value - room, value + room)
@@ -61,7 +60,7 @@ pub struct Grid {
     pub min: f64,
     /// Largest value.
     pub max: f64,
-    /// Distance of two neighbouring values, above 0.
+    /// Distance between adjacent values, above 0.
     pub granularity: f64,
 }
 
@@ -72,10 +71,10 @@ impl Grid {
     }
 }
 
-/// Values prescribed at the ends, taken as they are, also off the grid; `None` leaves the end free.
+/// Prescribed values at the ends, used exactly, even if they are off the grid. `None` if the end is free.
 ///
-/// A device that moves linearly has a step at both ends in any case. One that holds has a step at the last sample only
-/// if it does not hold the prescribed value before.
+/// A device that moves linearly always has a step at both ends. A device that holds has a step at the last sample only if it does not
+/// already hold the prescribed value.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ends {
     /// At the first sample.
@@ -87,24 +86,24 @@ pub struct Ends {
 /// Steps that follow a curve.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
-    /// Time in milliseconds and value of each, in the order of time.
+    /// The time in milliseconds and the value of each step, in order of time.
     pub steps: Vec<(f64, f64)>,
-    /// Largest distance from the curve, its slack included, up to rounding.
+    /// Largest distance from the curve, including the curve's slack, up to rounding.
     pub worst: f64,
-    /// The time in milliseconds where it is that far; of a held value also just ahead of it.
+    /// The time of this distance, in milliseconds; for a held value possibly the time just before.
     pub worst_at: f64,
-    /// No steps are fewer than this within the tolerance, which is `worst` for [`least_error`]; of a device that moves
-    /// linearly, no steps at the samples' times.
+    /// Lower bound of the number of steps within the tolerance, which is `worst` for [`least_error`]. For a device that moves linearly,
+    /// the bound applies to steps at the samples' times.
     ///
-    /// The number of steps itself, unless the grid or the sampling is so fine that it had to be thinned.
+    /// It equals the number of steps, unless the grid or the sampling is so fine that it had to be thinned.
     pub at_least: usize,
 }
 
-/// The fewest steps within the tolerance, and among these the least error, to within one percent of the tolerance.
+/// Finds the fewest steps within the tolerance, and among these the least error, to within 1 % of the tolerance.
 ///
-/// For a device that moves linearly. At most 35 values a sample are tried, the one nearest to the curve included, and of
-/// curves of more than 4,096 samples at most 256 places a straight piece. What is finer is thinned evenly, and then
-/// [`Fit::at_least`] tells how many steps fewer another fit could have.
+/// For a device that moves linearly. At most 35 values per sample are candidates, including the one nearest to the curve. For curves of
+/// more than 4096 samples, at most 256 samples per straight piece are candidates. Finer values and samples are thinned evenly.
+/// [`Fit::at_least`] then shows how many steps fewer another fit could have.
 ///
 /// ```
 /// use downbeat_motion::fit::{Ends, Grid, Samples, fewest};
@@ -117,28 +116,28 @@ pub struct Fit {
 /// ```
 ///
 /// # Errors
-/// What of the input cannot be used, or the smallest tolerance that can be met with any number of steps.
+/// Returns the unusable part of the input, or the smallest tolerance that can be met with any number of steps.
 pub fn fewest(curve: &Samples, grid: &Grid, tolerance: f64, ends: Ends) -> Result<Fit, Unfit> {
     Problem::new(curve, grid, ends)?.fewest(tolerance)
 }
 
-/// The least error with at most `budget` steps, to a relative 1e-6 or a millionth of the granularity.
+/// Finds the least error with at most `budget` steps, to a relative precision of 1e-6 or a millionth of the granularity.
 ///
-/// The tolerance is bisected over [`fewest`]. Where that thins the values (for more than 17 multiples of the granularity
-/// on either side), the error without slack is at most the least there is and one granularity, times 17/16: every value
-/// has a candidate within a seventeenth of the room, rounded up to the grid. Where it thins places, it is the least found.
+/// The tolerance is bisected over [`fewest`]. If that thins the values (for more than 17 multiples of the granularity on either side),
+/// the error without slack is at most 17/16 times the sum of the optimum and one granularity: every value has a candidate within a
+/// seventeenth of the room, rounded up to the grid. If it thins the samples, the result is the least error found.
 ///
 /// # Errors
-/// What of the input cannot be used, or the number of steps that the ends alone take.
+/// Returns the unusable part of the input, or the number of steps that the ends alone require.
 pub fn least_error(curve: &Samples, grid: &Grid, budget: usize, ends: Ends) -> Result<Fit, Unfit> {
     Problem::new(curve, grid, ends)?.least_error(budget)
 }
 
-/// Steps that a device which moves linearly needs at least, whatever its grid: a proof for those that [`fewest`] finds.
+/// Lower bound of the number of steps that a device that moves linearly needs on any grid: a proof for the result of [`fewest`].
 ///
-/// One more than the fewest straight pieces, each from a sample to a sample, that stay within the tolerance; pieces need
-/// not meet in value (O'Rourke, Communications of the ACM 24, 1981). `None` if no steps suffice, because the slack alone
-/// exceeds the tolerance or the samples cannot be used.
+/// One more than the fewest straight pieces, each from sample to sample, that stay within the tolerance; the pieces need not be connected
+/// (O'Rourke, Communications of the ACM 24, 1981). `None` if no number of steps suffices, because the slack alone exceeds the tolerance
+/// or the samples are unusable.
 #[must_use]
 pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;
@@ -146,10 +145,10 @@ pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
     (room >= 0.0).then(|| Tubes::of(curve).steps_at_least(room + problem::dust(curve, Ends::default())))
 }
 
-/// Steps that a device which moves linearly needs at least, wherever in time and at whichever values they lie: a proof that
-/// holds for every way of following the curve, not only for steps at samples.
+/// Lower bound of the number of steps that a device that moves linearly needs at any times and values: a proof for every way of following
+/// the curve, not only for steps at samples.
 ///
-/// One more than the fewest groups of samples that one straight line can serve. `None` as for [`lower_bound`].
+/// One more than the fewest groups of samples such that one straight line fits each group. `None` as for [`lower_bound`].
 #[must_use]
 pub fn steps_at_least(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;

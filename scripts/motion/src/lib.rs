@@ -2,7 +2,7 @@
 //!
 //! | module | |
 //! |---|---|
-//! | [`motion`] | knots and the course between each two of them: easings, splines, polynomials, formulas, paths |
+//! | [`motion`] | knots and the course between successive knots: easings, splines, polynomials, formulas, paths |
 //! | [`fit`] | the fewest steps that follow a curve, or the smallest error for a given number of steps |
 //! | [`expression`] | expressions with units, and formulas over time |
 //! | [`exact`], [`music`] | exact fractions; beats, bars and tempos |

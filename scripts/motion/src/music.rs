@@ -1,7 +1,7 @@
 //! Musical time: beats and bars, and how long they last.
 //!
-//! A tempo counts beats a minute; a beat is the lower number of the time signature, a bar has as many beats as the upper
-//! one says. Bars and beats count from 1. Musical time is kept exactly: a beat is seldom a whole number of nanoseconds.
+//! A tempo counts beats per minute. A beat is the lower number of the time signature, and the upper number is the number of beats per
+//! bar. Bars and beats are counted from 1. Musical time is kept exactly, because a beat is rarely a whole number of nanoseconds.
 
 use std::sync::Arc;
 
@@ -11,10 +11,10 @@ use crate::exact::{Beginning, Exact, Fraction, decimal, sum, to_f64, within};
 
 const MINUTE: Span = Span::from_millis(60_000);
 
-/// Tempo and time signature from some bar on.
+/// Tempo and time signature, starting at some bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
-    /// In bars from the beginning, 0 for bar 1.
+    /// The first bar, from 0: 0 is bar 1.
     pub bar: u32,
     /// The tempo, in beats per minute.
     pub beats_a_minute: Fraction,
@@ -29,25 +29,25 @@ pub struct Tempo(Vec<Anchored>);
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Anchored {
     section: Section,
-    /// Where it begins, in beats and in time.
+    /// Its start, in beats and in time.
     beat: Fraction,
     at: Exact,
 }
 
 impl Section {
-    /// How long this many beats last.
+    /// The duration of this many beats.
     fn beats(&self, beats: Fraction) -> Exact {
         Exact::from(MINUTE).times(beats).times(self.beats_a_minute.recip())
     }
 
-    /// So many bars, in beats.
+    /// Converts bars to beats.
     fn bars(&self, bars: Fraction) -> Fraction {
         bars * i128::from(self.beats_a_bar)
     }
 }
 
 impl Tempo {
-    /// From sections in order of their bars, the first at bar 1.
+    /// Creates a tempo from sections in order of their bars; the first is at bar 1.
     pub fn new(sections: &[Section]) -> Self {
         let mut anchored: Vec<Anchored> = Vec::with_capacity(sections.len());
         for &section in sections {
@@ -64,13 +64,13 @@ impl Tempo {
         self.0.len() > 1
     }
 
-    /// The section that holds where `key` has reached `value`.
+    /// The section that applies when `key` has reached `value`.
     fn section<T: PartialOrd>(&self, key: impl Fn(&Anchored) -> T, value: T) -> Option<&Anchored> {
         let after = self.0.partition_point(|section| key(section) <= value);
         self.0.get(after.saturating_sub(1))
     }
 
-    /// The time of a position, both counted from the beginning.
+    /// The time of a position; both are counted from the beginning.
     fn position(&self, bar: u32, beat: Fraction) -> Option<Exact> {
         let section = self.section(|s| s.section.bar, bar)?;
         let bars = section.section.bars(whole(bar - section.section.bar));
@@ -93,16 +93,16 @@ fn whole(number: u32) -> Fraction {
     Fraction::from_integer(i128::from(number))
 }
 
-/// How beats are counted at the place that is being read.
+/// The meaning of beats at the place that is being read.
 #[derive(Clone, Debug, Default)]
 pub struct Music {
     /// The tempo; `None` if the scenario has none.
     pub tempo: Option<Arc<Tempo>>,
-    /// When the cue begins, where that is fixed.
+    /// The start of the cue, if it is fixed.
     pub start: Beginning,
 }
 
-/// Why a musical time has no length.
+/// The reason why a musical time has no length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unmusical {
     /// The scenario has no tempo.
@@ -117,7 +117,7 @@ impl Unmusical {
     /// The message of the finding.
     pub fn message(self, text: &str) -> String {
         match self {
-            Self::WithoutTempo => format!("`{text}` is musical time, and the scenario has no tempo"),
+            Self::WithoutTempo => format!("`{text}` is a musical time, but the scenario has no tempo"),
             Self::StartNotFixed => format!("how long `{text}` lasts depends on when the cue begins"),
             Self::Position => format!("`{text}` is a position in the music, not a length"),
         }
@@ -136,7 +136,7 @@ impl Unmusical {
 }
 
 impl Music {
-    /// A length such as `4 beats` or `1 bar 2 beats`; `None` if the text is nothing of the kind.
+    /// Parses a length such as `4 beats` or `1 bar 2 beats`; `None` if the text is not such a length.
     pub fn span(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
         if position(text).is_some() {
             return Some(Err(Unmusical::Position));
@@ -145,7 +145,7 @@ impl Music {
         Some(self.length(bars, beats))
     }
 
-    /// How long so many bars and beats last from here on.
+    /// The duration of bars and beats, from the start of the cue.
     pub fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, Unmusical> {
         let tempo = self.tempo.as_ref().ok_or(Unmusical::WithoutTempo)?;
         let start = match (self.start.0, tempo.changes()) {
@@ -164,7 +164,7 @@ impl Music {
         Ok(time().unwrap_or(Exact::ZERO))
     }
 
-    /// If the bar of a position does not have its beat: the number of beats in the bar, and the equivalent position in a later bar.
+    /// If a position has a beat that its bar does not have: the number of beats in the bar, and the equivalent position in a later bar.
     pub fn beyond_bar(&self, text: &str) -> Option<(u8, String)> {
         let (written, mut beat) = position(text)?;
         let tempo = self.tempo.as_ref()?;
@@ -181,7 +181,7 @@ impl Music {
         (bar > written).then_some((beats(written)?, meant))
     }
 
-    /// A position such as `bar 3 beat 2`, as time from the beginning; `None` if the text is no position.
+    /// Parses a position such as `bar 3 beat 2` as the time from the beginning; `None` if the text is not a position.
     pub fn position(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
         let (bar, beat) = position(text)?;
         let Some(tempo) = self.tempo.as_ref() else { return Some(Err(Unmusical::WithoutTempo)) };

@@ -1,4 +1,4 @@
-//! Acts, and for each the scripts of every robot.
+//! Acts, each with the scripts of every robot.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -11,91 +11,91 @@ use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Server, Span, StopCo
 
 use crate::requirements::Requirements;
 
-/// Positions of devices.
+/// Position of each device, per robot.
 pub type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
 
-/// A whole scenario: acts with the ways between them.
+/// A compiled scenario: its acts and the transitions between them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choreography {
     /// The scenario's name.
     pub scenario: String,
-    /// In the order of the file; the first one begins.
+    /// In the order of the file; the mission begins with the first one.
     pub acts: Vec<Act>,
-    /// What the scenario requires of it. Nothing enforces this while it plays.
+    /// Bounds that the scenario requires. They are not enforced during play.
     pub requirements: Requirements,
 }
 
-/// What is prepared, decided and started together, and what leads to it and from it.
+/// A group of scripts that are prepared, decided and started together, with the conditions before and the transitions after it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Act {
-    /// Unique in the scenario; empty where the scenario has no acts of its own.
+    /// Unique in the scenario; empty if the scenario has no acts of its own.
     pub name: String,
-    /// What is sent. Starts are those of commands, ahead of their motions by the latency of the device.
+    /// The scripts to send. Their starts are command times: earlier than their motions by the latency of the device.
     pub plan: Plan,
-    /// How much later than its start the act's motions begin than they are written, so that devices with a latency can be
-    /// commanded before they have to move. Every time below is that of motions, counted from the act's start: it is later by this.
+    /// Delay of the act's motions relative to the written times, so that devices with a latency can be commanded before they must move.
+    /// All times below are motion times since the act's start and include this delay.
     pub lead_in: Span,
-    /// The latencies that are compensated: of devices that it moves and whose latency is known.
+    /// The compensated latencies: those of the moved devices whose latency is known.
     pub latencies: BTreeMap<RobotId, BTreeMap<DeviceId, DeviceLatency>>,
-    /// Its cues in the order of the file, with the times at which they take place.
+    /// Its cues in the order of the file, with their planned times.
     pub cues: Vec<PlannedCue>,
-    /// How each device's steps came about.
+    /// How the steps of each device were computed.
     pub devices: Vec<DeviceUse>,
-    /// What the robots do in space while it plays.
+    /// Movement of the robots in space during the act.
     pub in_space: InSpace,
-    /// Sensors that are read while it plays.
+    /// Sensor readings during the act.
     pub readings: Vec<PlannedReading>,
-    /// What has to be so before it begins.
+    /// Condition for its beginning.
     pub wait: Wait,
-    /// How long it waits at most.
+    /// Longest wait for this condition.
     pub timeout: Option<Span>,
-    /// Where the mission goes when the time is over.
+    /// Transition after the wait has timed out.
     pub on_timeout: Way,
-    /// Where it goes when the act has ended.
+    /// Transition after the act has ended.
     pub next: Way,
-    /// What happens when a robot fails.
+    /// Reaction to a failed robot.
     pub on_failure: FailurePolicy,
-    /// What the others do when it cannot be known whether a robot will start.
+    /// Reaction of the other robots while it is unknown whether a robot will start.
     pub on_doubt: OnDoubt,
 }
 
-/// A way out of an act.
+/// A transition out of an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Way {
-    /// To the act of that index.
+    /// To the act with this index.
     Act(usize),
-    /// The mission ends well.
+    /// The mission ends successfully.
     End,
     /// The mission fails.
     Fail,
 }
 
-/// What happens when a robot fails.
+/// Reaction to a failed robot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FailurePolicy {
-    /// For robots that are not listed.
+    /// For robots without an entry in `robots`.
     pub default: OnFailure,
-    /// For some robots.
+    /// Exceptions for single robots.
     pub robots: Vec<(RobotId, OnFailure)>,
-    /// The act that follows a failure.
+    /// The act that follows a failure, by its index.
     pub then: Option<usize>,
 }
 
 impl FailurePolicy {
-    /// The default policy, and those of single robots.
+    /// Returns the default policy, then those of single robots.
     pub fn policies(&self) -> impl Iterator<Item = OnFailure> {
         std::iter::once(self.default).chain(self.robots.iter().map(|(_, rule)| *rule))
     }
 
-    /// Whether all robots go to their default state, whichever of them fails.
+    /// Whether all robots go to their default state after any failure.
     #[must_use]
     pub fn sends_home(&self) -> bool {
         self.policies().all(|rule| rule == OnFailure::Home)
     }
 }
 
-/// What the fleet does when a robot fails.
+/// Reaction of the fleet to a failed robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnFailure {
@@ -108,8 +108,8 @@ pub enum OnFailure {
     Without,
 }
 
-/// What the others do when shortly before the start a robot's link is silent or broken, and it cannot be known whether it will
-/// start. A known state is never treated as doubt.
+/// Reaction of the other robots when a robot's link is silent or broken shortly before the start, so that it is unknown whether the robot
+/// will start. A known state is never treated as doubt.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnDoubt {
@@ -120,16 +120,16 @@ pub enum OnDoubt {
     Withdraw,
 }
 
-/// What an act waits for before it begins.
+/// Condition for the beginning of an act.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Wait {
-    /// The act before has ended everywhere.
+    /// The previous act has ended on all robots.
     #[default]
     Done,
-    /// The operator says go.
+    /// The operator gives the go.
     Operator,
-    /// A time of day of the server's clock, since midnight of its local time.
+    /// A time of day by the server's clock, since local midnight.
     TimeOfDay(Span),
     /// An instant.
     Instant(Timestamp<Server>),
@@ -139,7 +139,7 @@ pub enum Wait {
         robot: String,
         /// Sensor, by its device id.
         sensor: String,
-        /// Which readings will do.
+        /// The accepted readings.
         range: SensorRange,
     },
 }
@@ -153,23 +153,23 @@ pub struct PlannedCue {
     pub start: Span,
     /// When the last of its robots has ended.
     pub end: Span,
-    /// How much later it could start, all its relations kept, without the act ending later.
+    /// Largest delay of its start that keeps all its relations and does not delay the end of the act.
     pub slack: Span,
-    /// Whether it is on the critical path: a chain of relations without room leads from it to the end of the act. A cue that is
-    /// fixed by `at` has no slack either, but decides nothing if others end later.
+    /// Whether it is on the critical path: a chain of relations without slack from it to the end of the act. A cue fixed by `at` has no
+    /// slack either, but is not critical if other cues end later.
     pub critical: bool,
-    /// How its movement is repeated, if it is.
+    /// How its movement is repeated; `None` if it plays once.
     #[serde(rename = "repeat", skip_serializing_if = "Option::is_none")]
     pub repetition: Option<Repetition>,
-    /// What is for people only.
+    /// Text for people only.
     #[serde(flatten)]
     pub text: CueText,
 }
 
-/// What a cue says for people. No robot does anything because of it.
+/// Text for people. It does not affect any robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CueText {
-    /// The remark of the choreographer.
+    /// The choreographer's remark.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
@@ -177,46 +177,45 @@ pub struct CueText {
 /// A movement that is repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Repetition {
-    /// How often it is played, more than once.
+    /// Number of times it is played, at least 2.
     pub times: u32,
-    /// The length of one of them.
+    /// Length of a single repetition.
     #[serde(rename = "length_ms")]
     pub length: Span,
-    /// How much later each begins than the one before it.
+    /// Interval between the starts of successive repetitions.
     #[serde(rename = "every_ms")]
     pub every: Span,
 }
 
-/// How the steps of a device came about.
+/// How the steps of a device were computed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DeviceUse {
-    /// Which robot.
+    /// The robot.
     pub robot: RobotId,
-    /// Which of its devices.
+    /// The device of this robot.
     pub device: DeviceId,
-    /// Steps in all its scripts.
+    /// Number of steps in all its scripts.
     pub steps: usize,
-    /// No way of placing steps needs fewer.
+    /// Lower bound: no placement of steps needs fewer.
     pub at_least: usize,
-    /// Scripts, one after another.
+    /// Number of consecutive scripts.
     pub scripts: usize,
-    /// Steps that the device can hold: max_number_of_steps for each script of its queue.
+    /// Number of steps that the device can hold: `max_number_of_steps` for each script of its queue.
     pub budget: u64,
-    /// Largest difference from the movement as written, in the device's unit.
+    /// Largest deviation from the movement as written, in the device's unit.
     pub worst_error: f64,
-    /// When that is, from the act's start.
+    /// Time of this deviation, since the act's start.
     pub worst_at: Span,
-    /// The largest factor of the speed of the show at which its movements stay within the limits of speed and acceleration; infinite
-    /// without such limits.
+    /// Largest show speed factor at which its movements stay within the limits of speed and acceleration; infinite without such limits.
     #[serde(skip)]
     pub factor_max: f64,
-    /// The same factor for the ways to its first keyframe from the positions in which other acts leave the device.
+    /// The same factor for the moves to its first keyframe from the positions in which other acts leave the device.
     #[serde(skip)]
     pub entry_factor_max: f64,
-    /// The largest speed that its block and the fleet file allow, driven by position, in its unit per second.
+    /// Largest speed under position control that its block and the fleet file allow, in its unit per second.
     #[serde(skip)]
     pub speed_max: Option<f64>,
-    /// Whether it moves between positions without any limit of its speed, so that no movement is too fast for it.
+    /// Whether its speed between positions is unlimited, so that no movement is too fast for it.
     #[serde(skip)]
     pub is_unlimited: bool,
 }
@@ -233,8 +232,8 @@ pub struct FirstUse {
 }
 
 impl Choreography {
-    /// The first script of each device in the act `first` and the acts that follow it by `next`. Acts that follow only a failure or a
-    /// wait that has timed out are left out.
+    /// Returns the first script of each device in act `first` and the acts that follow it by `next`. Acts that follow only a failure or a
+    /// timed-out wait are excluded.
     #[must_use]
     pub fn first_uses(&self, first: usize) -> Vec<FirstUse> {
         let mut uses = Vec::new();
@@ -257,7 +256,7 @@ impl Choreography {
         uses
     }
 
-    /// The position that a first use expects. `None` if it does not drive the device by position.
+    /// Returns the position that a first use expects. `None` if it does not use position control.
     #[must_use]
     pub fn first_position(&self, first: FirstUse) -> Option<(&RobotId, &DeviceId, f64)> {
         let planned = self.acts.get(first.act)?.plan.robots.get(first.robot)?;
@@ -269,7 +268,7 @@ impl Choreography {
 }
 
 impl RobotPlan {
-    /// The first value of each device that is driven by position.
+    /// Returns the first value of each device whose first step uses position control.
     pub fn first_positions(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
         let mut known = HashSet::new();
         let firsts = self.scripts.iter().filter(move |script| known.insert(&script.device));
@@ -280,27 +279,27 @@ impl RobotPlan {
     }
 }
 
-/// A sensor is read at a time.
+/// A planned reading of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedReading {
     /// Id of the robot that reads.
     pub robot: RobotId,
     /// The device of that robot that is a sensor.
     pub sensor: DeviceId,
-    /// From the act's start.
+    /// Since the act's start.
     pub at: Span,
 }
 
-/// What has to be sent for one act.
+/// The scripts of one act.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// The scenario's name, and the act's.
+    /// Name of the scenario and of the act.
     pub scenario: String,
     /// Largest allowed spread of starts.
     pub start_tolerance: Span,
-    /// Lead time that the scenario prescribes.
+    /// Lead time, if the scenario prescribes one.
     pub lead: Option<Span>,
-    /// The leases; without a pending one the scheduler computes it.
+    /// The leases. If no pending lease is set, the scheduler computes it.
     pub stop_condition: StopCondition,
     /// The robots that move, in the order of the fleet.
     pub robots: Vec<RobotPlan>,
@@ -311,7 +310,7 @@ pub struct Plan {
 pub struct RobotPlan {
     /// Id of the robot.
     pub robot: RobotId,
-    /// In the order of the robot's devices, those of one device in order of time.
+    /// In the order of the robot's devices; those of one device are in order of time.
     pub scripts: Vec<DeviceScript>,
 }
 
@@ -320,18 +319,18 @@ pub struct RobotPlan {
 pub struct DeviceScript {
     /// Id of the device that plays it.
     pub device: DeviceId,
-    /// When it starts, from the start of the act.
+    /// Its start, since the start of the act.
     pub start: Millis,
     /// Its leases.
     pub stop_condition: StopCondition,
-    /// What it does.
+    /// Its steps.
     pub script: Script,
-    /// How much later than its last step the movement ends that it plays: until then the value stays.
+    /// Time from its last step to the end of the movement; the value is held meanwhile.
     pub rest: Span,
 }
 
 impl DeviceScript {
-    /// From its start to the end of the movement that it plays.
+    /// Returns the time from its start to the end of its movement.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.script.duration() + self.rest
@@ -339,26 +338,26 @@ impl DeviceScript {
 }
 
 impl Act {
-    /// What it is called in reports: its name, or that of the scenario where it has none.
+    /// Returns its name in reports: its own, or the scenario's if it has none.
     #[must_use]
     pub fn called(&self) -> &str {
         if self.name.is_empty() { &self.plan.scenario } else { &self.name }
     }
 
-    /// How long a device takes from a command to visible motion, as far as that is known.
+    /// Returns the time from a command to visible motion; zero if the device's latency is unknown.
     #[must_use]
     pub fn latency_of(&self, robot: &RobotId, device: &DeviceId) -> Span {
         let known = self.latencies.get(robot).and_then(|devices| devices.get(device));
         known.map_or(Span::ZERO, |known| known.latency.median)
     }
 
-    /// When the motion of one of its scripts begins, from the act's start.
+    /// Returns the time at which the motion of one of its scripts begins, since the act's start.
     #[must_use]
     pub fn moves_at(&self, robot: &RobotId, script: &DeviceScript) -> Span {
         script.start.span() + self.latency_of(robot, &script.device)
     }
 
-    /// From the start of the act to the end of its last motion.
+    /// Returns the time from the start of the act to the end of its last motion.
     #[must_use]
     pub fn duration(&self) -> Span {
         let ends = self.plan.robots.iter().flat_map(|robot| {
@@ -367,7 +366,7 @@ impl Act {
         ends.max().unwrap_or_default()
     }
 
-    /// Whether people know it by this name; a scenario without acts of its own is known by the scenario's.
+    /// Whether `name` refers to this act. An act without a name is referred to by the scenario's name.
     #[must_use]
     pub fn is_named(&self, name: &str) -> bool {
         if self.name.is_empty() { self.plan.scenario == name } else { self.name == name }
@@ -375,7 +374,7 @@ impl Act {
 }
 
 impl Plan {
-    /// From the start of the act to its end by the time of commands.
+    /// Returns the time from the start of the act to its end, in command time.
     #[must_use]
     pub fn duration(&self) -> Span {
         let scripts = self.robots.iter().flat_map(|robot| &robot.scripts);
@@ -383,11 +382,11 @@ impl Plan {
     }
 }
 
-/// The same for equal scripts, and mostly another one for others.
+/// Equal for equal scripts, and usually different for others.
 fn fingerprint(script: &Script) -> u64 {
     let mut hasher = DefaultHasher::new();
     for step in script.steps() {
-        // Adding zero makes one of the two zeros, which are equal.
+        // `0.0` and `-0.0` are equal; adding zero makes their bits equal, too.
         (step.offset.get() + 0.0).to_bits().hash(&mut hasher);
         (step.setpoint.value + 0.0).to_bits().hash(&mut hasher);
     }
@@ -395,7 +394,7 @@ fn fingerprint(script: &Script) -> u64 {
 }
 
 impl Choreography {
-    /// One act, which begins at once and after which the mission ends.
+    /// Builds a choreography of one act, which begins immediately and ends the mission.
     #[must_use]
     pub fn of_plan(plan: Plan) -> Self {
         let act = Act {
@@ -418,8 +417,8 @@ impl Choreography {
             .with_shared_scripts()
     }
 
-    /// The same choreography, in which scripts with equal steps are one: groups in unison take no more memory than one robot,
-    /// and what is computed of a script, as its hash and its text, is computed once.
+    /// Makes scripts with equal steps share their memory. Groups in unison need no more memory than one robot, and values derived from a
+    /// script, such as its hash and text, are computed only once.
     #[must_use]
     pub fn with_shared_scripts(mut self) -> Self {
         let mut known: HashMap<u64, Vec<Script>> = HashMap::new();
@@ -434,14 +433,14 @@ impl Choreography {
         self
     }
 
-    /// The closest that two bodies come in any act, with that act. `None` where no two bodies are known.
+    /// Returns the closest approach of two bodies in any act, with that act. `None` if no two bodies are known.
     #[must_use]
     pub fn closest(&self) -> Option<(&Act, &Closest)> {
         let known = self.acts.iter().filter_map(|act| Some((act, act.in_space.closest.as_ref()?)));
         known.min_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance))
     }
 
-    /// The acts one after another from the first, each followed by its `next`; ends before an act that was there already.
+    /// Returns the acts in order, from the first one along `next`; ends before an act that is already listed.
     #[must_use]
     pub fn main_line(&self) -> Vec<usize> {
         let mut line = Vec::new();
@@ -457,7 +456,7 @@ impl Choreography {
     }
 }
 
-/// Whether a control type drives a rate, which continues until something changes it.
+/// Whether a control type drives a rate, which continues until the next change.
 #[must_use]
 pub const fn is_rate(control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)

@@ -1,7 +1,7 @@
-//! Actuation latency: each device is commanded earlier by the time that it takes to move, so that motions begin when they are
-//! written. Where a script would then begin before its act, the act's motions begin later by its `lead_in`.
+//! Compensates actuation latency: each device is commanded earlier by its latency, so that motions begin at their written times. If a
+//! script would then begin before its act, the act's motions are delayed by its `lead_in`.
 //!
-//! Before, a script's start is when its motion begins; after, when it is commanded. [`Act::moves_at`] is the way back.
+//! Before compensation, a script's start is the start of its motion; afterwards, it is the command time. [`Act::moves_at`] converts back.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -10,7 +10,7 @@ use urrcp::{Millis, Span};
 
 use crate::choreography::{Act, DeviceScript, Way};
 
-/// Compensates what the fleet says of its devices in acts that are not compensated yet.
+/// Compensates the device latencies of the fleet file in acts that are not compensated yet.
 pub fn compensate(acts: &mut [Act], fleet: &Fleet) {
     if fleet.robots.iter().all(|robot| robot.mission.latencies.is_empty()) {
         return;
@@ -32,7 +32,7 @@ pub fn compensate(acts: &mut [Act], fleet: &Fleet) {
     apply(acts);
 }
 
-/// Compensates the latencies that the acts know.
+/// Compensates the latencies stored in the acts.
 pub(crate) fn apply(acts: &mut [Act]) {
     for (act, lead_in) in lead_ins(acts).into_iter().enumerate() {
         shift(&mut acts[act], lead_in);
@@ -43,15 +43,15 @@ pub(crate) fn apply(acts: &mut [Act]) {
     }
 }
 
-/// Takes the compensation back: starts of scripts are those of their motions again.
+/// Reverts the compensation: the starts of scripts are motion times again.
 pub fn undo(act: &mut Act) {
     let lead_in = std::mem::take(&mut act.lead_in);
     each_script(act, |script, median| script.start = moved(script.start, median - lead_in));
     shift(act, Span::ZERO - lead_in);
 }
 
-/// The least for each act with which none of its scripts begins before it, and none of its motions before those of an act that
-/// leads to it have ended: a device with a long latency still moves when its commands have ended.
+/// Returns the smallest sufficient lead-in for each act: no script begins before the act, and no motion begins before the motions of any
+/// preceding act have ended. A device with a long latency still moves after its commands have ended.
 fn lead_ins(acts: &[Act]) -> Vec<Span> {
     let mut lead_ins: Vec<Span> = acts.iter().map(needed).collect();
     for act in acts {
@@ -70,7 +70,7 @@ fn needed(act: &Act) -> Span {
     early.max().unwrap_or_default().max(Span::ZERO)
 }
 
-/// How much later the last motion of an act ends than its last command.
+/// Returns the time from the last command of an act to the end of its last motion.
 fn tail(act: &Act) -> Span {
     let ends = |script: &DeviceScript| script.start.span() + script.duration();
     let motions = scripts(act).map(|(script, _)| ends(script)).max();
@@ -78,7 +78,7 @@ fn tail(act: &Act) -> Span {
     motions.zip(commands).map_or(Span::ZERO, |(motions, commands)| motions - commands)
 }
 
-/// All scripts, each with the latency of its device.
+/// Returns all scripts, each with the latency of its device.
 fn scripts(act: &Act) -> impl Iterator<Item = (&DeviceScript, Span)> {
     act.plan.robots.iter().flat_map(|robot| {
         robot.scripts.iter().map(|script| (script, act.latency_of(&robot.robot, &script.device)))
@@ -95,12 +95,12 @@ fn each_script(act: &mut Act, mut change: impl FnMut(&mut DeviceScript, Span)) {
     act.plan.robots = robots;
 }
 
-/// What stays as it is keeps its number, to the last digit.
+/// A start that does not move keeps its exact value.
 fn moved(start: Millis, by: Span) -> Millis {
     if by == Span::ZERO { start } else { Millis::from_span(start.span() + by) }
 }
 
-/// Everything that is on the time of motions.
+/// Shifts everything that is in motion time.
 fn shift(act: &mut Act, by: Span) {
     for cue in &mut act.cues {
         (cue.start, cue.end) = (cue.start + by, cue.end + by);

@@ -1,14 +1,14 @@
-//! What a scenario compiles to. A [`Choreography`] contains acts and the ways between them. Each [`Act`] has a [`Plan`]: the scripts of
-//! every device. The compiler (`downbeat-scripts`) makes choreographies, and missions (`downbeat-mission`) play them; neither knows the
-//! other.
+//! The result of compiling a scenario. A [`Choreography`] contains acts and the transitions between them. Each [`Act`] has a [`Plan`]
+//! with the scripts of every device. The compiler (`downbeat-scripts`) produces choreographies and missions (`downbeat-mission`) play
+//! them; neither depends on the other.
 //!
 //! | module | |
 //! |---|---|
-//! | `choreography` | acts, plans, scripts, and what leads from one act to the next |
+//! | `choreography` | acts, plans, scripts, and transitions between acts |
 //! | `requirements` | bounds that a scenario sets for its trials |
-//! | `refill` | the time for sending scripts that a device cannot hold from the start |
-//! | [`compensate`] | commands that are earlier than their motions by the latency of the device |
-//! | `rehearse` | a choreography at another speed, with a part of the fleet, or a single act of it |
+//! | `refill` | the available time for sending scripts that a device cannot hold from the start |
+//! | [`compensate`] | commands that precede their motions by the latency of the device |
+//! | `rehearse` | a choreography at another speed, with a part of the fleet, or reduced to a single act |
 
 mod choreography;
 pub mod compensate;

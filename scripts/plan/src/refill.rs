@@ -1,7 +1,7 @@
-//! How much time there is to send the scripts that a device cannot hold from the start.
+//! The available time for sending scripts that a device cannot hold from the start.
 //!
-//! A device holds `script_queue` scripts that have not ended. The next one of its chain can be sent when one of those has
-//! ended, also across acts that follow each other at once, and has to be there before its own start.
+//! A device holds at most `script_queue` scripts that have not ended. If all places are taken, the next script of its chain can be sent
+//! once one of them has ended, also across acts that follow each other immediately. It must arrive before its own start.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -9,10 +9,10 @@ use urrcp::{DeviceId, RobotId, Span};
 
 use crate::choreography::{Act, Choreography, DeviceScript, Wait, Way};
 
-/// Where lines of acts meet, that many acts are looked at again, with what each line left on the devices.
+/// Where lines of acts meet, this many acts are processed again with the scripts that each line left on the devices.
 const AGAIN: usize = 2;
 
-/// A script that its device has no room for until an earlier one has ended.
+/// A script for which its device has no room until an earlier one has ended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refill {
     /// Index of its act in the choreography.
@@ -21,14 +21,13 @@ pub struct Refill {
     pub robot: RobotId,
     /// Id of the device that plays it.
     pub device: DeviceId,
-    /// Which script of this device in this act, from 0.
+    /// Index of the script among those of this device in this act, from 0.
     pub script: usize,
     /// The script whose end makes room.
     pub freed_by: Freed,
-    /// How long there is room for it before it is due: before its own start, or as the first one before the act before its
-    /// own has ended.
+    /// Available time from the end of `freed_by` to the deadline: its own start or, for a first script, the end of the previous act.
     pub time: Span,
-    /// What has to wait where that is too short.
+    /// Consequence if this time is too short.
     pub kind: RefillKind,
 }
 
@@ -37,25 +36,25 @@ pub struct Refill {
 pub struct Freed {
     /// Index of its act in the choreography.
     pub act: usize,
-    /// Which script of this device in that act, from 0.
+    /// Index of the script among those of this device in that act, from 0.
     pub script: usize,
 }
 
-/// What has to wait where there is too little time for a script.
+/// Consequence of too little time for a script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum RefillKind {
-    /// The act: it is sent once every device has room for its first script, and starts later than the one before ends.
+    /// The act is delayed: it is sent once every device has room for its first script, and starts later than the previous act ends.
     First,
-    /// Nothing: the act plays already, and a script that comes late is refused.
+    /// Nothing waits: the act already plays, and a late script is rejected.
     Later,
 }
 
-/// For each act the refill of either kind that leaves the least time, in the order of the acts. Acts that wait for something
-/// begin with nothing on the devices, since what was before them has ended.
+/// Returns the tightest refill of each act and kind, in the order of the acts. Acts that wait for something begin with empty devices,
+/// since everything before them has ended.
 ///
-/// `queue` tells how many scripts a device holds; devices for which it tells nothing are left out. `sending` is what sending
-/// a script takes at least: an act begins no earlier than that after all devices have room for its first scripts, which gives
-/// its later ones more time.
+/// `queue` returns the number of scripts that a device holds; devices without a number are skipped. `sending` is the shortest time for
+/// sending a script: an act begins at least this long after all devices have room for its first scripts, which leaves its later scripts
+/// more time.
 #[must_use]
 pub fn refills(
     choreography: &Choreography,
@@ -68,7 +67,7 @@ pub fn refills(
     refills
 }
 
-/// The same for each robot of each act: to one of them a script may take longer than to another.
+/// Returns the tightest refills for each robot of each act, since sending may take longer to some robots than to others.
 #[must_use]
 pub fn refills_of_robots(
     choreography: &Choreography,
@@ -78,10 +77,10 @@ pub fn refills_of_robots(
     let acts = &choreography.acts;
     let mut walk = Walk { acts, queue, sending, tightest: HashMap::new() };
     let mut visited = vec![false; acts.len()];
-    // However many lines meet in one act, it is not played over and over here.
+    // Limits the work if many lines meet in one act.
     let mut left = 2 * acts.iter().map(scripts_of).sum::<usize>();
     let heads = (0..acts.len()).take(1).chain(heads(acts));
-    // What no line reaches from a head is a circle.
+    // Acts that no line reaches from a head form a cycle.
     for head in heads.chain(0..acts.len()) {
         if !visited[head] {
             walk.line(head, &mut visited, &mut left);
@@ -92,8 +91,9 @@ pub fn refills_of_robots(
     refills
 }
 
-/// The refills of one act behind another, whatever the scenario says of what it waits for: an act whose time has passed when
-/// another ends follows at once. It starts `pause` after the end of the one before, and finds on the devices what that one leaves.
+/// Returns the refills of `act` directly after `before`, regardless of what the scenario makes it wait for: an act whose time has already
+/// passed when the previous one ends follows immediately. It starts `pause` after that end, with the scripts that the previous act left
+/// on the devices.
 #[must_use]
 pub fn refills_behind(
     choreography: &Choreography,
@@ -116,7 +116,7 @@ fn scripts_of(act: &Act) -> usize {
     act.plan.robots.iter().map(|robot| robot.scripts.len()).sum()
 }
 
-/// The act that begins as soon as this one ends.
+/// Returns the act that begins as soon as this one ends.
 fn following(acts: &[Act], act: usize) -> Option<usize> {
     match acts[act].next {
         Way::Act(next) if acts.get(next)?.wait == Wait::Done => Some(next),
@@ -124,7 +124,7 @@ fn following(acts: &[Act], act: usize) -> Option<usize> {
     }
 }
 
-/// The acts that follow no other at once.
+/// Returns the acts that do not immediately follow another one.
 fn heads(acts: &[Act]) -> impl Iterator<Item = usize> {
     let mut follows = vec![false; acts.len()];
     for next in (0..acts.len()).filter_map(|act| following(acts, act)) {
@@ -133,13 +133,13 @@ fn heads(acts: &[Act]) -> impl Iterator<Item = usize> {
     (0..acts.len()).filter(move |act| !follows[*act])
 }
 
-/// A script that was sent, and when it ends, from the start of the line.
+/// A script that was sent. Its end is relative to the start of the line.
 struct Sent {
     what: Freed,
     ends: Span,
 }
 
-/// The latest scripts of each device, no more than it holds.
+/// The latest scripts of each device, at most as many as it holds.
 type Held<'a> = HashMap<(&'a RobotId, &'a DeviceId), VecDeque<Sent>>;
 
 struct Walk<'a, Q> {
@@ -150,7 +150,7 @@ struct Walk<'a, Q> {
 }
 
 impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
-    /// The acts that follow each other from `head` on.
+    /// Processes the acts that follow each other, starting with `head`.
     fn line(&mut self, head: usize, visited: &mut [bool], left: &mut usize) {
         let (mut held, mut begin, mut again) = (Held::new(), Span::ZERO, 0);
         let mut next = Some(head);
@@ -166,7 +166,7 @@ impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
         }
     }
 
-    /// Takes in the scripts of an act after one that has ended at `ended`. Returns when it begins.
+    /// Adds the scripts of an act after one that has ended at `ended`. Returns its start.
     fn act(&mut self, act: usize, ended: Span, held: &mut Held<'a>) -> Span {
         let mut begin = ended;
         for chain in self.chains(act) {
@@ -205,7 +205,7 @@ impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
         chains.filter_map(chain).collect()
     }
 
-    /// Keeps it if none of its act, kind and robot leaves less time.
+    /// Keeps the refill if it is the tightest of its act, kind and robot.
     fn note(&mut self, chain: &Chain<'a>, script: usize, freed_by: Freed, time: Span) {
         let kind = if script == 0 { RefillKind::First } else { RefillKind::Later };
         let known = self.tightest.get(&(chain.act, kind, chain.robot));
@@ -217,11 +217,11 @@ impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
     }
 }
 
-/// What a device does in an act.
+/// The scripts of a device in an act.
 struct Chain<'a> {
     act: usize,
     robot: &'a RobotId,
-    /// At least one.
+    /// Not empty.
     scripts: &'a [DeviceScript],
     queue: usize,
 }
@@ -253,7 +253,7 @@ mod tests {
         }
     }
 
-    /// One robot with one device, whose scripts follow each other and last this many milliseconds.
+    /// One robot with one device, whose consecutive scripts last `durations` milliseconds.
     fn act(durations: &[i64], next: Way) -> Act {
         let mut start = 0;
         let script = |duration: &i64| {
@@ -293,7 +293,7 @@ mod tests {
         assert_eq!(of(acts(), 2), [(0, Later, 2_000)]);
         assert_eq!(of(acts(), 3), [(0, Later, 5_000)]);
         assert_eq!(of(acts(), 4), []);
-        // There is room when the one before has ended, which is when the next one starts.
+        // There is room once the previous script has ended, which is when the next one starts.
         assert_eq!(of(acts(), 1), [(0, Later, 0)]);
     }
 

@@ -1,4 +1,4 @@
-//! A choreography as it is rehearsed: slower, with a part of the fleet, or a single act.
+//! Rehearsals of a choreography: slower, with a part of the fleet, or with a single act.
 
 use downbeat_fleet::fleet::{Fleet, FleetRobot};
 use downbeat_space::space::DUST;
@@ -7,14 +7,14 @@ use urrcp::{ControlType, Device, Millis, RobotId, Script, Span, Step};
 use crate::choreography::{Act, Choreography, DeviceScript, Wait, Way};
 use crate::compensate;
 
-/// Faults that are listed of a choreography at another speed.
+/// Maximum number of faults reported for a choreography at another speed.
 const SHOWN: usize = 20;
 
 impl Choreography {
-    /// With these robots alone. Acts keep their times, also those in which none of them plays.
+    /// Reduces the choreography to these robots. Acts keep their times, even if none of the robots plays in them.
     ///
     /// # Errors
-    /// Names that no act moves.
+    /// The names of robots that no act moves.
     pub fn only(mut self, robots: &[RobotId]) -> Result<Self, Vec<RobotId>> {
         let moved = |id: &&RobotId| {
             !self.acts.iter().flat_map(|act| &act.plan.robots).any(|robot| robot.robot == **id)
@@ -27,7 +27,7 @@ impl Choreography {
             act.plan.robots.retain(|robot| robots.contains(&robot.robot));
             act.devices.retain(|used| robots.contains(&used.robot));
             act.readings.retain(|reading| robots.contains(&reading.robot));
-            // Where the others stand is not known.
+            // The positions of the other robots are unknown.
             act.in_space.closest = None;
             act.in_space.bodies.retain(|body| robots.contains(&body.robot));
             act.in_space.driven.retain(|path| robots.contains(&path.robot));
@@ -36,7 +36,7 @@ impl Choreography {
         Ok(self)
     }
 
-    /// This act alone, at once.
+    /// Reduces the choreography to this act, which then begins immediately.
     #[must_use]
     pub fn act_alone(mut self, act: usize) -> Self {
         let mut act = self.acts.swap_remove(act);
@@ -49,15 +49,15 @@ impl Choreography {
         self
     }
 
-    /// Played at `speed` times the speed as written: all times divided by it; speeds times it, accelerations times
-    /// its square, on the device's grid. Checked again against what each device declares.
+    /// Plays the choreography at `speed` times the written speed: times are divided by `speed`, speeds multiplied by it, and
+    /// accelerations by its square, on the device's grid. The result is checked again against the limits that each device declares.
     ///
     /// # Errors
-    /// What a device cannot do at that speed, each with its robot, device and step.
+    /// The limits that devices cannot keep at this speed, each with robot, device and step.
     pub fn at_speed(mut self, speed: f64, fleet: &Fleet) -> Result<Self, Vec<String>> {
         let mut faults = Vec::new();
         for act in &mut self.acts {
-            // A device takes as long to move at any speed of the show.
+            // Latency does not depend on the speed of the show.
             compensate::undo(act);
             stretch_act(act, speed, fleet, &mut faults);
         }
@@ -124,7 +124,7 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
     let mut steps = Vec::with_capacity(script.script.steps().len());
     for step in script.script.steps() {
         let Ok(offset) = millis(step.offset) else {
-            return vec!["would last longer than a script can".to_owned()];
+            return vec!["would exceed the maximum length of a script".to_owned()];
         };
         let mut setpoint = step.setpoint.clone();
         let factor = match setpoint.control_type {
@@ -147,7 +147,7 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
     script.rest = Span::from_millis_f64(script.rest.as_millis_f64() / speed);
     match (Script::new(steps), millis(script.start)) {
         (Ok(stretched), Ok(start)) => (script.script, script.start) = (stretched, start),
-        _ => faults.push("would last longer than a script can".to_owned()),
+        _ => faults.push("would exceed the maximum length of a script".to_owned()),
     }
     faults
 }

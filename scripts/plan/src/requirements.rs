@@ -1,25 +1,25 @@
-//! Bounds that a scenario sets for what its trials show. The scheduler judges them.
+//! Bounds that a scenario sets for the results of its trials. The scheduler checks them.
 
 use std::fmt;
 
 use urrcp::Span;
 
-/// What a scenario requires under `require`.
+/// The requirements of a scenario under `require`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Requirements {
-    /// Of the true spread of starts in half of the trials.
+    /// Bound for the true spread of starts in half of the trials.
     pub spread_p50: Option<Ceiling>,
-    /// The same in 99 of 100 trials.
+    /// Bound for the spread in 99 of 100 trials.
     pub spread_p99: Option<Ceiling>,
-    /// The same in all trials.
+    /// Bound for the spread in all trials.
     pub spread_max: Option<Ceiling>,
-    /// Share of the trials in which the mission starts.
+    /// Required share of the trials in which the mission starts.
     pub starts: Option<Floor<Share>>,
-    /// Share of the trials whose mission is done.
+    /// Required share of the trials in which the mission is done.
     pub finishes: Option<Floor<Share>>,
-    /// The closest approach of any two bodies, from surface to surface, in metres.
+    /// Required distance between any two bodies, from surface to surface, in metres.
     pub closest: Option<Floor<f64>>,
-    /// Whether every robot itself has to drop a script that was not decided.
+    /// Whether each robot itself must drop a script that was not decided.
     pub all_or_none: Option<AllOrNone>,
 }
 
@@ -38,12 +38,12 @@ impl Requirements {
     }
 }
 
-/// A figure has to be smaller.
+/// An upper bound for a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ceiling {
-    /// Than this.
+    /// The figure must be smaller than this.
     Below(Span),
-    /// Than this, or equal.
+    /// The figure must be smaller than or equal to this.
     AtMost(Span),
 }
 
@@ -65,7 +65,7 @@ impl Ceiling {
         }
     }
 
-    /// As it is written: `below` or `at most`.
+    /// The word for it in a scenario: `below` or `at most`.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -75,12 +75,12 @@ impl Ceiling {
     }
 }
 
-/// A figure has to be larger.
+/// A lower bound for a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Floor<T> {
-    /// Than this.
+    /// The figure must be larger than this.
     Above(T),
-    /// Than this, or equal.
+    /// The figure must be larger than or equal to this.
     AtLeast(T),
 }
 
@@ -93,7 +93,7 @@ impl<T: Copy> Floor<T> {
         }
     }
 
-    /// As it is written: `above` or `at least`.
+    /// The word for it in a scenario: `above` or `at least`.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -104,7 +104,7 @@ impl<T: Copy> Floor<T> {
 }
 
 impl Floor<f64> {
-    /// Whether a figure satisfies it; what is not a number does not.
+    /// Whether a figure satisfies it. NaN never does.
     #[must_use]
     pub fn holds(self, figure: f64) -> bool {
         match self {
@@ -115,7 +115,7 @@ impl Floor<f64> {
 }
 
 impl Floor<Share> {
-    /// Whether so many of all satisfy it, exactly.
+    /// Whether the share `count` of `all` satisfies it, compared exactly.
     #[must_use]
     pub fn holds(self, count: u64, all: u64) -> bool {
         let figure = u128::from(count) * u128::from(Share::WHOLE);
@@ -134,7 +134,7 @@ pub struct Share(u32);
 impl Share {
     const WHOLE: u32 = 1_000_000_000;
 
-    /// So many billionths, at most the whole.
+    /// Creates a share of `billionths`, clamped to the whole.
     #[must_use]
     pub fn from_billionths(billionths: u32) -> Self {
         Self(billionths.min(Self::WHOLE))

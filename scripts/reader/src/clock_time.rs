@@ -1,17 +1,17 @@
-//! Instants and times of day, as people write them.
+//! Instants and times of day, as users write them.
 
 use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::{Error, StrDeserializer};
 use urrcp::{Server, Span, Timestamp};
 
-/// An instant as in RFC 3339.
+/// Parses an instant in RFC 3339 format.
 pub fn parse_instant(text: &str) -> Option<Timestamp<Server>> {
     let deserializer: StrDeserializer<'_, Error> = text.into_deserializer();
     Timestamp::deserialize(deserializer).ok()
 }
 
-/// A time of day, `19:30` or `19:30:00.5`, since midnight.
+/// Parses a time of day, `19:30` or `19:30:00.5`, as the time since midnight.
 pub fn parse_time_of_day(text: &str) -> Option<Span> {
     let parts: Vec<_> = text.split(':').collect();
     let (hour, minute, second) = match parts.as_slice() {

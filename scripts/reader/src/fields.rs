@@ -1,4 +1,4 @@
-//! Reading a tree key by key, collecting every finding on the way. Variables are put in where they are used.
+//! Reads a tree key by key, and collects all findings. Variables are substituted where they are used.
 
 mod across;
 mod cut;
@@ -35,51 +35,52 @@ pub use expressions::Robot;
 pub use expressions::tried;
 pub use nesting::{Name, Unset};
 
-/// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
+/// Reads values. Holds the findings so far, the variables in scope, and the tempo.
 pub struct Reader {
     /// The findings so far.
     pub found: Vec<Pending>,
-    /// The variables in force.
+    /// The variables in scope.
     pub scope: Scope,
-    /// The tempo by which beats are counted here.
+    /// The tempo that applies to beats here.
     pub music: Music,
-    /// For the movements of all cues.
+    /// Budget of knots for the movements of all cues.
     pub knots: Budget,
-    /// Parameters without a value in the movement that is being read.
+    /// Parameters without a value in the current movement.
     pub unset: Vec<Unset>,
-    /// For expressions.
+    /// Budget of evaluation steps for expressions.
     pub evaluations: Budget,
-    /// Whose movement is being read.
+    /// The robot whose movement is being read.
     pub robots: Robots,
     /// The robots of its cue.
     pub group: Group,
-    /// Which moves and sequences are being read, one within another.
+    /// The moves and sequences that are being read, nested in one another.
     pub nesting: Nesting,
-    /// Where the times of cues count from, as far as that is known.
+    /// The origin of the times of cues, as far as it is known.
     pub origin: Beginning,
     /// The devices of the fleet.
     pub units: Units,
-    /// The keys of a cue, which hints about other maps need as well.
+    /// The keys of a cue, which hints about other maps also need.
     pub cue_keys: &'static [&'static str],
-    /// Whether there is a tempo that cannot be read, which is reported already.
+    /// Whether a tempo cannot be read, which is already reported.
     pub tempo_is_wrong: bool,
-    /// The first time without a tempo in each file, by its finding, and all their places.
+    /// The first time without a tempo in each file: the index of its finding, its message, and the places of all such times.
     without_tempo: HashMap<u16, (usize, String, HashSet<String>)>,
-    /// Keys and values that are already reported as wrong: those that a comma cut in two, and misspelt keys that are read as others.
+    /// Keys and values that are already reported as wrong: those that a comma cut in two, and misspelt keys that are read as the
+    /// suggested ones.
     wrong: Vec<Place>,
-    /// Variables that are defined further on.
+    /// Variables that are defined below.
     pub later: HashSet<String>,
-    /// Cues of other acts, each with its act.
+    /// Cues of other acts, with their acts.
     pub act_of: HashMap<String, String>,
-    /// Comparisons of names that are left.
+    /// Remaining comparisons of names.
     comparisons: Cell<usize>,
-    /// By severity.
+    /// Counts of findings by severity.
     told: [Told; 2],
-    /// What is an error only if there is no other: otherwise one of the others is its cause.
+    /// Errors that are reported only if there are no others; otherwise one of the others is their cause.
     follow_ups: Vec<Pending>,
-    /// Which findings others of one cause join.
+    /// The index of the finding that further faults with the same cause join.
     alike: HashMap<(Code, String), usize>,
-    /// Errors that have joined others.
+    /// The number of errors that have joined other findings.
     joined: usize,
 }
 
@@ -87,12 +88,12 @@ pub struct Reader {
 #[derive(Clone, Copy, Default)]
 struct Told {
     count: usize,
-    /// The last one that is reported.
+    /// The index of the last finding that is reported.
     last: usize,
     more: usize,
 }
 
-/// How many findings there were at some time.
+/// The number of findings at some point.
 pub struct FindingsMark {
     found: usize,
     told: [Told; 2],
@@ -167,7 +168,7 @@ impl Reader {
         });
     }
 
-    /// Whether a time is the first of its file without a tempo; others are counted in its finding.
+    /// Whether a time is the first one of its file without a tempo. Further ones are counted in the finding of the first.
     fn is_first_without_tempo(&mut self, place: &Place, message: &str) -> bool {
         if self.tempo_is_wrong {
             return false;
@@ -186,14 +187,14 @@ impl Reader {
         };
         if is_new {
             known.message = match places.len() - 1 {
-                1 => format!("{first}; 1 other time needs one, too"),
-                others => format!("{first}; {others} other times need one, too"),
+                1 => format!("{first}; 1 other time also needs one"),
+                others => format!("{first}; {others} other times also need one"),
             };
         }
         false
     }
 
-    /// A fault of some robots, which joins the finding of others that have it for the same reason.
+    /// Adds a fault of some robots. It joins the finding of other faults with the same cause.
     pub fn add_shared(&mut self, fault: SharedFault) {
         let key = (fault.code, fault.cause.clone());
         let known = self.alike.get(&key).and_then(|known| self.found.get_mut(*known));
@@ -212,7 +213,7 @@ impl Reader {
         }
     }
 
-    /// Adds a finding that each use of something would repeat. Only the first one is reported.
+    /// Adds a finding that each use of an item would repeat. Only the first one is reported.
     pub fn add_once(
         &mut self,
         cause: String,
@@ -238,13 +239,13 @@ impl Reader {
         self.alike.contains_key(&(code, cause.to_owned()))
     }
 
-    /// A finding about a file, at the place at which the file is named.
+    /// Adds a finding about a file, at the place that names the file.
     pub fn add_named(&mut self, place: Place, about: Finding) {
         let Finding { code, message, expected, hint, .. } = about;
         self.add(code, place, message, expected, hint);
     }
 
-    /// A finding that several places make together, each with what it says; the first one is where the finding stands.
+    /// Adds a finding that involves several places, each with its explanation. The first place is the place of the finding.
     pub fn add_related(
         &mut self,
         code: Code,
@@ -259,12 +260,12 @@ impl Reader {
         self.found.iter_mut().skip(before).for_each(|found| found.related.clone_from(&related));
     }
 
-    /// How far the findings have come, for [`Self::forget`].
+    /// The current number of findings, for [`Self::forget`].
     pub fn mark(&self) -> FindingsMark {
         FindingsMark { found: self.found.len(), told: self.told, unset: self.unset.len() }
     }
 
-    /// Takes back every finding after the mark.
+    /// Removes all findings after the mark.
     pub fn forget(&mut self, mark: &FindingsMark) {
         self.found.truncate(mark.found);
         self.alike.retain(|_, index| *index < mark.found);
@@ -272,21 +273,21 @@ impl Reader {
         self.told = mark.told;
     }
 
-    /// Takes back some of the findings because there were too many.
+    /// Removes findings after `before` whose code `keep` rejects, because there were too many.
     pub fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
         let since = self.found.split_off(before.min(self.found.len()));
         self.alike.retain(|_, index| *index < before);
         self.found.extend(since.into_iter().filter(|found| keep(found.code)));
     }
 
-    /// A finding that is kept back if anything else is wrong.
+    /// Adds a finding that is reported only if there are no errors.
     pub fn add_unless_others(&mut self, follow_up: Pending) {
         if self.follow_ups.len() < FINDINGS_MAX {
             self.follow_ups.push(follow_up);
         }
     }
 
-    /// Everything that is reported; the last of very many says how many more there are.
+    /// All reported findings. If there were too many, the last one states the number of the rest.
     pub fn finish(mut self) -> Vec<Pending> {
         if self.found.iter().all(|found| found.code.severity() == Severity::Warning) {
             for Pending { code, place, message, expected, hint, .. } in std::mem::take(&mut self.follow_ups) {
@@ -306,17 +307,17 @@ impl Reader {
         self.found
     }
 
-    /// How many errors there are so far, each counted by itself.
+    /// The number of errors so far, including those that have joined other findings.
     pub const fn errors(&self) -> usize {
         self.told[0].count + self.told[0].more + self.joined
     }
 
-    /// Whether there are so many errors already that nothing more is reported.
+    /// Whether the limit of errors is reached, so that further ones are not reported.
     pub const fn is_full(&self) -> bool {
         self.told[0].count == FINDINGS_MAX
     }
 
-    /// The name most like a wrong one, as a hint: for as many wrong ones as can be compared in no time.
+    /// A hint with the known name most similar to a wrong one, within the budget of comparisons.
     pub fn did_you_mean<'a>(&self, wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
         let mut left = self.comparisons.get();
         let hint = nearest(wrong, known, &mut left);
@@ -329,7 +330,7 @@ impl Reader {
         self.wrong_value(at, at.node, expected);
     }
 
-    /// The same for a value that stands elsewhere: the parameter of a move or a sequence where it is given.
+    /// The same for a value from elsewhere. If it is a parameter of a move or a sequence, the finding is at the place that assigns it.
     fn wrong_value(&mut self, at: &At<'_>, value: &Node, expected: &str) {
         if self.is_template(at, expected) {
             return;
@@ -340,8 +341,7 @@ impl Reader {
         self.add_styled(place, format!("found {}", value.kind()), expected, [hint, in_block]);
     }
 
-    /// Adds a finding about a value of the wrong type, with a hint for values in brackets, and one for values in lines if it
-    /// differs.
+    /// Adds a finding about a value of the wrong type, with a hint for values in brackets, and another one for block style if it differs.
     pub fn add_styled(
         &mut self,
         place: Place,
@@ -363,13 +363,13 @@ impl Reader {
         let hint = Some(if is_scalar(expected) {
             format!("write `{}`, without braces", shortened(&slips::bare(&self.scope, &inner)))
         } else {
-            "variables stand for numbers, times and names only: write the rest out".to_owned()
+            "variables can only replace numbers, times and names: write out everything else".to_owned()
         });
         self.add(Code::WrongType, at.place(), message, expected, hint);
         true
     }
 
-    /// The values of the keys that are declared for a map; findings for others, for duplicates and for missing ones.
+    /// The values of the keys that are declared for a map. Adds findings for unknown, duplicate and missing keys.
     pub fn keys<'a, K: Keys<'a>>(&mut self, at: &'a At<'a>, what: &str) -> Option<K> {
         self.values(at, what, K::NAMES, K::REQUIRED).map(K::of)
     }
@@ -417,7 +417,7 @@ impl Reader {
                 Some(index) => self.duplicate(&at.entry(known[index], 1, node), key),
                 None => {
                     let hint = match key.as_str() {
-                        "<<" => Some("merge keys are not supported: write the keys out".to_owned()),
+                        "<<" => Some("merge keys are not supported: write out the keys".to_owned()),
                         _ if syntax::without_space(key, known).is_some() => syntax::without_space(key, known),
                         _ => syntax::without_colon(key, known)
                             .filter(|_| *node == Node::Null)
@@ -457,7 +457,7 @@ impl Reader {
         Some(values)
     }
 
-    /// Whether a part of the scenario is misspelt or of the wrong type as a whole, so that nothing in it is known.
+    /// Whether a part of the scenario is misspelt or of the wrong type as a whole, so that its contents are unknown.
     pub fn is_wrong(&self, part: &str) -> bool {
         let meant = did_you_mean_this(part);
         self.found.iter().any(|found| match (found.code, found.place.path.as_slice()) {
@@ -467,7 +467,7 @@ impl Reader {
         })
     }
 
-    /// Whether the findings say already that one of the keys here was meant to be this one.
+    /// Whether a finding already suggests this key for one of the keys here.
     pub fn is_miswritten(&self, at: &At<'_>, key: &str) -> bool {
         let meant = [did_you_mean_this(key), format!("`{key}`"), format!("`{key}:")];
         let place = at.place();
@@ -504,11 +504,11 @@ impl Reader {
 
     fn duplicate(&mut self, at: &At<'_>, key: &str) {
         let hint = Some("keep one of them".to_owned());
-        let message = format!("the key `{}` appears twice in this map", shortened(key));
-        self.add(Code::DuplicateKey, at.key_place(), message, "each key once", hint);
+        let message = format!("duplicate key `{}` in this map", shortened(key));
+        self.add(Code::DuplicateKey, at.key_place(), message, "unique keys", hint);
     }
 
-    /// The items of a list; another node is a finding, and counts as an empty list.
+    /// The items of a list. Any other node is a finding, and is treated as an empty list.
     pub fn list<'a>(&mut self, at: &'a At<'a>, expected: &str) -> Vec<At<'a>> {
         match at.node {
             Node::List(items) => items.iter().enumerate().map(|(i, node)| at.item(i, node)).collect(),

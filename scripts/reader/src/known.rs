@@ -1,17 +1,17 @@
-//! What the reader knows where: every list of keys and words that it compares with a document, with the place. Tests compare the schemas
-//! with it.
+//! The lists of keys and words that the reader knows. Each list that it compares with a document is recorded, with the place. Tests
+//! compare the schemas with these lists.
 
 use std::cell::RefCell;
 
 use downbeat_yaml::at::At;
 use downbeat_yaml::finding::Place;
 
-/// One list, and what it is a list of.
+/// A list with its place and kind.
 #[derive(Clone, Debug)]
 pub enum Known {
     /// The keys of a map.
     Keys(Place, Vec<&'static str>),
-    /// The words that a value may be.
+    /// The words that a value may have.
     Words(Place, Vec<&'static str>),
 }
 
@@ -19,12 +19,12 @@ thread_local! {
     static RECORDED: RefCell<Option<Vec<Known>>> = const { RefCell::new(None) };
 }
 
-/// Notes a list of keys.
+/// Records a list of keys.
 pub(crate) fn keys(at: &At<'_>, keys: &[&'static str]) {
     record(|| Known::Keys(at.place(), keys.to_vec()));
 }
 
-/// Notes a list of words.
+/// Records a list of words.
 pub(crate) fn words(at: &At<'_>, words: impl Iterator<Item = &'static str>) {
     record(|| Known::Words(at.place(), words.collect()));
 }
@@ -37,7 +37,7 @@ fn record(known: impl FnOnce() -> Known) {
     });
 }
 
-/// Everything that this thread compares while it reads.
+/// Runs `read`, and returns the lists that this thread compares meanwhile.
 pub fn while_reading(read: impl FnOnce()) -> Vec<Known> {
     RECORDED.set(Some(Vec::new()));
     read();

@@ -2,7 +2,7 @@
 //!
 //! | module | |
 //! |---|---|
-//! | [`fields`] | the reader: maps, lists, numbers, times, words, values that are distributed over a group |
+//! | [`fields`] | the reader: maps, lists, numbers, times, words, values that are spread over a group |
 //! | [`keys`](mod@keys) | a map as a struct with a field for each key |
 //! | [`scope`] | the variables that are in scope |
 //! | [`slips`] | hints for keys, words and forms of other programs |

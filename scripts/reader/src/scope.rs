@@ -1,4 +1,4 @@
-//! Variables in force: those of the files, and inside a move its parameters before them.
+//! The variables in scope: those of the files, which the parameters of a move shadow.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -6,11 +6,11 @@ use std::sync::Arc;
 use downbeat_yaml::finding::Place;
 use downbeat_yaml::node::Node;
 
-/// Names with their values, the innermost last.
+/// Names with their values, from the outermost to the innermost.
 #[derive(Clone, Debug, Default)]
 pub struct Scope {
     all: Vec<Variable>,
-    /// Where the values of a name stand.
+    /// The indices of the values of each name.
     by_name: HashMap<String, Vec<usize>>,
 }
 
@@ -19,7 +19,7 @@ pub struct Scope {
 pub struct Variable {
     name: String,
     value: Node,
-    /// Where a parameter of a sequence is given its value.
+    /// The place that assigns the value, for parameters of a sequence.
     place: Option<Arc<Place>>,
 }
 
@@ -33,17 +33,17 @@ impl Scope {
         self.by_name.get(name).and_then(|places| places.last().copied())
     }
 
-    /// Every name that has a value.
+    /// All names that have a value.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.all.iter().map(|variable| variable.name.as_str())
     }
 
-    /// Null stands for a value that is missing or wrong, which is told elsewhere: what uses it is left out without a word.
+    /// Sets a variable. Null marks a missing or wrong value that is already reported: uses of it are ignored silently.
     pub fn set(&mut self, name: impl Into<String>, value: Node) {
         self.set_given(name, value, None);
     }
 
-    /// The value of a parameter, and where it is given.
+    /// Sets a parameter, with the place that assigns its value.
     pub fn set_given(&mut self, name: impl Into<String>, value: Node, place: Option<Arc<Place>>) {
         self.add(Variable { name: name.into(), value, place });
     }
@@ -53,29 +53,29 @@ impl Scope {
         self.all.push(variable);
     }
 
-    /// Where the value of a name is given, if it is a parameter of a sequence.
+    /// The place that assigns the value of a name, if it is a parameter of a sequence.
     pub fn place(&self, name: &str) -> Option<&Arc<Place>> {
         self.last(name).and_then(|last| self.all[last].place.as_ref())
     }
 
-    /// How many there are, for [`Self::forget`].
+    /// The number of variables, for [`Self::forget`].
     pub fn mark(&self) -> usize {
         self.all.len()
     }
 
-    /// Takes out everything set after the mark, to be put back by [`Self::restore`].
+    /// Removes and returns everything set after the mark, for [`Self::restore`].
     pub fn hide(&mut self, mark: usize) -> Vec<Variable> {
         let hidden = self.all.get(mark..).map(<[_]>::to_vec).unwrap_or_default();
         self.forget(mark);
         hidden
     }
 
-    /// Puts back what was hidden.
+    /// Restores hidden variables.
     pub fn restore(&mut self, hidden: impl IntoIterator<Item = Variable>) {
         hidden.into_iter().for_each(|variable| self.add(variable));
     }
 
-    /// Drops everything set after the mark.
+    /// Drops all variables set after the mark.
     pub fn forget(&mut self, mark: usize) {
         for variable in self.all.drain(mark.min(self.all.len())..) {
             if let Some(places) = self.by_name.get_mut(&variable.name) {

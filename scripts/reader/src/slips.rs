@@ -1,4 +1,4 @@
-//! Hints for what people write where the language has another word, key or form: words of other programs, units, lists without brackets.
+//! Hints for common mistakes: words, keys and forms of other programs, units, lists without brackets.
 
 mod advice;
 mod keyframes;
@@ -19,12 +19,12 @@ use downbeat_yaml::finding::{Part, Place, did_you_mean_this};
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// The devices of a fleet by name, each with its unit if all robots that have it agree.
+/// The devices of a fleet by name, each with its unit if all robots with this device agree.
 #[derive(Debug, Default)]
 pub struct Units(HashMap<String, Option<String>>);
 
 impl Units {
-    /// A device of several robots has a unit if it is the same on all of them.
+    /// If several robots have the device, its unit is only known if it is the same on all of them.
     pub fn of<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
         let mut units: HashMap<String, Option<String>> = HashMap::new();
         for device in devices {
@@ -46,7 +46,7 @@ impl Units {
         self.0.contains_key(name)
     }
 
-    /// The device that a place in a track is about, and its unit.
+    /// The device that a place in a track belongs to, and its unit.
     fn at<'p>(&self, place: &'p Place) -> Option<(&'p str, Option<&str>)> {
         let at = place
             .path
@@ -57,7 +57,7 @@ impl Units {
     }
 }
 
-/// Parts of the names of easings that have no equivalent here.
+/// Parts of names of easings that have no equivalent here.
 const OTHER_EASINGS: [&str; 9] =
     ["cubicbezier", "bounce", "elastic", "spring", "overshoot", "expo", "circ", "quad", "quart"];
 
@@ -74,10 +74,10 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
         }
         easing if has("smooth") && easing.starts_with("easeinout") => "smooth",
         easing if has("smooth") && OTHER_EASINGS.iter().any(|other| easing.contains(other)) => {
-            return Some("for another curve, write more keyframes, a `spline` or a `formula`".to_owned());
+            return Some("for other curves, use more keyframes, a `spline` or a `formula`".to_owned());
         }
         easing if has("smooth") && ["ease", "in", "out"].iter().any(|begin| easing.starts_with(begin)) => {
-            return Some("no easing is soft at one end only: `smooth` begins and ends softly".to_owned());
+            return Some("one-sided easing is not supported: `smooth` eases both in and out".to_owned());
         }
         "reverse" | "reversed" | "backwards" | "back" | "desc" | "descending" if has("backward") => {
             "backward"
@@ -85,7 +85,8 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
         "forwards" | "normal" | "asc" | "ascending" if has("forward") => "forward",
         "left" | "lefttoright" | "right" | "righttoleft" if has("backward") => {
             return Some(
-                "write `by: x`, in the `direction` `forward` from left to right, or `backward`".to_owned(),
+                "write `by: x` with `direction: forward` from left to right, or `direction: backward`"
+                    .to_owned(),
             );
         }
         "left" | "lefttoright" | "right" | "righttoleft" if has("x") => "x",
@@ -101,14 +102,14 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
         "fifo" | "first" | "fixed" | "file" | "manual" | "listed" | "sequential" if has("auto") => "given",
         "exclusive" | "mutex" | "lock" | "single" | "shared" if has("auto") => {
             return Some(
-                "a zone is for one cue at a time: `given` keeps the order of the file, `auto` finds a short one"
+                "only one cue at a time can use a zone: `given` keeps the order of the file, `auto` searches for a short one"
                     .to_owned(),
             );
         }
         "pause" | "freeze" | "hold" | "estop" | "emergencystop" if has("without") => "stop",
         "retry" | "restart" | "reconnect" if has("without") => {
             return Some(
-                "a robot that has failed does not begin again in this act: `without` continues without it"
+                "a failed robot does not restart in this act: use `without` to continue without it"
                     .to_owned(),
             );
         }
@@ -132,7 +133,7 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
         "order" | "number" | "name" | "id" if has("index") => "index",
         "shuffle" | "shuffled" if has("index") => "random",
         "distance" | "radius" | "place" | "position" | "center" | "centre" | "middle" if has("index") => {
-            return Some("distances are measured from a point: `by: [0, 0, 0]`".to_owned());
+            return Some("write the point from which distances are measured: `by: [0, 0, 0]`".to_owned());
         }
         "random" | "shuffle" if has("inward") => return Some("write `by: random` with a `seed`".to_owned()),
         "center" | "middle" | "centerout" | "centreout" | "out" if has("inward") => "outward",
@@ -149,10 +150,10 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
     Some(did_you_mean_this(meant))
 }
 
-/// A hint for a value of another kind than is expected there.
+/// A hint for a value of the wrong kind.
 pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected: &str) -> Option<String> {
     match node {
-        Node::Text(text) if scope.get(text).is_some() => Some(format!("the variable is written `${text}`")),
+        Node::Text(text) if scope.get(text).is_some() => Some(format!("write the variable as `${text}`")),
         Node::Text(text) if is_value(place) && STATES.contains(&text.to_lowercase().as_str()) => {
             Some("write the number that the device takes, such as `0` or `1`".to_owned())
         }
@@ -173,7 +174,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             _ => format!("write `{}`", *value != 0.0),
         }),
         Node::Number(value) if expected == "a list of finite numbers" => Some(format!("write `[{value}]`")),
-        Node::Number(value) if expected.starts_with("the least and the largest coordinate") => {
+        Node::Number(value) if expected.starts_with("the minimum and maximum coordinate") => {
             Some(format!("write both: `[{}, {}]`", -value.abs(), value.abs()))
         }
         Node::Number(value) if expected.starts_with("`above` or `below`") => {
@@ -200,7 +201,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             Some("write the list below `cues:`".to_owned())
         }
         Node::List(_) if expected.starts_with("the name of an act") => {
-            Some("name one act; `otherwise` of a `wait` names another one".to_owned())
+            Some("write only one act; use `otherwise` of a `wait` for another one".to_owned())
         }
         Node::List(_) if expected.starts_with("the name of a formation") => {
             Some("write a cue for each of them".to_owned())
@@ -221,7 +222,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             Some(format!("write a list: `[{}]`", words(text).join(", ")))
         }
         Node::Text(text)
-            if expected.starts_with("the least and the largest delay") && parse_duration(text).is_some() =>
+            if expected.starts_with("the minimum and maximum delay") && parse_duration(text).is_some() =>
         {
             Some(format!("write `[{text}, {text}]`"))
         }
@@ -230,7 +231,9 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
                 && is_repeat(place)
                 && parse_duration(text).is_some() =>
         {
-            Some(format!("write `{{for: {text}}}` to repeat it for that long, or how often alone"))
+            Some(format!(
+                "write `{{for: {text}}}` to repeat it for this time, or only the number of repetitions"
+            ))
         }
         Node::Text(text) => number(units, place, text, expected)
             .or_else(|| {
@@ -249,20 +252,20 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             Some("put brackets around it: `[{...}]`".to_owned())
         }
         Node::Map(_) if expected.starts_with("the path of an initialization block") => {
-            Some("write the description into a file of its own, and name that".to_owned())
+            Some("move the description to a separate file, and write its path here".to_owned())
         }
         Node::Map(entries) if expected.starts_with("a robot, a group or a list") => {
             let names: Vec<&str> = entries.iter().map(|(key, _)| key.as_str()).collect();
             Some(format!("write a list: `[{}]`", names.join(", ")))
         }
         Node::Number(value) if expected.starts_with("a list of keyframes") => {
-            Some(format!("write at which time it gets there, as in `[{{at: 1s, to: {value}}}]`"))
+            Some(format!("add the time at which the value is reached, as in `[{{at: 1s, to: {value}}}]`"))
         }
         Node::Number(_)
             if expected.starts_with("a place in metres")
                 && matches!(place.path.last(), Some(Part::Index(_))) =>
         {
-            Some("put each place in brackets of its own: `[[0, 0, 1], [1, 0, 1]]`".to_owned())
+            Some("put each place in its own brackets: `[[0, 0, 1], [1, 0, 1]]`".to_owned())
         }
         Node::Number(value) if expected.starts_with("a place in metres") => {
             Some(format!("write all three: `[0, 0, {value}]`"))
@@ -301,10 +304,10 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
             Some("write a map, with a name for each entry: `{name: ...}`".to_owned())
         }
         Node::List(_) if expected == "the name of a move" => {
-            Some("write a cue for each move, or a move that has `play` with a list of them".to_owned())
+            Some("write a cue for each move, or define a move that lists them under `play`".to_owned())
         }
         Node::List(_) if expected.starts_with("the path of a fleet file") => {
-            Some("name one file that lists all robots".to_owned())
+            Some("write the path of one file that lists all robots".to_owned())
         }
         Node::Null if expected.starts_with("a list of keyframes") => {
             Some("write its keyframes below it, as in `[{at: 0s, to: 0}, {at: 1s, to: 45}]`".to_owned())
@@ -315,7 +318,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
     }
 }
 
-/// The hint for a value that is written in lines, if it differs.
+/// The hint for a value in block style, if it differs.
 pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     match node {
         Node::Map(_) if expected.starts_with("a list of") => {
@@ -337,7 +340,7 @@ pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     }
 }
 
-/// `yes` and `no` are texts.
+/// A hint for words such as `yes` and `no`, which are texts.
 fn truth(text: &str, place: &Place) -> Option<String> {
     let is_mirror = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "mirror");
     let value = match text.to_lowercase().as_str() {
@@ -350,22 +353,22 @@ fn truth(text: &str, place: &Place) -> Option<String> {
 }
 
 /// A hint for a cue that is meant to repeat endlessly.
-const ENDLESS: &str = "a cue ends: give a number or `{for: 60s}`; to repeat an act until the operator says go, give the \
-                       next one `wait: {for: operator, timeout: 1s, otherwise: NAME}`";
+const ENDLESS: &str = "endless repetition is not supported: write a number or `{for: 60s}`; to repeat an act until the operator continues, add to \
+                       the next one `wait: {for: operator, timeout: 1s, otherwise: NAME}`";
 
-/// A hint for a number that has to be above 0.
+/// A hint for a number that must be above 0.
 pub fn not_positive(expected: &str, value: f64) -> Option<String> {
     match (expected.starts_with("a frequency"), value < 0.0) {
         (true, true) => Some(format!("write `{}`; `phase: 180` inverts the wave", -value)),
         (true, false) => Some(
-            "write cycles per second, as in `frequency: 0.5`; a value that stays is a keyframe".to_owned(),
+            "write cycles per second, as in `frequency: 0.5`; use a keyframe for a constant value".to_owned(),
         ),
         (false, true) => Some(format!("write `{}`", -value)),
         (false, false) => None,
     }
 }
 
-/// A hint for a list where one time belongs.
+/// A hint for a list in place of a time.
 pub fn one_time(place: &Place, node: &Node) -> Option<String> {
     let Node::List(items) = node else { return None };
     let time = |item: &Node| match item {
@@ -397,7 +400,7 @@ pub fn time(place: &Place, text: &str) -> Option<String> {
         return match keys.as_slice() {
             [_, "repeat", ..] => Some(ENDLESS.to_owned()),
             ["stop_condition", ..] | ["running", ..] => {
-                Some("`stop_condition: {running: none}` lets robots play on without the server".to_owned())
+                Some("with `stop_condition: {running: none}`, robots continue without the server".to_owned())
             }
             _ => None,
         };
@@ -406,7 +409,7 @@ pub fn time(place: &Place, text: &str) -> Option<String> {
     match *keys.first()? {
         "period" => Some(format!("write `{positive}`; `phase: 180` inverts the wave")),
         "every" => {
-            Some("leave `every` out: then each turn begins when the one before it has ended".to_owned())
+            Some("leave `every` out: then each repetition begins when the previous one has ended".to_owned())
         }
         "canon" => {
             Some(format!("write `{{step: {positive}, direction: backward}}` to begin with the last robot"))
@@ -416,7 +419,7 @@ pub fn time(place: &Place, text: &str) -> Option<String> {
     }
 }
 
-/// A hint for an instant, a date or a time of day, where a length of time belongs.
+/// A hint for an instant, a date or a time of day in place of a duration.
 pub fn instant(text: &str) -> String {
     let is_day = text.len() == 10 && text.as_bytes().get(4) == Some(&b'-');
     let at = match () {
@@ -424,7 +427,9 @@ pub fn instant(text: &str) -> String {
         () if is_day => format!("{text}T20:00:00Z"),
         () => "20:00".to_owned(),
     };
-    format!("`downbeat run --at {at}` starts the show at an instant, and `wait: {{time: \"{at}\"}}` an act")
+    format!(
+        "use `downbeat run --at {at}` to start the show at an instant, or `wait: {{time: \"{at}\"}}` to start an act"
+    )
 }
 
 /// A hint for an invalid number of repetitions: below 1, infinite, or with a fraction.
@@ -433,9 +438,10 @@ pub fn times(place: &Place, value: f64) -> Option<String> {
         _ if !is_repeat(place) => None,
         0.0 => Some(format!("leave `repeat` out to play it once; {ENDLESS}")),
         value if value < 0.0 || value == f64::INFINITY => Some(ENDLESS.to_owned()),
-        value if value.fract() != 0.0 => {
-            Some("a movement is repeated as a whole: `{for: 10s}` plays it as often as it fits".to_owned())
-        }
+        value if value.fract() != 0.0 => Some(
+            "only whole repetitions are supported: `{for: 10s}` plays the movement as often as it fits"
+                .to_owned(),
+        ),
         _ => None,
     }
 }
@@ -458,7 +464,7 @@ fn is_endless(text: &str) -> bool {
         .contains(&text.to_lowercase().as_str())
 }
 
-/// The words of a list without brackets: `left, right`, `left and right`, `left right`.
+/// Splits a list without brackets into words: `left, right`, `left and right`, `left right`.
 pub fn words(text: &str) -> Vec<String> {
     let plain = text.trim_matches(['[', ']', '{', '}']).replace(" and ", ",").replace(['&', '+', ';'], ",");
     let separator = if plain.contains(',') { ',' } else { ' ' };
@@ -466,7 +472,7 @@ pub fn words(text: &str) -> Vec<String> {
     words.map(str::to_owned).collect()
 }
 
-/// A hint for a text that has several of the known names, or one within marks that YAML keeps.
+/// A hint for a text that contains several known names, or one in quotation marks that YAML keeps.
 pub fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let is_known = |name: &str| known.clone().any(|known| is_same(known, name));
     let words = match text.split_once('-') {
@@ -489,7 +495,7 @@ pub fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clon
     (comments && is_known(name)).then(|| format!("a comment begins with `#`: `{name} # ...`"))
 }
 
-/// The text within the braces of `{{ x }}`, which YAML reads as a map whose key is a map, of `"{{ x }}"` or of `{$x}`.
+/// The text within the braces of `{{ x }}` (which YAML reads as a map whose key is a map), of `"{{ x }}"`, or of `{$x}`.
 pub fn template(node: &Node) -> Option<String> {
     let inner = match node {
         Node::Text(text) => text.trim().strip_prefix("{{")?.strip_suffix("}}")?,
@@ -532,7 +538,7 @@ fn coordinates(entries: &[(String, Node)]) -> Option<String> {
     Some(format!("write `[{x}, {y}, {z}]`"))
 }
 
-/// Words for the values of a device, which are always numbers.
+/// Words for the values of a device. The values themselves are always numbers.
 const STATES: [&str; 12] =
     ["on", "off", "yes", "no", "min", "max", "home", "default", "open", "closed", "high", "low"];
 
@@ -542,7 +548,7 @@ fn is_value(place: &Place) -> bool {
         && place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"))
 }
 
-/// A hint for a list where one number belongs: `radius: [1, 2]`.
+/// A hint for a list in place of a number: `radius: [1, 2]`.
 fn one_number(place: &Place, items: &[Node]) -> String {
     let key = place.path.iter().rev().find_map(|part| match part {
         Part::Key(key, _) => Some(key.as_str()),
@@ -554,12 +560,12 @@ fn one_number(place: &Place, items: &[Node]) -> String {
     });
     let (key, first) = (key.unwrap_or("to"), first.unwrap_or(2.0));
     match key {
-        "to" => format!("write one number, `to: {first}`: only a `custom_N` takes several at once"),
+        "to" => format!("write one number, `to: {first}`: only a `custom_N` accepts several values"),
         _ => format!("write one number, as in `{}: {first}`", shortened(key)),
     }
 }
 
-/// A hint for a number where a list, or a map of several keys, belongs: `points: 3`, `wave: 20`.
+/// A hint for a number in place of a list or of a map with several keys: `points: 3`, `wave: 20`.
 fn in_a_list(expected: &str, value: f64) -> Option<String> {
     let begins = |begin: &str| expected.starts_with(begin);
     if begins("a list of places") || begins("a list of points such as [") {
@@ -567,14 +573,14 @@ fn in_a_list(expected: &str, value: f64) -> Option<String> {
     }
     if begins("a list of points such as {at") {
         return Some(format!(
-            "write at which time it gets there: `[{{at: 0s, to: 0}}, {{at: 1s, to: {value}}}]`"
+            "add the time at which each value is reached: `[{{at: 0s, to: 0}}, {{at: 1s, to: {value}}}]`"
         ));
     }
     if begins("a list of numbers") {
         return Some(format!("write `[{value}]`"));
     }
     if begins("a list of pieces") || begins("a polynomial: a map") {
-        return Some(format!("write how long each piece lasts: `{{for: 2s, coefficients: [{value}]}}`"));
+        return Some(format!("add the duration of each piece: `{{for: 2s, coefficients: [{value}]}}`"));
     }
     if begins("a wave: a map") {
         return Some(format!("write `{{amplitude: {value}, period: 2s, for: 8s}}`"));
@@ -584,14 +590,14 @@ fn in_a_list(expected: &str, value: f64) -> Option<String> {
             "write `tempo: {value}`, or `[{{at: bar 1, bpm: {value}}}]` for one that changes"
         ));
     }
-    if begins("the least and the largest reading") {
+    if begins("the minimum and maximum reading") {
         return Some(format!("write both: `[{}, {}]`", value.min(0.0), value.max(0.0)));
     }
     begins("a map from sensor to the times")
-        .then(|| format!("write when each is read: `{{SENSOR: {value}s}}`"))
+        .then(|| format!("add the time at which the sensor is read: `{{SENSOR: {value}s}}`"))
 }
 
-/// A number where a map with one usual key belongs: `limits: {elbow: 90}`, `circle: 4`.
+/// A hint for a number in place of a map with one usual key: `limits: {elbow: 90}`, `circle: 4`.
 fn in_a_map(expected: &str, value: f64) -> Option<String> {
     let (what, keys) = expected.split_once(": a map with `")?;
     let of_one_number = ["limits", "`line`", "`circle`", "`grid`", "`v`", "`sphere`"];
@@ -619,7 +625,7 @@ fn colour(text: &str) -> Option<[u8; 3]> {
     Some([r, g, b])
 }
 
-/// A hint that lists the robots of a range, `d1-d6` or `d1..d6`, or those whose names begin alike, `d*`.
+/// A hint that lists the robots of a range, `d1-d6` or `d1..d6`, or those whose names have a common prefix, `d*`.
 pub fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let listed: Vec<&str> = match text.strip_suffix('*') {
         Some(begin) => ids.filter(|id| id.starts_with(begin)).collect(),
@@ -645,24 +651,24 @@ pub fn earlier_cue(text: &str) -> Option<String> {
     let is_number = text.parse::<u32>().is_ok();
     let is_above = ["previous", "prev", "last", "before", "above"].contains(&text);
     (is_number || is_above)
-        .then(|| "give that cue a name, `cue: rise`, and write it: `after: rise`".to_owned())
+        .then(|| "give that cue a name, such as `cue: rise`, and refer to it: `after: rise`".to_owned())
 }
 
-/// A hint for a range of robots that the fleet does not have, `r1-r3`, `1..3` or `arms[0]`.
+/// A hint for a range that matches no robots of the fleet: `r1-r3`, `1..3` or `arms[0]`.
 pub fn as_a_range(text: &str) -> Option<String> {
     let ends_in_digit = |part: &str| part.ends_with(|c: char| c.is_ascii_digit());
     let is_range = text.contains("..")
         || (text.contains('[') && text.ends_with(']'))
         || text.split_once('-').is_some_and(|(from, to)| ends_in_digit(from) && ends_in_digit(to));
     is_range.then(|| {
-        "ranges of robots are not supported: list the robots, or name a group of the fleet file".to_owned()
+        "ranges of robots are not supported: list the robots, or use a group of the fleet file".to_owned()
     })
 }
 
 /// The largest number of robots that a hint lists.
 const LISTED_MAX: usize = 20;
 
-/// Whether one number or several are expected.
+/// Whether a number, or several numbers, are expected.
 fn names_number(expected: &str) -> bool {
     ["number", "device's unit", "metres", "degrees", "hertz", "beats per minute", "factor"]
         .iter()
@@ -676,7 +682,7 @@ fn wants_number(expected: &str) -> bool {
         && !["a list", "a map", "texts"].iter().any(|word| expected.contains(word))
 }
 
-/// A hint for a number with commas between thousands: `1,000` and `1,000.5`.
+/// A hint for a number with thousands separators: `1,000` and `1,000.5`.
 fn of_thousands(text: &str) -> Option<String> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let mut groups = whole.trim_start_matches('-').split(',');
@@ -696,7 +702,7 @@ fn of_thousands(text: &str) -> Option<String> {
     }
 }
 
-/// How a number is written that a person would understand: `45,5`, `45deg`, `"45"`.
+/// A hint for a number in a form that a human would understand: `45,5`, `45deg`, `"45"`.
 fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<String> {
     let wants = |word: &str| expected.contains(word);
     if !names_number(expected) {
@@ -726,7 +732,7 @@ fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<St
         || wants("whole number")
         || (wants("factor") && unit == "x")
     {
-        return Some(format!("write the number alone: `{digits}`"));
+        return Some(format!("write only the number: `{digits}`"));
     }
     if wants("metres") {
         return Some(
@@ -740,10 +746,10 @@ fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<St
     }
     let Some((device, own)) = units.at(place) else {
         return wants("unit")
-            .then(|| format!("write the number alone, in the unit of the device, without `{unit}{per}`"));
+            .then(|| format!("write only the number, in the unit of the device, without `{unit}{per}`"));
     };
     let Some(own) = own else {
-        return Some(format!("write the number alone: the description of `{device}` names no unit"));
+        return Some(format!("write only the number: the description of `{device}` has no unit"));
     };
     if own == unit {
         return Some(format!("`{device}` takes numbers in {own}{per}: write `{digits}`"));
@@ -752,12 +758,12 @@ fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<St
         [&LENGTHS[..], &ANGLES[..]].into_iter().find(|scales| scales.iter().any(|(known, _)| *known == own));
     let hint = scales.and_then(|scales| converted(value, unit, own, scales));
     Some(hint.map_or_else(
-        || format!("`{device}` takes numbers in {own}{per}: write the number alone, in this unit"),
+        || format!("`{device}` takes numbers in {own}{per}: write only the number, in this unit"),
         |hint| format!("`{device}` takes numbers in {own}{per}: {hint}"),
     ))
 }
 
-/// `90deg/s`: a number with a unit for a time, which is no quotient.
+/// Whether a text is a rate such as `90deg/s`: a number with a unit per time, not a quotient.
 pub fn is_rate(text: &str) -> bool {
     let number =
         text.trim().trim_start_matches(|c: char| c.is_ascii_digit() || matches!(c, '.' | '-')).trim();
@@ -775,7 +781,7 @@ const ANGLES: [(&str, f64); 4] = [
     ("degrees", std::f64::consts::PI / 180.0),
 ];
 
-/// A value in another unit, to four decimals.
+/// A hint with the value in another unit, to four decimals.
 fn converted(value: f64, from: &str, to: &str, scales: &[(&str, f64)]) -> Option<String> {
     let scale = |unit: &str| scales.iter().find(|(known, _)| *known == unit).map(|(_, scale)| *scale);
     let value = value * scale(from)? / scale(to)?;

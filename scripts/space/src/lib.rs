@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`space`] | closest approaches, volumes and speeds of moving bodies; arms and driving robots |
 //! | [`formation`] | places for groups of bodies |
-//! | [`transit`] | a place for each body, and paths there that keep the bodies apart |
+//! | [`transit`] | a place for each body, and routes there that keep the bodies apart |
 
 pub mod formation;
 pub mod space;

@@ -1,4 +1,4 @@
-//! The graph of acts: where each way leads, which acts are never reached, which never come to an end.
+//! The graph of acts: the target of each transition, unreachable acts, and acts that never lead to the end.
 
 use std::collections::{HashMap, HashSet};
 
@@ -18,7 +18,7 @@ use crate::scenario::Act;
 use crate::sensor_range::SensorRange;
 use crate::shown::shortened;
 
-/// What leads to an act and from it.
+/// The transitions of an act.
 pub(super) struct Ways {
     pub(super) wait: Wait,
     pub(super) on_timeout: Way,
@@ -26,7 +26,7 @@ pub(super) struct Ways {
     pub(super) on_failure: FailurePolicy,
 }
 
-/// The ways of each act. `complete`: all acts could be read, so that the graph can be judged.
+/// Returns the transitions of each act. `complete`: whether all acts could be read, so that the graph can be checked.
 pub(super) fn ways(findings: &mut Reader, acts: &[Act], cast: &Cast<'_>, complete: bool) -> Vec<Ways> {
     let before = findings.found.len();
     same_names(findings, acts);
@@ -48,7 +48,7 @@ fn same_names(findings: &mut Reader, acts: &[Act]) {
     let mut seen = HashSet::new();
     for act in acts {
         if !seen.insert(act.name.as_str()) {
-            let message = format!("several acts are called `{}`", shortened(&act.name));
+            let message = format!("duplicate act name `{}`", shortened(&act.name));
             findings.add(Code::NameTwice, act.place.of_key("act"), message, "a unique name", None);
         }
     }
@@ -71,14 +71,14 @@ fn way(
         && let Some((known, device)) = check_sensor(findings, cast, act, robot, sensor)
     {
         check_range(findings, act, device, range);
-        // As they call themselves.
+        // The ids as declared by the robots.
         (*robot, *sensor) = (cast.id(known).to_string(), device.id.to_string());
     }
     let mut ruled = HashSet::new();
     let mut policy =
         FailurePolicy { default: act.on_failure.default.unwrap_or_default(), ..FailurePolicy::default() };
     for (name, rule) in act.on_failure.robots.iter().chain(act.on_failure.inherited.iter()) {
-        // If there are several rules for one robot, the first is the act's own.
+        // If a robot has several rules, the act's own comes first.
         let robots = cast.robots(findings, name);
         if !taken(findings, act, room, robots.len()) {
             break;
@@ -92,19 +92,20 @@ fn way(
     Ways { wait, on_timeout, next, on_failure: policy }
 }
 
-/// Whether there is room for a rule of this many robots: each act has its own for each of them.
+/// Whether there is room for a rule for this many robots: each act has its own rule for each of them.
 fn taken(findings: &mut Reader, act: &Act, room: &mut Budget, robots: usize) -> bool {
     let (told, sound) = (room.is_overdrawn(), room.take(robots.max(1)));
     if !sound && !told {
-        let message = format!("with the act `{}` there are too many rules for robots", shortened(&act.name));
+        let message =
+            format!("with the act `{}`, there are too many failure rules for robots", shortened(&act.name));
         let expected = format!("at most {} in all acts", room.most());
-        let hint = Some("let `on_failure` have one word for all, or fewer acts".to_owned());
+        let hint = Some("use a single word for `on_failure`, or fewer acts".to_owned());
         findings.add(Code::TooMuch, act.place.clone(), message, expected, hint);
     }
     sound
 }
 
-/// The acts, of those of one name the first.
+/// The acts by name. If a name occurs several times, the first act applies.
 struct ByName<'a> {
     acts: &'a [Act],
     index_of: HashMap<&'a str, usize>,
@@ -136,7 +137,7 @@ impl ByName<'_> {
     }
 }
 
-/// The sensor for which an act waits, and the robot that has it.
+/// Returns the sensor for which an act waits, and its robot.
 fn check_sensor<'c>(
     findings: &mut Reader,
     cast: &Cast<'c>,
@@ -148,7 +149,7 @@ fn check_sensor<'c>(
     let robots = cast.robots(findings, &name);
     let [robot] = robots.as_slice() else {
         if robots.len() > 1 {
-            let message = format!("`{}` is {} robots", shortened(robot), robots.len());
+            let message = format!("`{}` includes {} robots", shortened(robot), robots.len());
             findings.add(Code::UnknownSensor, name.place, message, "one robot to wait for", None);
         }
         return None;
@@ -161,7 +162,7 @@ fn check_sensor<'c>(
     Some((*robot, found?))
 }
 
-/// Whether any reading of the sensor is one for which the act waits.
+/// Checks that the sensor can have a reading for which the act waits.
 fn check_range(findings: &mut Reader, act: &Act, device: &Device, range: &SensorRange) {
     let Some(sensor) = device.available_control_types.sensor() else { return };
     let (least, most) = (sensor.min_value, sensor.max_value);
@@ -172,7 +173,7 @@ fn check_range(findings: &mut Reader, act: &Act, device: &Device, range: &Sensor
     };
     if !is_possible {
         let message = format!("`{}` never reads {key} {waits}", device.id);
-        let expected = format!("readings out of {least} to {most}");
+        let expected = format!("readings within {least} to {most}");
         findings.add(Code::OutOfRange, act.wait.place.of_key(key), message, expected, None);
     }
 }
@@ -187,7 +188,7 @@ fn check_graph(findings: &mut Reader, acts: &[Act], ways: &[Ways]) {
             match way {
                 Way::Act(act) => drop(graph.add_edge(nodes[index], nodes[act], ())),
                 Way::End => drop(graph.add_edge(nodes[index], end, ())),
-                // A mission that fails has not come to its end.
+                // A failed mission has not reached its end.
                 Way::Fail => {}
             }
         }
@@ -212,8 +213,8 @@ where
     std::iter::from_fn(|| search.next(graph)).collect()
 }
 
-/// The acts of which each can be reached from each of them, in the order of the file: of those that are chosen, the circles from which, or
-/// to which, no way leads from others of them.
+/// Returns the groups of mutually reachable acts among the chosen ones, in the order of the file. Omits a group if a transition in
+/// `direction` connects it with another chosen act.
 fn circles(
     graph: &DiGraph<(), ()>,
     is_chosen: impl Fn(NodeIndex) -> bool,
@@ -245,19 +246,19 @@ fn unreachable(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex], beyond
     others.sort_unstable();
     let others = match others.as_slice() {
         [] => String::new(),
-        others => format!(", from which {} would follow", named(acts, others.iter().copied())),
+        others => format!(", and with it {}", named(acts, others.iter().copied())),
     };
-    let message = format!("no way leads to the act `{}`{others}", shortened(&act.name));
-    let hint = Some("name it under `next`, `otherwise` or `then` of another act".to_owned());
+    let message = format!("the act `{}` is unreachable{others}", shortened(&act.name));
+    let hint = Some("add it under `next`, `otherwise` or `then` of another act".to_owned());
     findings.add(Code::Unreachable, act.place.clone(), message, "acts that can be reached", hint);
 }
 
-/// Acts that follow each other without end. The last of them in the file is the one that leads back.
+/// Reports acts that follow each other without end. The last of them in the file is the one that leads back.
 fn dead_end(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex]) {
     let Some(last) = circle.last().map(|node| &acts[node.index()]) else { return };
     let name = shortened(&last.name);
     let message = match circle {
-        [_] => format!("the act `{name}` follows itself, and no way leads from it to the end"),
+        [_] => format!("the act `{name}` follows itself and never reaches `end`"),
         _ => {
             format!("the acts {} form a cycle that never reaches `end`", named(acts, circle.iter().copied()))
         }
@@ -266,9 +267,9 @@ fn dead_end(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex]) {
     let end = format!("write `next: end` for `{name}`");
     let hint = Some(match circle {
         [_] => format!(
-            "{end}; it repeats until the operator says go if the act after it has `wait: {{for: operator, timeout: 1s, otherwise: {name}}}`"
+            "{end}; to repeat it until the operator continues, add `wait: {{for: operator, timeout: 1s, otherwise: {name}}}` to the act after it"
         ),
         _ => end,
     });
-    findings.add(Code::DeadEnd, place, message, "acts that come to an end", hint);
+    findings.add(Code::DeadEnd, place, message, "acts that reach `end`", hint);
 }

@@ -1,5 +1,5 @@
-//! Fits ahead: curves that are followed by as few steps as possible take nearly all the time of a scenario that has many, and do
-//! not depend on each other. They are fitted on all processors; the act by act way through the cues then finds them done.
+//! Fits ahead: fitting curves with as few steps as possible takes nearly all the compile time of a scenario with many curves. The fits do
+//! not depend on each other, so they run on all processors. The subsequent pass through the cues, act by act, then finds the results.
 
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,28 +15,28 @@ use crate::fields::Reader;
 use crate::motion::Fits;
 use crate::scenario::{Cue, Motion, Movement};
 
-/// Fewer ways to fit are done sooner than threads are started.
+/// Below this number of sections, fitting takes less time than starting threads.
 pub(super) const WAYS_MIN: usize = 500;
-/// More may be more than is ever made of them.
+/// A larger number may be more than is ever used.
 const WAYS_MAX: usize = 1_000_000;
-/// Most threads.
+/// Maximum number of threads.
 const THREADS_MAX: usize = 16;
 
-/// A cue with all that decides its steps.
+/// A cue with everything that determines its steps.
 pub(super) struct Timed<'a> {
     pub(super) cue: &'a Cue,
     pub(super) members: &'a Members,
     pub(super) time: &'a CueTime,
 }
 
-/// Robots of a cue that share a movement, with how many ways between two knots of it have to be fitted.
+/// Robots of a cue that share a movement, with the number of sections between two knots that must be fitted.
 struct Share<'a> {
     timed: &'a Timed<'a>,
     members: Cow<'a, Members>,
     ways: usize,
 }
 
-/// Ways of movements between two knots that have to be fitted.
+/// Number of sections between two knots that must be fitted.
 fn ways<'m>(movements: impl Iterator<Item = &'m Movement>) -> usize {
     let fitted = movements.flat_map(|movement| &movement.tracks).filter_map(|track| match &track.motion {
         Motion::Curve(curve) => {
@@ -48,7 +48,7 @@ fn ways<'m>(movements: impl Iterator<Item = &'m Movement>) -> usize {
     fitted.sum()
 }
 
-/// A cue is one share, unless robots have movements of their own: each of these is one.
+/// Splits a cue into shares: one for the cue or, if robots have their own movements, one for each movement.
 fn shares<'a>(timed: &'a Timed<'a>) -> Vec<Share<'a>> {
     let Timed { cue, members, .. } = *timed;
     if cue.own.is_empty() {
@@ -65,7 +65,7 @@ fn shares<'a>(timed: &'a Timed<'a>) -> Vec<Share<'a>> {
     all.chunk_by(|a, b| a.movement == b.movement).map(share).collect()
 }
 
-/// What the cues need, fitted by as many threads as there are processors; nothing where that would not pay.
+/// Fits the curves of all cues on as many threads as there are processors. Empty if that would not pay off.
 pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     let mut wanted: Vec<Share<'_>> = cues.iter().flat_map(shares).collect();
     wanted.retain(|share| share.ways > 0);
@@ -73,11 +73,11 @@ pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     if !(WAYS_MIN..=WAYS_MAX).contains(&all) {
         return Fits::default();
     }
-    // The longest first, so that none of them is left to the end.
+    // The longest first, so that none of them remains until the end.
     wanted.sort_by_key(|share| std::cmp::Reverse(share.ways));
     let steps = AtomicUsize::new(0);
     together(&wanted, |share, fits| {
-        // What is found is found again, in order.
+        // Findings are discarded here; the later pass reports them in order.
         let mut findings = Reader::default();
         let mut performer = Performer::new(&mut findings, cast, fits, horizon);
         performer.cue(share.timed.cue, &share.members, share.timed.time);
@@ -85,7 +85,7 @@ pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     })
 }
 
-/// What all tasks need, each done by one of several threads, until one of them says that it is enough. Nothing with one processor.
+/// Distributes tasks over several threads until a task returns `false`, and joins their fits. Empty if there is only one processor.
 pub(super) fn together<T: Sync>(tasks: &[T], task: impl Fn(&T, &mut Fits) -> bool + Sync) -> Fits {
     let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX).min(tasks.len());
     if threads < 2 {

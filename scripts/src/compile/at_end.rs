@@ -1,4 +1,4 @@
-//! `at_end: home`: an act behind each way to the end that moves devices to their default values.
+//! `at_end: home`: after each transition to the end, an act moves devices to their default values.
 
 use std::collections::HashMap;
 
@@ -18,19 +18,19 @@ use crate::scenario::{AtEnd, Scenario};
 const NAME: &str = "home";
 /// The shortest computed duration, in seconds.
 const OVER_MIN: f64 = 1.0;
-/// The duration of linear movements without any limit, in seconds.
+/// The duration of linear movements without a limit, in seconds.
 const OVER_WITHOUT_LIMITS: f64 = 5.0;
-/// Each is compiled by itself, for the whole fleet.
+/// Maximum number of added acts. Each is compiled separately, for the whole fleet.
 const HOMES_MAX: usize = 32;
-/// The fraction by which a computed duration exceeds the result of the formula: on a grid, some steps are faster.
+/// The fraction by which a computed duration exceeds the result of the formula, because some steps on a grid are faster.
 const SLACK: f64 = 0.02;
 
-/// Where acts leave devices.
+/// Positions in which acts leave devices, by the index of the act.
 #[derive(Default)]
 pub(super) struct Rests {
-    /// When the act has ended.
+    /// After the act has ended.
     pub(super) ended: HashMap<usize, Rest>,
-    /// When its wait has timed out, if the mission ends then.
+    /// After its wait has timed out, if the mission ends then.
     pub(super) timed_out: HashMap<usize, Rest>,
 }
 
@@ -63,7 +63,7 @@ pub(super) fn go_home(
     }
 }
 
-/// The acts that have been added, each with its movements.
+/// The added acts, each with its movements.
 struct Homes<'a> {
     at_end: &'a AtEnd,
     scenario: &'a Scenario,
@@ -73,7 +73,7 @@ struct Homes<'a> {
 }
 
 impl Homes<'_> {
-    /// The way from an act that leaves devices like this. `None` if nothing has to move, or after a finding.
+    /// Returns the transition from an act that leaves devices in these positions. `None` if nothing has to move, or after a finding.
     fn way(&mut self, findings: &mut Reader, acts: &mut Vec<Act>, act: usize, rest: &Rest) -> Option<Way> {
         let home = Homecoming::from(findings, self.at_end, (self.cast, &acts[act].name), rest)?;
         let rule = |act: &Act| (act.on_failure.default, act.on_failure.robots.clone(), act.on_doubt);
@@ -83,9 +83,13 @@ impl Homes<'_> {
             return Some(Way::Act(*index));
         }
         if self.known.len() == HOMES_MAX {
-            let message =
-                format!("the mission may end with devices at more than {HOMES_MAX} sets of positions");
-            let hint = Some("let fewer acts lead to the end, or one act follow all of them".to_owned());
+            let message = format!(
+                "the mission may end with the devices at more than {HOMES_MAX} different sets of positions"
+            );
+            let hint = Some(
+                "reduce the number of acts that lead to the end, or add one act that follows all of them"
+                    .to_owned(),
+            );
             let expected = format!("at most {HOMES_MAX}");
             findings.add(Code::TooMuch, self.at_end.place.clone(), message, expected, hint);
             return None;
@@ -102,7 +106,7 @@ impl Homes<'_> {
         if let Some(over) = self.at_end.over.filter(|over| *over < home.needed) {
             let needed = written(tenths_of_a_second(home.needed.as_millis_f64() / 1_000.0));
             let message = format!(
-                "the way home has {}, and the limits of the devices permit no less than {needed}",
+                "the movement home lasts {}, but the limits of the devices require at least {needed}",
                 written(over)
             );
             let hint =
@@ -123,7 +127,8 @@ impl Homes<'_> {
         let compiled = poses::compiled("at_end", &ways, &standing, over);
         let tell = |errors: Vec<Finding>| {
             for error in errors {
-                let message = format!("on the way home, over {}: {}", written(over), error.message);
+                let message =
+                    format!("in the movement home, which lasts {}: {}", written(over), error.message);
                 let hint = "give it more time, such as `at_end: {home: 10s}`, or add an act that moves devices home one after another";
                 findings.add(error.code, place(), message, error.expected, Some(hint.to_owned()));
             }
@@ -137,12 +142,12 @@ impl Homes<'_> {
 struct Homecoming {
     devices: Vec<(RobotId, DeviceId, [f64; 2])>,
     over: Span,
-    /// What the limits of the devices demand.
+    /// The duration that the limits of the devices require.
     needed: Span,
 }
 
 impl Homecoming {
-    /// `None` if nothing has to move, or if the position of a device is not known.
+    /// Returns `None` if nothing has to move, or if the position of a device is unknown.
     fn from(
         findings: &mut Reader,
         at_end: &AtEnd,
@@ -164,7 +169,7 @@ impl Homecoming {
             if from != to {
                 let shortest = shortest(cast, *robot, device, (to - from).abs());
                 needed = needed.max(shortest.unwrap_or(0.0));
-                // Without a limit nothing is known of a device that moves; a lamp may change at once.
+                // Without a limit, the speed of a linear device is unknown; a lamp may change immediately.
                 let usual = if device.interpolation == Interpolation::Linear {
                     OVER_WITHOUT_LIMITS
                 } else {
@@ -205,12 +210,12 @@ impl Homecoming {
     }
 }
 
-/// A time that is no shorter and easy to read.
+/// Rounds up to a time that is easy to read.
 fn tenths_of_a_second(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 10.0).ceil() * 100.0)
 }
 
-/// The shortest smooth movement over a distance, in seconds, that the limits of a device permit. `None` without a limit.
+/// Returns the shortest duration of a smooth movement within the limits of a device, in seconds. `None` without a limit.
 fn shortest(cast: &Cast<'_>, robot: usize, device: &Device, distance: f64) -> Option<f64> {
     let limits = cast.limits(robot, device, ControlType::Position);
     let by_speed = limits.speed.map(|speed| Easing::Smooth.slope_max() * distance / speed);
@@ -246,7 +251,7 @@ mod tests {
         compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings)).acts
     }
 
-    /// The first and the last value of a device in an act, and the offset of the last.
+    /// Returns the first and the last value of a device in an act, and the offset of the last one.
     fn moved(act: &Act, device: &str) -> Option<([f64; 2], Span)> {
         let script = act.plan.robots[0].scripts.iter().find(|script| script.device.as_str() == device)?;
         let steps = script.script.steps();
@@ -263,7 +268,7 @@ mod tests {
             [("", Way::Act(1)), ("home", Way::End)]
         );
         let home = &acts[1];
-        // 1.875 * 80 / 60 = 2.5 s, and 2 %.
+        // 1.875 * 80 / 60 = 2.5 s, plus 2 %.
         assert_eq!(moved(home, "joint"), Some(([80.0, 0.0], Span::from_millis(2_600))));
         assert_eq!(moved(home, "lamp").unwrap().0, [50.0, 0.0]);
         assert_eq!(moved(home, "still"), None);
@@ -278,7 +283,7 @@ mod tests {
         let [finding] = short.as_slice() else { panic!("{short:#?}") };
         assert_eq!((finding.code, finding.line), (Code::TooFast, 2));
         assert!(
-            finding.message.contains("has 1s, and the limits of the devices permit no less than 2.5s"),
+            finding.message.contains("lasts 1s, but the limits of the devices require at least 2.5s"),
             "{finding:?}"
         );
     }
@@ -356,7 +361,7 @@ mod tests {
         assert!(findings.iter().any(|finding| finding.code == Code::UnknownBeginning), "{findings:#?}");
     }
 
-    /// A wait that times out leads past the act that would have moved the joint.
+    /// After a timeout, the act that would have moved the joint is skipped.
     #[test]
     fn a_way_that_leaves_an_act_out_makes_a_position_unknown() {
         let text = "at_end: home\nacts:

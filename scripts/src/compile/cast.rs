@@ -1,4 +1,4 @@
-//! Who plays: names of robots, groups and roles against the fleet, and what each robot's devices are.
+//! The participants: resolves names of robots, groups and roles against the fleet, and finds the devices of each robot.
 
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
@@ -17,17 +17,17 @@ use crate::scenario::{Canon, Cue, Movement};
 use crate::shown::shortened;
 use crate::slips;
 
-const LISTED_TWICE: &str = "remove the second one; a group stands for all of its robots";
+const LISTED_TWICE: &str = "remove the second one; a group includes all of its robots";
 
 /// The fleet with the scenario's roles.
 pub(super) struct Cast<'a> {
     pub(super) fleet: &'a Fleet,
     roles: &'a HashMap<String, Vec<Name>>,
-    /// By their composed names.
+    /// Index of each robot, by its composed name.
     index_of: HashMap<Cow<'a, str>, usize>,
-    /// For each robot a number; robots of one number have the same devices and limits.
+    /// Kind of each robot; robots of the same kind have the same devices and limits.
     kinds: Vec<usize>,
-    /// All names, in order; made for the first finding that lists them.
+    /// Sorted names; created for the first finding that lists them.
     known: OnceLock<Vec<String>>,
 }
 
@@ -35,9 +35,9 @@ pub(super) struct Cast<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Member {
     pub(super) robot: usize,
-    /// 0 for the cue's own movement, then one more than the index of its override, then its very own ones.
+    /// 0 for the cue's own movement, then the index of its override plus one, then the movements of single robots.
     pub(super) movement: usize,
-    /// Later than the cue.
+    /// Delay relative to the cue.
     pub(super) delay: Span,
 }
 
@@ -47,7 +47,7 @@ pub(super) struct Members {
     pub(super) all: Vec<Member>,
     /// The largest delay.
     pub(super) delay: Span,
-    /// The longest movement, before it is stretched.
+    /// The longest movement, before stretching.
     pub(super) length: Span,
 }
 
@@ -90,7 +90,7 @@ impl<'a> Cast<'a> {
         self.given_limits(robot, device).or_declared(device, control_type)
     }
 
-    /// As the fleet file has them.
+    /// Returns the limits as given in the fleet file.
     pub(super) fn given_limits(&self, robot: usize, device: &Device) -> RateLimits {
         self.fleet.robots[robot].limits.get(device.id.as_str()).copied().unwrap_or_default()
     }
@@ -116,7 +116,7 @@ impl<'a> Cast<'a> {
         self.devices(robot).iter().find(|device| is_same(device.id.as_str(), name))
     }
 
-    /// The robots that a name stands for.
+    /// Returns the robots that a name refers to.
     pub(super) fn robots(&self, findings: &mut Reader, name: &Name) -> Vec<usize> {
         match self.roles.get(&name.text) {
             // `check_roles` reports the faults of a role.
@@ -133,7 +133,7 @@ impl<'a> Cast<'a> {
         }
     }
 
-    /// `None` if the name is neither that of a robot nor that of a group.
+    /// Returns `None` if the name belongs to neither a robot nor a group.
     fn robots_of_fleet(&self, name: &Name) -> Option<Vec<usize>> {
         if let Some(&index) = self.index_of.get(composed(&name.text).as_ref()) {
             return Some(vec![index]);
@@ -158,7 +158,7 @@ impl<'a> Cast<'a> {
                             let message =
                                 format!("already in the role `{}`: {}", shortened(role), self.names(&twice));
                             let hint = Some(LISTED_TWICE.to_owned());
-                            let expected = "each robot once in a role";
+                            let expected = "each robot at most once per role";
                             findings.add(Code::ListedTwice, name.place.clone(), message, expected, hint);
                         }
                     }
@@ -174,7 +174,7 @@ impl<'a> Cast<'a> {
         let of_role = self.roles.get(&name.text).map(|role| {
             let members: Vec<&str> = role.iter().map(|name| name.text.as_str()).collect();
             format!(
-                "a role has robots and groups: write those of `{}`, `[{}]`",
+                "a role can only contain robots and groups: write those of `{}`, `[{}]`",
                 shortened(&name.text),
                 members.join(", ")
             )
@@ -191,8 +191,8 @@ impl<'a> Cast<'a> {
             let mut groups = self.fleet.groups.iter();
             let whole = groups.find(|(_, members)| members.len() == self.fleet.robots.len());
             match whole {
-                Some((group, _)) => format!("the group `{}` has all robots", shortened(group)),
-                None => "list the robots, or make a group of all of them in the fleet file".to_owned(),
+                Some((group, _)) => format!("the group `{}` contains all robots", shortened(group)),
+                None => "list the robots, or define a group of all robots in the fleet file".to_owned(),
             }
         });
         let ids = self.fleet.robots.iter().map(|robot| robot.id.as_str());
@@ -213,7 +213,7 @@ impl<'a> Cast<'a> {
         })
     }
 
-    /// The robots of a cue, each once, with what each of them does.
+    /// Returns the robots of a cue without duplicates, each with its movement.
     pub(super) fn members(&self, findings: &mut Reader, cue: &Cue, horizon: Span) -> Members {
         let mut robots: Vec<usize> = Vec::new();
         let mut seen = HashSet::new();
@@ -231,15 +231,14 @@ impl<'a> Cast<'a> {
                         robots: self.ids(&[robot]),
                         place: name.place.clone(),
                         message: ["already in this cue: ".to_owned(), String::new()],
-                        expected: "each robot once in a cue".to_owned(),
+                        expected: "each robot at most once per cue".to_owned(),
                         hint: Some(LISTED_TWICE.to_owned()),
                     });
                 }
             }
         }
         if robots.is_empty() && !cue.robots.is_empty() && findings.found.len() == before {
-            let message =
-                format!("no robot answers to the cue `{}`: its groups are empty", shortened(&cue.name));
+            let message = format!("the cue `{}` has no robots: its groups are empty", shortened(&cue.name));
             findings.add(Code::NoRobot, cue.robots_place.clone(), message, "at least one robot", None);
         }
         let overridden = self.overridden(findings, cue, &seen);
@@ -280,12 +279,12 @@ impl<'a> Cast<'a> {
                     });
                 }
                 if overridden.insert(robot, index + 1).is_some() {
-                    let message = format!("robot `{}` is overridden twice", self.id(robot));
+                    let message = format!("duplicate override for robot `{}`", self.id(robot));
                     findings.add(
                         Code::ListedTwice,
                         name.place.clone(),
                         message,
-                        "one override a robot",
+                        "one override per robot",
                         None,
                     );
                 }
@@ -304,10 +303,16 @@ fn unset_parameter(findings: &mut Reader, unset: &Unset) {
     let Unset { place, of_move, parameter } = unset;
     let message = format!("the move `{}` needs a value for `{parameter}`", shortened(of_move));
     let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
-    findings.add(Code::Variable, place.clone(), message, "a value for every parameter without default", hint);
+    findings.add(
+        Code::Variable,
+        place.clone(),
+        message,
+        "a value for every parameter without a default",
+        hint,
+    );
 }
 
-/// How much later each robot begins, if the last of them begins in time.
+/// Returns the delay of each robot, if the last one begins in time.
 fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) -> Cow<'c, Canon> {
     let last = match &cue.canon {
         Canon::Even(_) => cue.canon.delay(robots.saturating_sub(1).max(1)),
@@ -320,7 +325,7 @@ fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) 
     let (place, hint) = match &cue.canon {
         Canon::Even(_) => {
             let after = i64::try_from(robots).unwrap_or(i64::MAX).saturating_sub(1).max(1);
-            (cue.place.of_key("canon"), Some(format!("a canon of {} or less", horizon / after)))
+            (cue.place.of_key("canon"), Some(format!("use a canon of at most {}", horizon / after)))
         }
         Canon::Each { place, .. } => (place.clone(), None),
     };
@@ -328,45 +333,45 @@ fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) 
     Cow::Owned(Canon::default())
 }
 
-/// Where devices are left, by robot and device: those that have been moved, in this act or before.
+/// Known positions of moved devices, by robot and device; includes devices moved in earlier acts.
 pub(super) type Rest = HashMap<(usize, usize), Left>;
 
-/// Where a device is left, as far as it is known.
+/// The position in which a device is left, as far as known.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Left {
-    /// On every way from act to act.
+    /// After every regular transition between acts.
     usually: Option<f64>,
-    /// Also after a failure, a timeout or back from a later act.
+    /// Also after a failure, a timeout or a return from a later act.
     certainly: Option<f64>,
 }
 
 impl Left {
-    /// On every way, also after a failure, a timeout or back from a later act.
+    /// Returns the position that holds after every transition, including a failure, a timeout or a return from a later act.
     pub(super) const fn certainly(self) -> Option<f64> {
         self.certainly
     }
 
-    /// By the last movement of an act.
+    /// Creates the position after the last movement of an act.
     pub(super) const fn at(value: Option<f64>) -> Self {
         Self { usually: value, certainly: value }
     }
 }
 
-/// Where devices are when an act begins, as far as that is known.
+/// Positions of devices at the beginning of an act, as far as known.
 pub(super) struct Positions<'a> {
     fleet: &'a Fleet,
-    /// Where each act that leads here leaves the devices.
+    /// The positions in which each preceding act leaves the devices.
     before: Vec<&'a Rest>,
     first: bool,
     others: OtherWays,
 }
 
-/// Ways into an act besides those from the end of an act before it.
+/// Transitions into an act other than from the end of a preceding act.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct OtherWays {
     /// After a failure that sends all devices to their default state.
     home: bool,
-    /// After another failure, after a wait that took too long, or back from a later act: nothing is known.
+    /// After another failure, a timeout, or a return from a later act: the positions are unknown.
     elsewhere: bool,
 }
 
@@ -393,7 +398,7 @@ impl<'a> Positions<'a> {
         Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first, others }
     }
 
-    /// Where the act leaves all devices: those that it does not move stay where they are.
+    /// Returns the positions after the act. Devices that it does not move stay where they are.
     pub(super) fn left_by(&self, mut moved: Rest) -> Rest {
         for &(robot, device) in self.before.iter().flat_map(|rest| rest.keys()) {
             moved.entry((robot, device)).or_insert_with(|| {
@@ -406,7 +411,8 @@ impl<'a> Positions<'a> {
         moved
     }
 
-    /// Known only where every way into the act has the device at the same place, also after a failure, a timeout or back from a later act.
+    /// Returns the position if it is the same after every transition into the act, including a failure, a timeout or a return from a
+    /// later act.
     pub(super) fn certain(&self, robot: usize, device: usize) -> Option<f64> {
         let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;
         let left =
@@ -422,12 +428,12 @@ impl<'a> Positions<'a> {
         self.first
     }
 
-    /// Known only where every way that leads here leaves the device at the same place.
+    /// Returns the position if it is the same after every regular transition into the act.
     pub(super) fn of(&self, robot: usize, device: usize) -> Option<f64> {
         self.or(robot, device, devices_of(&self.fleet.robots[robot]).get(device)?.default_value)
     }
 
-    /// The speed that a device has. Unlike a position, a speed without a default value is 0 in the default state.
+    /// Returns the speed of a device. Unlike a position, a speed without a default value is 0 in the default state.
     pub(super) fn of_speed(&self, robot: usize, device: usize) -> Option<f64> {
         let device_of = devices_of(&self.fleet.robots[robot]).get(device)?;
         let is_first = device_of.primary_control_type() == Some(ControlType::Speed);
@@ -442,16 +448,16 @@ impl<'a> Positions<'a> {
     }
 }
 
-/// The acts ahead of `index` whose `next` leads there.
+/// Returns the acts before `index` whose `next` is this act.
 pub(super) fn leading_to(acts: &[Option<Act>], index: usize) -> Vec<usize> {
     let leads = |act: &Option<Act>| act.as_ref().is_some_and(|act| act.next == Way::Act(index));
     acts.iter().enumerate().filter(|(_, act)| leads(act)).map(|(index, _)| index).collect()
 }
 
-/// The kind of each robot: robots of one kind have the same devices and limits.
+/// Returns the kind of each robot: robots of the same kind have the same devices and limits.
 fn kinds(fleet: &Fleet) -> Vec<usize> {
     let mut count = 0;
-    // Only robots with the same default values are compared: in a large fleet, each may have its own.
+    // Compares only robots with the same default values: in a large fleet, each robot may have its own.
     let mut firsts: HashMap<Vec<Option<u64>>, Vec<(&FleetRobot, usize)>> = HashMap::new();
     let kind = |robot| {
         let devices = devices_of(robot);

@@ -1,4 +1,4 @@
-//! Places of a formation that are too near to each other.
+//! Checks for places of a formation that are too close to each other.
 
 use crate::fields::Reader;
 use crate::finding::{Code, Place};
@@ -7,13 +7,13 @@ use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::scenario::Scenario;
 use crate::shown::shortened;
 
-/// Formations that have places of their own; others depend on how many robots take part.
+/// Checks formations with their own places; others depend on the number of robots.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     let mut written: Vec<_> = scenario.formations.iter().collect();
     written.sort_unstable_by_key(|(name, _)| name.as_str());
     for (name, written) in written {
         let Some(formation) = &written.formation else { continue };
-        // An error about a cue with this formation reports the same.
+        // An error about a cue with this formation already reports it.
         if findings.has(Code::NoWayPast, &crowded(name)) {
             continue;
         }
@@ -29,7 +29,7 @@ pub(super) fn crowded(name: &str) -> String {
     format!("places of {name}")
 }
 
-/// How near two places are, as the end of a sentence about them.
+/// Describes the distance of two places, as the end of a sentence.
 pub(super) fn apart(metres: f64, required: f64) -> String {
     if metres < SAME {
         "are the same".to_owned()
@@ -38,25 +38,25 @@ pub(super) fn apart(metres: f64, required: f64) -> String {
     }
 }
 
-/// Two distances in metres with as many decimals as show which one is larger, three at least.
+/// Formats two distances in metres with enough decimals to show which one is larger, at least three.
 pub(super) fn differing(a: f64, b: f64) -> [String; 2] {
     let shown = |decimals: usize| [a, b].map(|metres| format!("{metres:.decimals$}"));
     (3..9).map(shown).find(|[a, b]| a != b).unwrap_or_else(|| shown(9))
 }
 
-/// What is expected of two places at which bodies stand that have to be so many metres apart.
+/// Describes the required distance of two bodies.
 pub(super) fn between(found: f64, required: f64) -> String {
     let [_, required] = differing(found, required);
     format!(
-        "at least {required} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
+        "at least {required} m between centres: `distance` of the fleet's `space` plus the radii of two bodies"
     )
 }
 
-/// A warning about the two places that are nearest to each other, if that is nearer than any two bodies of the fleet may be.
+/// Warns about the two nearest places if no two bodies of the fleet may be that close.
 pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[Point], fleet: &Fleet) {
     let Some(pair) = nearest_pair(places) else { return };
     let bodies = || fleet.robots.iter().filter_map(|robot| robot.body.as_ref());
-    // Without a distance, nothing is said of bodies that touch.
+    // Without a required distance, touching bodies are not reported.
     let least = fleet.space.distance.map(|_| fleet.space.between_middles(bodies()));
     if pair.distance >= least.unwrap_or(0.0).max(SAME) - ROUNDING {
         return;
@@ -70,7 +70,7 @@ pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[P
         b + 1,
         shortened(name)
     );
-    let expected = least.map_or_else(|| "every place once".to_owned(), |least| between(pair.distance, least));
-    let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
+    let expected = least.map_or_else(|| "distinct places".to_owned(), |least| between(pair.distance, least));
+    let hint = Some("make the formation larger, or use fewer robots".to_owned());
     findings.add(Code::NearPlaces, place.clone(), message, expected, hint);
 }

@@ -1,4 +1,4 @@
-//! Speed and acceleration of a movement against what the device can do.
+//! Checks the speed and acceleration of a movement against the limits of the device.
 
 use std::collections::{HashMap, HashSet};
 
@@ -11,15 +11,15 @@ use crate::fields::Reader;
 use crate::finding::Code;
 use crate::motion::{Between, Curve, Easing, Knot, Shape};
 
-/// What rounding may add to a rate.
+/// Factor by which rounding may increase a rate.
 const DUST: f64 = 1.0 + 1e-6;
 
-/// Checks the first and second derivative on every way between two knots.
+/// Checks the first and second derivative between each two knots.
 ///
-/// A way that the device moves linearly has its mean speed; where two such ways meet, the acceleration is the change of
-/// speed over the mean of their lengths (the second divided difference).
+/// A section that the device moves linearly has its mean speed. If two such sections meet, the acceleration is the change of speed
+/// divided by the mean of their lengths (the second divided difference).
 ///
-/// Returns the largest factor of the speed of the show within these limits.
+/// Returns the largest show speed factor within these limits.
 pub(super) fn check(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -82,21 +82,21 @@ impl Rate {
         self.limit.is_some_and(|limit| self.found > limit * DUST)
     }
 
-    /// The largest factor of the speed of the show within the limit. Speeds grow with it, accelerations with its square.
+    /// Largest show speed factor within the limit. Speeds are proportional to it, accelerations to its square.
     fn factor_max(&self, control_type: ControlType) -> f64 {
         let room = self.limit.filter(|_| self.found > 0.0).map_or(f64::INFINITY, |limit| limit / self.found);
         let is_speed = control_type == ControlType::Position && self.code == Code::TooFast;
         if is_speed { room } else { room.sqrt() }
     }
 
-    /// The factor by which the movement has to be longer.
+    /// Factor by which the movement must be longer.
     fn longer(&self) -> f64 {
         let over = self.limit.map_or(1.0, |limit| self.found / limit);
         if self.code == Code::TooFast { over } else { over.sqrt() }
     }
 }
 
-/// Reports all limits that a way between two knots breaks in one finding, with a time that satisfies each of them.
+/// Reports all limits that a section between two knots exceeds in one finding, with a time that satisfies all of them.
 fn too_much(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -115,7 +115,7 @@ fn too_much(
         list(|rate| format!("{} of {:.4}", rate.name, rate.found)),
     );
     let needed = duration::seconds(length.as_millis_f64() / 1_000.0 * worst.longer());
-    let hint = format!("give it {needed} instead of {}, or a shorter way", duration::written(length));
+    let hint = format!("allow {needed} instead of {}, or use a shorter path", duration::written(length));
     let fault = Fault {
         code: worst.code,
         place: way_place(on.track, knot.item),
@@ -127,8 +127,8 @@ fn too_much(
     on.add(findings, control_type, fault);
 }
 
-/// Where a device that moves linearly is told to be at two places at once: a movement that is repeated and does not end as
-/// it begins, or pieces that do not meet. Each is reported once, however often it is repeated.
+/// Reports places where a linear device would have to be in two positions at once: a repeated movement that does not end where it begins,
+/// or pieces that do not meet. Each is reported once, regardless of the number of repetitions.
 fn jumps(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &Curve) {
     if on.device.interpolation != Interpolation::Linear || control_type != ControlType::Position {
         return;
@@ -155,7 +155,7 @@ fn jumps(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, cu
     }
 }
 
-/// A change of value in no time.
+/// An instantaneous change of value.
 struct Jump {
     from: f64,
     to: f64,
@@ -195,11 +195,14 @@ impl Jump {
         let (code, expected, hint) = match limit {
             Some(limit) => {
                 let seconds = (self.to - self.from).abs() / limit;
-                let hint = format!("give it {}, or let both values be the same", duration::seconds(seconds));
+                let hint = format!(
+                    "allow {} for the change, or use the same value twice",
+                    duration::seconds(seconds)
+                );
                 (Code::TooFast, format!("a speed of at most {limit}"), hint)
             }
             None => {
-                let hint = "let what is repeated end where it begins, and pieces meet".to_owned();
+                let hint = "end a repeated movement at its start value, and start each piece at the end value of the previous piece".to_owned();
                 (Code::Jump, "a movement without jumps".to_owned(), hint)
             }
         };

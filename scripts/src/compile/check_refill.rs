@@ -1,4 +1,4 @@
-//! Scripts that their device has no room for until it is late.
+//! Checks for scripts that have no room in their device until it is too late.
 
 use urrcp::{DeviceId, RobotId, Span};
 
@@ -11,16 +11,16 @@ use crate::render::counted;
 use crate::scenario::Scenario;
 use crate::shown::shortened;
 
-/// Sending a script while its act plays takes less on ordinary links: a round trip, and a resend where one is lost.
+/// Upper bound for sending a script during its act on ordinary links: a round trip, and a resend after a loss.
 const SENDING: Span = Span::from_millis(100);
-/// Sending an act takes less on fast links: scripts travel, are decided, and leases can run out before the start.
+/// Upper bound for sending an act on fast links: scripts are transmitted and decided, and leases may expire before the start.
 const PREPARING: Span = Span::from_millis(500);
-/// Larger queues that are tried for a hint.
+/// Number of larger queues tried for a hint.
 const QUEUES_TRIED: u32 = 4;
-/// Findings for which they are tried.
+/// Maximum number of findings for which they are tried.
 const TRIALS_MAX: usize = 16;
 
-/// Compares the time that each act leaves with what sending takes.
+/// Compares the available time of each act with the time that sending takes.
 pub(super) fn check(
     findings: &mut Reader,
     scenario: &Scenario,
@@ -29,10 +29,10 @@ pub(super) fn check(
 ) {
     let lines = Lines { scenario, cast, choreography };
     let tight = refills(choreography, |robot, device| lines.queue(robot, device), SENDING);
-    // An act that `at_end` adds may wait: this delays nothing that the scenario contains.
+    // An act that `at_end` adds may wait: this does not delay any act of the scenario.
     let may_wait = |refill: &Refill| refill.kind == RefillKind::First && refill.act >= scenario.acts.len();
     let tight = tight.into_iter().filter(|refill| refill.time < needed(refill.kind) && !may_wait(refill));
-    // While acts do not come to an end, or are never reached, nothing is known of what follows them.
+    // If acts have no end or are unreachable, their successors are unknown.
     let is_flawed =
         findings.found.iter().any(|found| matches!(found.code, Code::DeadEnd | Code::Unreachable));
     let tight = tight.filter(|refill| !is_flawed || refill.kind == RefillKind::Later);
@@ -62,7 +62,7 @@ impl Lines<'_> {
         Some(device.script_queue.max(1))
     }
 
-    /// The next larger queue with which this device leaves time enough everywhere.
+    /// Returns the next larger queue with which this device has enough time everywhere.
     fn queue_that_does(&self, refill: &Refill) -> Option<u32> {
         let queue = self.queue(&refill.robot, &refill.device)?;
         let does = |queue: &u32| {
@@ -84,17 +84,19 @@ impl Lines<'_> {
         let (act, before) = (self.name(refill.act), self.name(refill.freed_by.act));
         let device = &refill.device;
         let holds = counted(holds as usize, "script");
-        let room =
-            format!("the next one fits when script {} of `{before}` has ended", refill.freed_by.script + 1);
+        let room = format!(
+            "the queue has room again when script {} of `{before}` has ended",
+            refill.freed_by.script + 1
+        );
         let time = refill.time;
         let (code, message, expected) = match refill.kind {
             RefillKind::First => (
                 Code::ActHasToWait,
                 [
-                    format!("the act `{act}` cannot follow at once: `{device}` of "),
-                    format!(" holds {holds}, and {room}, {time} before"),
+                    format!("the act `{act}` cannot follow immediately: `{device}` of "),
+                    format!(" can hold {holds}; {room}, {time} before the act"),
                 ],
-                format!("a place in the queue {needed} before the act"),
+                format!("room in the queue {needed} before the act"),
             ),
             RefillKind::Later => (
                 if time > Span::ZERO { Code::LittleTimeToSend } else { Code::NoTimeToSend },
@@ -103,9 +105,9 @@ impl Lines<'_> {
                         "too little time to send script {} of `{act}`: `{device}` of ",
                         refill.script + 1
                     ),
-                    format!(" holds {holds}, and {room}, {time} before its start"),
+                    format!(" can hold {holds}; {room}, {time} before the start of this script"),
                 ],
-                format!("at least {needed} to send it"),
+                format!("at least {needed} to send the script"),
             ),
         };
         let hint = Some(ways_out(refill, needed - time, queue));
@@ -127,7 +129,7 @@ impl Lines<'_> {
         shortened(&self.choreography.acts[act].name)
     }
 
-    /// The track that moves the device when the script starts.
+    /// Returns the place of the track that moves the device when the script starts.
     fn place(&self, refill: &Refill) -> Place {
         let Some(written) = self.scenario.acts.get(refill.act) else {
             return self.scenario.at_end.as_ref().map(|at_end| at_end.place.clone()).unwrap_or_default();
@@ -155,17 +157,17 @@ impl Lines<'_> {
     }
 }
 
-/// What would give it the time that it lacks.
+/// Suggests changes that provide the missing time.
 fn ways_out(refill: &Refill, lacking: Span, queue: Option<u32>) -> String {
     let device = &refill.device;
     let pause = match refill.kind {
         RefillKind::First => {
             format!(
-                "end the movement of `{device}` {lacking} earlier in the act before, or let this act wait"
+                "end the movement of `{device}` {lacking} earlier in the previous act, or make this act wait"
             )
         }
         RefillKind::Later => format!(
-            "let `{device}` begin {lacking} later in this act, or let the act wait, or give the device so few keyframes that it needs {}",
+            "start `{device}` {lacking} later in this act, make the act wait, or reduce the keyframes until the device needs only {}",
             counted(refill.script, "script")
         ),
     };
@@ -179,7 +181,7 @@ fn ways_out(refill: &Refill, lacking: Span, queue: Option<u32>) -> String {
 mod tests {
     use crate::{Fleet, FleetRobot, Source, compile};
 
-    /// A fleet of one robot whose device takes `most` steps a script and holds `queue` scripts.
+    /// A fleet of one robot. Its device accepts `most` steps per script and holds `queue` scripts.
     fn fleet(queue: usize, most: usize) -> Fleet {
         let block = format!(
             r#"{{"id": "r", "api_version": "1", "devices": [{{"id": "d", "name": "d", "interpolation": "linear",
@@ -192,7 +194,7 @@ mod tests {
         Fleet { robots: vec![robot], ..Fleet::default() }
     }
 
-    /// Acts that follow each other, each with this many steps, one every `pause` milliseconds.
+    /// Consecutive acts; each has its number of steps, one every `pause` milliseconds.
     fn acts(steps: &[usize], pause: usize) -> String {
         let act = |(index, steps): (usize, &usize)| {
             let keyframe = |step: usize| format!("{{at: {}ms, to: {}}}", step * pause, step % 2 * 10);
@@ -203,7 +205,7 @@ mod tests {
         format!("scenario: s\nacts:\n{}", steps.iter().enumerate().map(act).collect::<String>())
     }
 
-    /// Codes and lines of what is found about refills.
+    /// Returns the codes and lines of the findings about refills.
     fn found(scenario: String, fleet: &Fleet) -> Vec<(&'static str, usize)> {
         let compiled = compile(&Source { name: "s.yaml".into(), text: scenario }, fleet, &crate::NoFiles);
         let refills =
@@ -215,7 +217,7 @@ mod tests {
     fn whatever_is_held_for_a_second_is_in_time_in_every_act() {
         for queue in 2..=4 {
             for counts in 0..64 {
-                // One to four scripts in each of three acts, each of two steps, the second a second after the first.
+                // One to four scripts in each of three acts; each has two steps, one second apart.
                 let scripts = [counts % 4, counts / 4 % 4, counts / 16].map(|count| 2 * (count + 1));
                 assert_eq!(found(acts(&scripts, 1_000), &fleet(queue, 2)), [], "queue {queue}: {scripts:?}");
             }
@@ -226,7 +228,7 @@ mod tests {
     fn a_script_that_starts_when_room_for_it_appears_is_refused_on_its_line() {
         assert_eq!(found(acts(&[2, 2], 2_000), &fleet(2, 1)), [("DB0047", 6)]);
         assert_eq!(found(acts(&[2, 2], 2_000), &fleet(3, 1)), []);
-        // Here the act has to wait for room, and its second script gets time by that.
+        // Here the act must wait for room, which gives its second script more time.
         assert_eq!(found(acts(&[2, 1, 2], 2_000), &fleet(2, 1)), [("DB0049", 8)]);
     }
 
@@ -259,7 +261,10 @@ mod tests {
         let finding = compiled.findings.iter().find(|finding| finding.code.as_str() == "DB0047").unwrap();
         assert!(compiled.choreography.is_none());
         let hint = finding.hint.as_deref().unwrap();
-        assert!(finding.message.contains("script 2 of `act 1`: `d` of `r` holds 2 scripts"), "{finding:?}");
-        assert!(hint.contains("begin 100 ms later") && hint.contains("script_queue of 3"), "{hint}");
+        assert!(
+            finding.message.contains("script 2 of `act 1`: `d` of `r` can hold 2 scripts"),
+            "{finding:?}"
+        );
+        assert!(hint.contains("start `d` 100 ms later") && hint.contains("script_queue of 3"), "{hint}");
     }
 }

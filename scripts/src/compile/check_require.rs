@@ -1,4 +1,4 @@
-//! What a scenario requires and the compiled plan alone can say: the closest approach.
+//! Checks the requirement that only the compiled plan can answer: the closest approach.
 
 use super::conflict::told;
 use crate::fields::Reader;
@@ -6,8 +6,8 @@ use crate::finding::Code;
 use crate::plan::Choreography;
 use crate::scenario::Scenario;
 
-/// A distance that is not kept. It stays a warning: what is required is judged by `check` and `dry-run`, and limits of the fleet
-/// (`space`) are what forbids a mission.
+/// Warns about a distance that is too small. It stays a warning: `check` and `dry-run` check requirements, while limits of the fleet
+/// (`space`) prevent a mission.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, choreography: &Choreography) {
     let (Some(floor), Some(place)) = (scenario.requirements.closest, &scenario.closest_place) else { return };
     let Some((act, closest)) = choreography.closest().filter(|(_, closest)| !floor.holds(closest.distance))
@@ -21,6 +21,6 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, choreography: &C
         closest.distance,
         told(closest.at)
     );
-    let hint = Some("let one of them move later or elsewhere, or require less".to_owned());
+    let hint = Some("move one of them later or elsewhere, or require less".to_owned());
     findings.add(Code::Unmet, place.clone(), message, format!("{} {} m", floor.word(), floor.bound()), hint);
 }

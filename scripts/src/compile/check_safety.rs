@@ -1,4 +1,4 @@
-//! Leases that protect nothing.
+//! Checks for leases without effect.
 
 use urrcp::{Millis, Span};
 
@@ -7,7 +7,7 @@ use crate::finding::{Code, Place};
 use crate::plan::Act;
 use crate::scenario::{self, Scenario};
 
-/// A lease that the scenario states and that is longer than what it guards: when the link breaks, the script ends first.
+/// Warns about an explicit lease that is longer than the scripts it protects: after a broken link, the script ends first.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, acts: &[Option<Act>]) {
     let longest = acts.iter().flatten().map(|act| act.plan.duration()).max();
     if let (Some(place), Some(longest)) = (&scenario.lease_place, longest) {
@@ -31,8 +31,10 @@ fn compare(findings: &mut Reader, whose: &str, place: &Place, lease: Option<Mill
     let Some(lease) = lease.map(Millis::span).filter(|lease| *lease > length && length > Span::ZERO) else {
         return;
     };
-    let message = format!("a lease of {lease} for {whose}, whose scripts last {length} in all");
-    let hint =
-        Some("a robot that loses the link plays such a script to its end: shorten the lease".to_owned());
+    let message =
+        format!("the lease of {lease} for {whose} is longer than its scripts, which last {length} in total");
+    let hint = Some(
+        "shorten the lease: otherwise a robot that loses the link plays its script to the end".to_owned(),
+    );
     findings.add(Code::LeaseTooLong, place.clone(), message, format!("less than {length}"), hint);
 }

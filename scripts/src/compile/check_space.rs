@@ -1,4 +1,4 @@
-//! Bodies that come too close to each other, leave their space, or move too fast.
+//! Checks for bodies that come too close to each other, leave their space, or move too fast.
 
 use std::collections::{HashMap, HashSet};
 
@@ -20,22 +20,22 @@ use crate::space::{
     depth, first_contact, furthest_out,
 };
 
-/// Knots in a row that a drawn path leaves out, at most.
+/// Maximum number of consecutive knots that a drawn path omits.
 const LEFT_OUT_MAX: usize = 200;
-/// Metres by which two balls may seem closer than they are.
+/// Rounding error of the distance of two balls, in metres.
 const ROUNDING: f64 = 1e-9;
 
-/// What is expected of bodies that are driven by speeds, and of all others, with a hint.
+/// Expectation and hint for bodies that are driven by speeds (`DRIVEN`) and for all others (`PLACED`).
 const DRIVEN: (&str, &str) = (
-    "speeds of all devices that `drive` names, and acts before that leave them at 0",
-    "end every act that leads here with all speeds of the drive at 0, and drive these devices by speed alone",
+    "speeds of all devices in `drive`, and previous acts that leave them at 0",
+    "end every act that leads here with all speeds of the drive at 0, and drive these devices only by speed",
 );
 const PLACED: (&str, &str) = (
-    "positions of all devices that `body` names",
-    "give them keyframes at the beginning, a `default_value`, or drive them by position",
+    "positions of all devices in `body`",
+    "add keyframes at the beginning or a `default_value`, or drive them by position",
 );
 
-/// An act with what its robots do in it.
+/// An act with the scripts of its robots.
 pub(super) struct Stage<'a> {
     pub(super) cast: &'a Cast<'a>,
     pub(super) requirements: &'a Requirements,
@@ -44,12 +44,12 @@ pub(super) struct Stage<'a> {
     pub(super) robots: &'a [RobotPlan],
     pub(super) devices: &'a [DeviceUse],
     pub(super) positions: &'a Positions<'a>,
-    /// Robots of which a movement is missing, in this act or before: nothing is said of their bodies.
+    /// Robots with a missing movement, in this act or earlier: their bodies are not checked.
     pub(super) incomplete: &'a HashSet<usize>,
     pub(super) standing: &'a Standing<'a>,
 }
 
-/// Checks an act, and returns what its bodies do, and where it leaves those that are driven by speeds.
+/// Checks an act. Returns the movements of its bodies, and the final poses of those that are driven by speeds.
 pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses) {
     let fleet = stage.cast.fleet;
     let bodies = fleet.robots.iter().enumerate();
@@ -92,7 +92,7 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses
     (in_space, left)
 }
 
-/// As few knots as draw the path: one is left out as long as the line that replaces it is close to all that are left out.
+/// Reduces the knots for drawing: omits knots as long as the replacing line is close to all of them.
 fn drawn(path: &Path) -> Vec<DrivenPoint> {
     let pose = |knot: &Knot| [knot.place.base[0], knot.place.base[1], knot.place.base[3]];
     let point = |knot: &Knot| DrivenPoint { at: span(knot.at), pose: pose(knot) };
@@ -125,8 +125,8 @@ impl Stage<'_> {
         self.cast.id(robot).as_str()
     }
 
-    /// The distance, in metres, by which the grids of their devices may bring two bodies closer that move into one formation: half
-    /// a step of each device for its place, and half for its steps. The ways into a formation already allow for everything else.
+    /// Returns the distance, in metres, by which grids may bring two bodies of the same formation closer: half a step of each device for
+    /// its place, and half a step for its steps. The movements into a formation already allow for everything else.
     fn by_grids(&self, cues: [Option<usize>; 2], robots: [usize; 2]) -> f64 {
         let [Some(cue), Some(other)] = cues else { return 0.0 };
         let group = self.act.cues[cue].group.as_ref().filter(|_| cue == other);
@@ -141,7 +141,7 @@ impl Stage<'_> {
     }
 }
 
-/// The cues of each robot with the times at which it begins with them.
+/// The cues of each robot, with the robot's start times.
 struct Cues<'a> {
     act: &'a Act,
     of_robot: HashMap<usize, Vec<(Span, usize)>>,
@@ -160,7 +160,7 @@ impl<'a> Cues<'a> {
         Self { act: stage.act, of_robot }
     }
 
-    /// What a robot plays at this time, or has played last; `None` if it has not begun with anything.
+    /// Returns the cue that a robot plays at this time or has played last; `None` before its first cue.
     fn at(&self, robot: usize, at: Span) -> Option<usize> {
         let cues = self.of_robot.get(&robot)?;
         cues[..cues.partition_point(|(begin, _)| *begin <= at)].last().map(|(_, cue)| *cue)
@@ -170,7 +170,7 @@ impl<'a> Cues<'a> {
         cue.map_or_else(|| self.act.place.clone(), |cue| self.act.cues[cue].robots_place.clone())
     }
 
-    /// A line of the file with what a robot does there.
+    /// Returns a place in the file, and the action of a robot there.
     fn line(&self, robot: &str, cue: Option<usize>) -> (Place, String) {
         let what = match cue {
             Some(cue) => format!("`{robot}` in the cue `{}`", self.act.cues[cue].name),
@@ -180,12 +180,12 @@ impl<'a> Cues<'a> {
     }
 }
 
-/// To the millisecond, for people.
+/// Rounds to the millisecond for display.
 fn span(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 1_000.0).round())
 }
 
-/// The largest speed and acceleration of a body, against what it may.
+/// Compares the largest speed and acceleration of a body with its limits.
 fn rates(
     findings: &mut Reader,
     stage: &Stage<'_>,
@@ -212,14 +212,14 @@ fn rates(
             place,
             message: [String::new(), said],
             expected,
-            hint: Some("give the movement more time, or a shorter way".to_owned()),
+            hint: Some("allow more time for the movement, or use a shorter path".to_owned()),
         });
     }
     let [speed, acceleration] = peaks.map(|peak| peak.map_or(0.0, |peak| peak.rate));
     BodyUse { robot: stage.cast.id(robot).clone(), speed, acceleration }
 }
 
-/// One warning for robots that become known at the same time.
+/// Reports one warning for all robots that become known at the same time.
 fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Option<f64>)]) {
     let is_driven =
         |robot: usize| stage.cast.fleet.robots[robot].body.as_ref().is_some_and(|body| body.drive.is_some());
@@ -236,7 +236,7 @@ fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Opt
         let until =
             from.map_or_else(|| "in this act".to_owned(), |from| format!("before {}", told(span(from))));
         let message = format!(
-            "nothing says where {} {are} {until}, so nothing is checked there",
+            "{} {are} at an unknown position {until}, so nothing is checked during this time",
             robots_named(robots.into_iter())
         );
         let (expected, hint) = if driven { DRIVEN } else { PLACED };
@@ -267,9 +267,13 @@ fn volumes(
             place,
             message: [
                 String::new(),
-                format!(" leaves the space where bodies stay, by {:.3} m at {}", out.distance, told(at)),
+                format!(
+                    " leaves|leave the allowed space (`keep_in`) by {:.3} m at {}",
+                    out.distance,
+                    told(at)
+                ),
             ],
-            expected: "all of its body within `keep_in`".to_owned(),
+            expected: "the whole body within `keep_in`".to_owned(),
             hint: Some("move it elsewhere, or make `keep_in` larger".to_owned()),
         });
     }
@@ -287,7 +291,7 @@ fn volumes(
                 device: String::new(),
                 robots: [stage.cast.id(*robot).clone()].into(),
                 place,
-                message: [String::new(), format!(" enters `{name}` at {}", told(at))],
+                message: [String::new(), format!(" enters|enter `{name}` at {}", told(at))],
                 expected: format!("no body in `{name}`"),
                 hint: Some("move it around the volume, or change `keep_out`".to_owned()),
             });
@@ -310,7 +314,7 @@ struct TooClose {
     pairs: usize,
 }
 
-/// The closest pair of all. Pairs that come too close are told once for each pair of cues.
+/// Returns the closest pair. Pairs that come too close are reported once for each pair of cues.
 fn pairs(
     findings: &mut Reader,
     stage: &Stage<'_>,
@@ -330,7 +334,7 @@ fn pairs(
                 best = Some(pair);
             }
             let of = pair.robots.map(|robot| cues.at(robot, pair.at));
-            // What rests too close was told where it came there.
+            // Bodies that rest too close were already reported when they came there.
             let told_before = of == [None, None] && !stage.positions.is_first();
             let rounding = ROUNDING + stage.by_grids(of, pair.robots);
             if pair.distance >= required - rounding || told_before {
@@ -377,7 +381,7 @@ impl TooClose {
                 None => "both are there from the beginning".to_owned(),
             };
         }
-        let hint = "let one of them move later or elsewhere, or lower `distance` of `space`".to_owned();
+        let hint = "move one of them later or elsewhere, or reduce `distance` of `space`".to_owned();
         findings.add_related(Code::TooClose, lines, message, expected, Some(hint));
     }
 }

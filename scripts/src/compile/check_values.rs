@@ -1,4 +1,4 @@
-//! Values against the limits and the grid of the device.
+//! Checks values against the limits and the grid of the device.
 
 use std::collections::HashSet;
 
@@ -12,17 +12,17 @@ use crate::motion::{Curve, Knot, Shape};
 use crate::scenario::{Change, Changed, Track, Vectors};
 use crate::shown::shortened;
 
-/// How many places of one way between two knots are looked at.
+/// Number of samples between two knots.
 const SAMPLES: u32 = 128;
-/// Parts of a granularity that are no difference where both values are printed alike.
+/// Share of the granularity below which a difference is ignored if both values are printed alike.
 const DUST: f64 = 1e-3;
 
-/// The place of an item of a track's list; of the list where the item has none.
+/// Returns the place of an item in a track's list, or of the list if the item has none.
 pub(super) fn item_place(track: &Track, item: u32) -> Place {
     track.item(item).2
 }
 
-/// The place of the way to an item: of the parameter on which that depends, if there is one.
+/// Returns the place of the section that leads to an item, or of the argument on which it depends.
 pub(super) fn way_place(track: &Track, item: u32) -> Place {
     track.given(item).cloned().unwrap_or_else(|| item_place(track, item))
 }
@@ -35,14 +35,14 @@ fn value_place(track: &Track, item: u32) -> Place {
     }
 }
 
-/// A number without the dust of its multiplication, and without a sign of zero.
+/// Removes the rounding errors of a multiplication, and the sign of zero.
 pub(super) fn tidy(value: f64) -> f64 {
     let rounded = (value * 1e9).round() / 1e9 + 0.0;
     if rounded.is_finite() { rounded } else { value }
 }
 
-/// Checks every value; where the cue says so, moves values to the grid. What the device is set to at each knot, nothing if
-/// that is what is written.
+/// Checks every value, and moves values to the grid if the cue requires it. Returns the device value at each knot; empty if all are as
+/// written.
 pub(super) fn check(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -54,7 +54,7 @@ pub(super) fn check(
     if limits.is_empty() {
         return set;
     }
-    // Repeated movements come from the same items again and again.
+    // Repetitions of a movement contain the same items.
     let (mut seen, mut ways) = (HashSet::new(), HashSet::new());
     let [mut snapped, mut refused] = [OffGrid::default(), OffGrid::default()];
     for index in 0..curve.knots.len() {
@@ -63,7 +63,7 @@ pub(super) fn check(
         if !sound {
             let first = seen.insert((knot.item, knot.to.to_bits()));
             let beyond = |limits: &&&Limits| {
-                // What rounding to the grid takes back is none.
+                // A deviation that rounding to the grid corrects is ignored.
                 let may_round =
                     snaps(on.cue) || !knot.shape.is_written() || Moved::of(&knot, limits).is_dust();
                 let nearest = if may_round { limits.nearest(knot.to) } else { knot.to };
@@ -127,26 +127,26 @@ fn out_of_range(
     let given = on.track.given_as(knot.item);
     let hint = match given.and_then(|given| Some((parameter(&given.place)?, given.is_alone))) {
         Some((parameter, true)) if on.track.changed.is_none() => {
-            format!("`{parameter}` makes it {value}: the nearest that it can take is {nearest}")
+            format!("`{parameter}` sets it to {value}: the nearest possible value is {nearest}")
         }
         Some((parameter, _)) => {
             let most = if value > limits.max_value { "at most" } else { "at least" };
-            format!("`{parameter}` makes it {value}: give a value that makes it {most} {nearest}")
+            format!("`{parameter}` leads to {value}: use a value that leads to {most} {nearest}")
         }
         None => in_radians(on, knot.to, limits)
-            .unwrap_or_else(|| format!("the nearest value that it can take is {nearest}")),
+            .unwrap_or_else(|| format!("the nearest possible value is {nearest}")),
     };
     let place = value_place(on.track, knot.item);
     let fault = Fault { code: Code::OutOfRange, place, size, said, expected, hint: Some(hint) };
     on.add(findings, control_type, fault);
 }
 
-/// How far a value is outside the limits.
+/// Returns the distance of a value from the limits.
 fn beyond(limits: &Limits, value: f64) -> f64 {
     (value - limits.max_value).max(limits.min_value - value)
 }
 
-/// The name of the parameter that is given at a place.
+/// Returns the name of the parameter at the place of its argument.
 fn parameter(place: &Place) -> Option<&str> {
     match place.path.last()? {
         Part::Key(name, _) => Some(name),
@@ -158,13 +158,13 @@ fn between(limits: &Limits) -> String {
     format!("{} to {}", limits.min_value, limits.max_value)
 }
 
-/// The change of the cue without which the value would lie within the limits.
+/// Returns the change by the cue without which the value would be within the limits.
 fn blamed<'t>(track: &'t Track, value: f64, limits: &Limits) -> Option<&'t Changed> {
     let sound = |changed: &&Changed| limits.contains(limits.nearest(changed.undone(value)));
     track.changed.as_ref().filter(sound)
 }
 
-/// How the change is to be written so that the whole movement keeps to the limits.
+/// Suggests a change that keeps the whole movement within the limits.
 fn room_for(curve: &Curve, changed: &Changed, on: &OnDevice<'_>, limits: &Limits) -> Option<String> {
     let values = || curve.knots.iter().map(|knot| changed.undone(knot.to));
     match changed.change {
@@ -182,21 +182,21 @@ fn room_for(curve: &Curve, changed: &Changed, on: &OnDevice<'_>, limits: &Limits
                 (values().fold(f64::INFINITY, f64::min), values().fold(-f64::INFINITY, f64::max));
             let middle = tidy(f64::midpoint(least, most));
             Some(format!(
-                "it fits if mirrored about its middle: `{{about: {middle}, devices: [{}]}}`",
+                "mirror it about its middle to stay within the limits: `{{about: {middle}, devices: [{}]}}`",
                 on.track.device
             ))
         }
     }
 }
 
-/// A figure for people that is no larger than the number: three digits.
+/// Rounds down to three significant digits, for display.
 fn rounded_down(value: f64) -> f64 {
     let scale = 10f64.powf(2.0 - value.abs().log10().floor());
     let rounded = (value * scale + 1e-6).floor() / scale;
     if rounded.is_finite() { tidy(rounded) } else { value }
 }
 
-/// A hint for degrees where the device takes radians.
+/// Returns a hint if degrees are given for a device in radians.
 fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> {
     let unit = on.device.unit.as_ref()?.to_string();
     let radians = limits.nearest(value.to_radians());
@@ -204,14 +204,14 @@ fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> 
     fits.then(|| format!("the unit of `{}` is rad: {value} degrees are {}", on.device.id, tidy(radians)))
 }
 
-/// A value with the nearest one on the grid.
+/// A value with its nearest value on the grid.
 #[derive(Clone, Copy)]
 struct Moved {
     item: u32,
     from: f64,
     to: f64,
     granularity: f64,
-    /// The largest error that the device allows by itself.
+    /// The largest error that the device itself permits.
     allowed: f64,
 }
 
@@ -230,42 +230,45 @@ impl Moved {
         (self.to - self.from).abs()
     }
 
-    /// Whether both are printed alike: doubles of a computation are seldom exactly the decimal numbers that they stand for.
+    /// Whether both are printed alike: computed doubles are rarely exactly the decimal numbers that they represent.
     fn is_dust(&self) -> bool {
         tidy(self.from) == tidy(self.to) && self.off() <= DUST * self.granularity
     }
 
     fn fault(&self, on: &OnDevice<'_>, code: Code, others: &str) -> Fault {
-        // As many digits as tell both apart.
+        // Enough digits to distinguish both values.
         let digits = |value: f64| if tidy(self.from) == tidy(self.to) { value } else { tidy(value) };
         let [from, to, off] = [self.from, self.to, self.off()].map(digits);
         Fault {
             code,
             place: value_place(on.track, self.item),
             size: self.off(),
-            said: format!("{}{from} becomes {to}, {off} off{others}, for ", named(on.track, self.item)),
+            said: format!(
+                "{}{from} is rounded to {to}, off by {off}{others}, for ",
+                named(on.track, self.item)
+            ),
             expected: format!("a multiple of {}", self.granularity),
             hint: None,
         }
     }
 }
 
-/// Reports a value that is further off the grid than max_error allows. Returns whether it is.
+/// Reports a value whose distance from the grid exceeds `max_error`. Returns whether it does.
 fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) -> bool {
     let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
     if moved.off() <= allowed {
         return false;
     }
     let fault = Fault {
-        expected: format!("at most {allowed} off (max_error)"),
-        hint: Some("write a value on the grid, or allow more with `tolerance`".to_owned()),
+        expected: format!("an error of at most {allowed} (max_error)"),
+        hint: Some("write a value on the grid, or allow a larger error with `tolerance`".to_owned()),
         ..moved.fault(on, Code::ToleranceTooTight, "")
     };
     on.add(findings, control_type, fault);
     true
 }
 
-/// The values of a track that are off the grid. They are one finding.
+/// The values of a track that are off the grid. They are reported in one finding.
 #[derive(Default)]
 struct OffGrid {
     furthest: Option<Moved>,
@@ -285,7 +288,7 @@ impl OffGrid {
         let Some(furthest) = self.furthest else { return };
         let others = match self.count {
             1 => String::new(),
-            count => format!(", the most of {count} values off the grid"),
+            count => format!(", the largest error of {count} values off the grid"),
         };
         on.add(findings, control_type, furthest.fault(on, Code::Snapped, &others));
     }
@@ -300,7 +303,7 @@ impl OffGrid {
             [true, true] => format!("the nearest values on the grid are {} and {}", around[0], around[1]),
             _ => format!("the nearest value on the grid is {}", tidy(furthest.to)),
         };
-        let snap = "`off_grid: snap` at the top of the scenario takes the nearest everywhere";
+        let snap = "use `off_grid: snap` at the top of the scenario to round all values to the grid";
         let (lie, hint) = match self.count {
             1 => (" lies".to_owned(), format!("{nearest}; {snap}")),
             2 => (" and 1 other value lie".to_owned(), snap.to_owned()),
@@ -321,7 +324,7 @@ impl OffGrid {
     }
 }
 
-/// `keyframe 3: `, counted from 1, where the file has items.
+/// `keyframe 3: `, counted from 1; empty if the file has no items.
 pub(super) fn named(track: &Track, item: u32) -> String {
     match track.item(item) {
         (_, None, _) => String::new(),
@@ -334,7 +337,7 @@ pub(super) fn named(track: &Track, item: u32) -> String {
     }
 }
 
-/// A function may go beyond the values at its ends.
+/// Checks the values between two knots: a function may exceed the values at its ends.
 fn reaches(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -350,7 +353,7 @@ fn reaches(
         let value = curve.value(index, s);
         for limits in limits {
             let beyond = (value - limits.max_value).max(limits.min_value - value);
-            // What rounding to the grid takes back is none.
+            // A deviation that rounding to the grid corrects is ignored.
             if beyond > limits.granularity / 2.0 && worst.is_none_or(|(known, ..)| beyond > known) {
                 worst = Some((beyond, value, s, limits));
             }
@@ -358,7 +361,7 @@ fn reaches(
     }
     let Some((by, value, s, limits)) = worst else { return };
     let (before, knot) = (&curve.knots[index - 1], &curve.knots[index]);
-    // A way that goes no further than its ends has their fault.
+    // A section that does not exceed its ends has the same fault as they do.
     if by <= beyond(limits, before.to).max(beyond(limits, knot.to)) * (1.0 + 1e-9) {
         return;
     }
@@ -370,16 +373,16 @@ fn reaches(
     );
     let place = way_place(on.track, knot.item);
     let hint = match (on.cue.group.is_some(), knot.item) {
-        (true, _) => "make it smaller, or let the group begin elsewhere".to_owned(),
+        (true, _) => "make it smaller, or start the group elsewhere".to_owned(),
         (false, u32::MAX) => fitting(curve, limits),
-        (false, _) => "make it smaller, for example by `scale`".to_owned(),
+        (false, _) => "make it smaller, for example with `scale`".to_owned(),
     };
     let fault =
         Fault { code: Code::OutOfRange, place, size: by, said, expected: between(limits), hint: Some(hint) };
     on.add(findings, control_type, fault);
 }
 
-/// How a movement without items comes to lie within the limits: higher or lower, or smaller.
+/// Suggests how to move or scale a movement without items into the limits.
 fn fitting(curve: &Curve, limits: &Limits) -> String {
     let samples = (1..curve.knots.len()).flat_map(|index| {
         (0..=SAMPLES).map(move |sample| curve.value(index, f64::from(sample) / f64::from(SAMPLES)))
@@ -391,7 +394,7 @@ fn fitting(curve: &Curve, limits: &Limits) -> String {
     if span > room {
         let part = rounded_down(room / span);
         return format!(
-            "its values span {}, and the limits {room}: make it {part} times as large",
+            "its values span {}, but the limits span only {room}: scale it by {part}",
             figure(span)
         );
     }
@@ -402,12 +405,12 @@ fn fitting(curve: &Curve, limits: &Limits) -> String {
     }
 }
 
-/// A number to four decimals, without zeros at its end.
+/// Rounds to four decimals.
 fn figure(value: f64) -> f64 {
     (value * 1e4).round() / 1e4 + 0.0
 }
 
-/// Values of custom_N are bounded by what the script inherits, if by anything.
+/// Values of custom_N are bounded only by the limits that the script inherits, if any.
 pub(super) fn check_inherited(findings: &mut Reader, on: &OnDevice<'_>, vectors: &Vectors) {
     let Some(script) = on.device.available_control_types.script() else { return };
     for vector in vectors.iter() {

@@ -1,4 +1,4 @@
-//! Times that contradict each other, told in the lines of the file: the chain, and what would fix it.
+//! Reports contradictory times with the lines of the file: the chain of bounds, and possible corrections.
 
 use std::collections::HashMap;
 
@@ -9,17 +9,17 @@ use crate::duration::written;
 use crate::finding::{Code, Part, Pending, Place, names};
 use crate::scenario::{Act, Anchor, Bounds, Relation};
 
-/// Most links of a chain that are reported.
+/// Maximum number of reported links of a chain.
 const LINKS_MAX: usize = 24;
 
-/// Why a constraint is there.
+/// The origin of a constraint.
 #[derive(Clone, Debug)]
 pub(super) enum Origin {
     Relation {
         cue: usize,
         relation: Relation,
     },
-    /// The last robot begins this much later, and the cue lasts as much longer.
+    /// The last robot begins after this delay, which prolongs the cue.
     Length {
         cue: usize,
         delay: Span,
@@ -59,7 +59,7 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
         return circle(&teller, &links, place, related);
     }
     let hint = match fixes.as_slice() {
-        [] => "no single change is enough: there are other contradictions besides this one".to_owned(),
+        [] => "no single change is enough: there are other contradictions".to_owned(),
         [only] => only.clone(),
         several => format!("any one of: {}", several.join("; ")),
     };
@@ -67,7 +67,7 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
         code: Code::Conflict,
         place,
         message: format!("these times contradict each other: {} too tight", told(conflict.excess)),
-        expected: "times that can all be kept".to_owned(),
+        expected: "times without contradictions".to_owned(),
         hint: Some(hint),
         related,
         affected: None,
@@ -75,7 +75,7 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
     }
 }
 
-/// Whether cues wait for each other: every link lets one follow another, and none of them is a fixed time or a deadline.
+/// Whether cues wait for each other: each link makes one cue follow another, and no link is a fixed time or a deadline.
 fn is_circle(links: &[(&Link, Option<&Origin>)]) -> bool {
     links.iter().all(|(link, origin)| match origin {
         Some(Origin::Length { .. } | Origin::Limit { .. }) => link.bound == Bound::Min,
@@ -91,7 +91,7 @@ fn is_circle(links: &[(&Link, Option<&Origin>)]) -> bool {
     })
 }
 
-/// Cues of which each waits for the one before it.
+/// Reports cues that each wait for the previous one.
 fn circle(
     teller: &Teller<'_>,
     links: &[(&Link, Option<&Origin>)],
@@ -171,7 +171,7 @@ impl Teller<'_> {
             (Origin::Length { cue, .. }, Bound::Min) => format!("{} lasts {span} or more", self.name(*cue)),
             (Origin::Length { cue, .. }, Bound::Max) => format!("{} lasts {span} at most", self.name(*cue)),
             (Origin::Limit { cue, robot, device, .. }, _) => format!(
-                "{} lasts {span} or more, since `{device}` of `{robot}` moves no faster",
+                "{} lasts at least {span}, because `{device}` of `{robot}` cannot move faster",
                 self.name(*cue)
             ),
             (Origin::Zone { zone, first, second, auto }, _) => {
@@ -211,22 +211,24 @@ impl Teller<'_> {
         }
     }
 
-    /// What loosening a bound by this much means, as an edit where one is enough; none where nothing is left of it.
+    /// Describes the correction of a bound, as an edit if one suffices; `None` if the bound would disappear.
     fn fixes(&self, origin: &Origin, link: &Link, by: Span) -> Option<String> {
         Some(match origin {
             Origin::Length { cue, delay, .. } => return self.fixes_length(*cue, *delay, link, by),
             Origin::Limit { robot, device, .. } => {
                 let needed = written(link.span - by);
-                format!("let `{device}` of `{robot}` move as fast as {needed} needs")
+                format!("raise the limits of `{device}` of `{robot}` so that {needed} is enough")
             }
             Origin::Zone { zone, second, first, .. } => {
                 let (first, second, by) = (self.name(*first), self.name(*second), written(by));
                 match zone {
-                    Some(zone) => format!("let {second} begin {by} before {first} leaves the zone `{zone}`"),
-                    None => format!("let {first} and {second} overlap by {by}"),
+                    Some(zone) => {
+                        format!("allow {second} to start {by} before {first} leaves the zone `{zone}`")
+                    }
+                    None => format!("allow {first} and {second} to overlap by {by}"),
                 }
             }
-            // That the cues of a sequence lie within it is no line of its own.
+            // The containment of cues in their sequence has no line of its own.
             Origin::Relation { relation, .. } if !is_written(relation) => return None,
             Origin::Relation { cue, relation } => self.fixes_relation(*cue, relation, link, by),
         })
@@ -250,7 +252,7 @@ impl Teller<'_> {
         (length > Span::ZERO).then(|| format!("{verb} {name} by {}: `duration: {duration}`", written(by)))
     }
 
-    /// With the names that a sequence itself has for its cues.
+    /// Replaces the names of cues by their names within the sequence.
     fn in_its_file(&self, cue: usize, relation: &Relation) -> Relation {
         let mut relation = relation.clone();
         if relation.place.used.is_some() {
@@ -299,14 +301,14 @@ impl Teller<'_> {
     }
 }
 
-/// Whether a relation stands under a key of its own.
+/// Whether a relation is written under its own key.
 fn is_written(relation: &Relation) -> bool {
     let keys = ["at", "after", "with", "before", "end_by"];
     let is_key = |part: &Part| matches!(part, Part::Key(key, _) if keys.contains(&key.as_str()));
     relation.place.path.iter().rev().take(2).any(is_key)
 }
 
-/// The key of a relation with other bounds, as written.
+/// Returns the key of a relation with other bounds, as written.
 fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String {
     let of_key = |part: &Part| match part {
         Part::Key(key, _) => Some(key.clone()),
@@ -336,13 +338,13 @@ fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String
     }
 }
 
-/// Which end of a cue a key means if it says nothing.
+/// The default end of a cue for a key.
 enum End {
     Start,
     End,
 }
 
-/// A time for people; where rounding would hide something, exactly.
+/// Formats a time for display; exactly, if rounding would hide something.
 pub(super) fn told(span: Span) -> String {
     let unit = match span.abs().as_nanos() {
         1_000_000_000.. => 1_000_000,

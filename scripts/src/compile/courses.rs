@@ -1,4 +1,4 @@
-//! How each body moves in an act: its devices' scripts as coordinates, or as the speeds that drive it.
+//! Computes the movement of each body in an act: from the scripts of its coordinates, or from the speeds that drive it.
 
 use std::collections::HashMap;
 
@@ -8,34 +8,34 @@ use super::check_space::Stage;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan};
 use crate::space::{Axis, Body, Coordinate, Drive, Peak, Played, Pose, Solid, Steering, peaks};
 
-/// How a body moves in an act.
+/// The movement of a body in an act.
 pub(super) struct Course {
     /// x, y, z, yaw and its joints.
     pub(super) axes: Vec<Axis>,
-    /// How far its points may be off from there, in metres.
+    /// Possible deviation of its points, in metres.
     pub(super) margin: f64,
     /// The largest speed and acceleration of its middle.
     pub(super) peaks: [Option<Peak>; 2],
-    /// Where it is in the end, if it is driven by speeds and stands still then.
+    /// Its final pose, if it is driven by speeds and stationary at the end.
     pub(super) end: Option<Pose>,
 }
 
-/// Where acts leave the bodies that are driven by speeds, by robot; those of whom that is not known are not listed.
+/// Final poses of bodies that are driven by speeds, by robot. Unknown poses are not listed.
 pub(super) type Poses = HashMap<usize, Pose>;
 
-/// Where bodies that are driven by speeds are when an act begins.
+/// Poses of bodies that are driven by speeds at the beginning of an act.
 pub(super) struct Standing<'a> {
-    /// Where each act that leads here leaves them; `None` for the first act.
+    /// Final poses of the preceding acts; `None` for the first act.
     before: Option<Vec<&'a Poses>>,
 }
 
 impl<'a> Standing<'a> {
-    /// `before`: the acts that lead here; `None` for the first act.
+    /// `before`: the preceding acts; `None` for the first act.
     pub(super) fn after(before: Option<&[usize]>, poses: &'a HashMap<usize, Poses>) -> Self {
         Self { before: before.map(|before| before.iter().filter_map(|act| poses.get(act)).collect()) }
     }
 
-    /// Known only where every way that leads here leaves the body at the same place.
+    /// Returns the pose if it is the same after every preceding act.
     fn of(&self, robot: usize, drive: &Drive) -> Option<Pose> {
         let Some(before) = &self.before else { return Some(Pose::at(drive.start)) };
         let (first, others) = before.split_first()?;
@@ -44,11 +44,11 @@ impl<'a> Standing<'a> {
     }
 }
 
-/// What each robot is sent in an act.
+/// The scripts of each robot in an act.
 pub(super) struct Scripts<'a> {
     of_robot: HashMap<&'a RobotId, &'a RobotPlan>,
     used: HashMap<(&'a RobotId, &'a DeviceId), &'a DeviceUse>,
-    /// When the last of them ends, in seconds.
+    /// End of the last script, in seconds.
     ends: f64,
 }
 
@@ -61,12 +61,12 @@ impl<'a> Scripts<'a> {
         Self { of_robot, used, ends: all.map(end).fold(0.0, f64::max) }
     }
 
-    /// One that does not play may not be there at all.
+    /// Whether the robot plays. One that does not may be absent.
     pub(super) fn plays(&self, robot: &RobotId) -> bool {
         self.of_robot.contains_key(robot)
     }
 
-    /// The scripts of a device with their starts, and how far its steps are off at most from the movement as written.
+    /// Returns the scripts of a device with their starts, and their largest deviation from the movement as written.
     fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<(Millis, &'a Script)>, f64) {
         let scripts = self.of_robot.get(robot).into_iter().flat_map(|plan| &plan.scripts);
         let error = self.used.get(&(robot, device)).map_or(0.0, |used| used.worst_error);
@@ -76,7 +76,7 @@ impl<'a> Scripts<'a> {
 }
 
 impl Stage<'_> {
-    /// `None` if a coordinate of the body is known at no time.
+    /// Returns `None` if a coordinate of the body is never known.
     pub(super) fn course(&self, scripts: &Scripts<'_>, robot: usize, body: &Body) -> Option<Course> {
         let position = |coordinate| self.axis(scripts, robot, coordinate, ControlType::Position);
         let joints: Option<Vec<Axis>> = body.joints.iter().map(|joint| position(&joint.value)).collect();

@@ -1,4 +1,4 @@
-//! A movement that is cut into scripts: where, and when each of them begins.
+//! Cuts a movement into scripts, and computes their starts.
 
 use urrcp::{ControlType, Device, DeviceId, Millis, Script, Setpoint, Span, Step, StopCondition};
 
@@ -7,12 +7,12 @@ use crate::plan::DeviceScript;
 /// The scripts of one device.
 pub(super) struct Cutting {
     pub(super) device: DeviceId,
-    /// It moves linearly.
+    /// Whether the device moves linearly.
     pub(super) moves: bool,
     pub(super) stop_condition: StopCondition,
     /// Whether the starts of later scripts are corrected for the drift of the robot's clock.
     pub(super) corrected: bool,
-    /// When its movement ends, from the act's start.
+    /// End of its movement, since the act's start.
     pub(super) end: Span,
 }
 
@@ -34,7 +34,7 @@ impl Cutting {
                 };
                 Step { offset: Millis::from_span(offset), ..step.clone() }
             };
-            // Times out of order have been found already; then there is no plan.
+            // Times out of order have already been reported; in this case there is no plan.
             let script = Script::new(steps[from..to].iter().map(relative).collect()).ok()?;
             scripts.push(DeviceScript {
                 device: self.device.clone(),
@@ -51,10 +51,10 @@ impl Cutting {
         Some(scripts)
     }
 
-    /// When a script begins that continues after `last` with these steps, and a pause before it. If the value does not change
-    /// until the first of them, it begins with that step: this leaves room for a start that is corrected because the robot's clock
-    /// has drifted. Otherwise it begins where the script before it ends. If its start is to be corrected, a pause then leaves the
-    /// room, and the script catches up until its end.
+    /// Returns the start of a script that continues after `last` with these steps, and a pause before it. If the value does not change
+    /// until the first step, the script begins with that step: this leaves room for correcting the start after a drift of the robot's
+    /// clock. Otherwise, it begins at the end of the previous script. If its start is to be corrected, a pause provides the room, and the
+    /// script catches up until its end.
     fn begin_after(&self, last: &Step, steps: &[Step]) -> (Span, Span) {
         let (end, first) = (last.offset.span(), &steps[0]);
         // Two scripts of a device never begin at the same instant.
@@ -68,11 +68,11 @@ impl Cutting {
     }
 }
 
-/// While a script plays the one behind those that the device holds is sent; that long it may take.
+/// Minimum time for sending the next script while the device plays the ones that it holds.
 pub(super) const REFILL: Span = Span::from_millis(1_000);
 
-/// Whether every script that the device cannot hold from the start can be sent in time: when one has ended there is room,
-/// and those that it still holds play long enough.
+/// Whether every script that the device cannot hold from the start can be sent in time: there is room once a script has ended, and the
+/// remaining ones must play long enough.
 pub(super) fn can_be_refilled(scripts: &[DeviceScript], queue: usize) -> bool {
     let end = |script: &DeviceScript| script.start.span() + script.script.duration();
     scripts.len() <= queue
@@ -85,23 +85,23 @@ fn rests(last: &Step, next: &Step, moves: bool) -> bool {
     is_position(last) && is_position(next) && (!moves || last.setpoint == next.setpoint)
 }
 
-/// The share of a script's length by which it begins later if it continues a movement without a rest. Clocks drift apart more slowly
-/// than this, so the mission can start the script earlier than planned by the drift of a slow clock.
+/// The share of a script's length by which it begins later if it continues a movement without a rest. Clocks drift apart more slowly than
+/// this, so the mission can start the script earlier by the drift of a slow clock.
 const CATCH_UP: f64 = 100e-6;
 
-/// The longest scripts of robots whose clocks are measured, and the least length to which they are cut for a small tolerance.
+/// Maximum length of scripts for robots with measured clocks, and the least length to which they are cut for a small tolerance.
 pub(super) const CORRECTED_EVERY: Span = Span::from_millis(30_000);
 const CORRECTED_EVERY_LEAST: Span = Span::from_millis(1_000);
 
-/// How long scripts may be that are corrected for the drift of clocks one after the other: two clocks drift apart by a third of the
-/// tolerance in the meantime at most.
+/// Maximum length of consecutive scripts that are corrected for the drift of clocks: meanwhile, two clocks drift apart by at most a third
+/// of the tolerance.
 pub(super) fn longest_corrected(tolerance: Span) -> Span {
     let longest = Span::from_millis_f64(tolerance.as_millis_f64() / 3.0 / CATCH_UP);
     longest.clamp(CORRECTED_EVERY_LEAST, CORRECTED_EVERY)
 }
 
-/// The same movement with further steps, so that no two steps in which a position changes linearly are further apart than this. A
-/// further step has a value that the device can take, at the instant at which the movement passes it.
+/// Adds steps, so that no two steps between which a position changes linearly are further apart than `longest`. An added step has a value
+/// that the device can take, at the instant at which the movement passes it.
 pub(super) fn divided(steps: Vec<Step>, device: &Device, longest: Span) -> Vec<Step> {
     let mut all: Vec<Step> = Vec::with_capacity(steps.len());
     for step in steps {
@@ -143,15 +143,15 @@ fn between(last: &Step, step: &Step, device: &Device, longest: Span) -> Vec<Step
     further
 }
 
-/// Where to cut steps into scripts of at most `most` steps and about this length: at the last rest in the second half of a script,
-/// if there is one.
+/// Returns where to cut steps into scripts of at most `most` steps and about this length: at the last rest in the second half of a
+/// script, if there is one.
 pub(super) fn cuts(steps: &[Step], most: usize, moves: bool, longest: Span) -> Vec<usize> {
     let mut cuts = Vec::with_capacity(steps.len().div_ceil(most));
     let mut from: usize = 0;
     loop {
-        // A script begins where the one before ends.
+        // A script begins where the previous one ends.
         let begin = steps.get(from.saturating_sub(1)).map_or(Span::ZERO, |step| step.offset.span());
-        // All scripts that are left are of about the same length, so that the last one is not a short one.
+        // All remaining scripts have about the same length, so that the last one is not short.
         let left = steps.last().map_or(Span::ZERO, |last| last.offset.span() - begin);
         let length =
             left / (left + longest - Span::from_nanos(1)).as_nanos().div_euclid(longest.as_nanos()).max(1);
@@ -168,7 +168,7 @@ pub(super) fn cuts(steps: &[Step], most: usize, moves: bool, longest: Span) -> V
     }
 }
 
-/// The same after every `most` steps.
+/// Cuts after every `most` steps.
 pub(super) fn every(most: usize, steps: usize) -> Vec<usize> {
     (1..=steps.div_ceil(most).max(1)).map(|count| (count * most).min(steps)).collect()
 }
@@ -188,7 +188,7 @@ mod tests {
         of.iter().map(step).collect()
     }
 
-    /// A device that moves linearly from 0 to 600 in steps of this size.
+    /// A device that moves linearly from 0 to 600 with this granularity.
     fn rail(granularity: f64) -> Device {
         let limits = urrcp::Limits::new(0.0, 600.0, granularity).unwrap();
         let mut rail = Device::new("rail".parse().unwrap()).with_position(limits.clone());
@@ -219,7 +219,7 @@ mod tests {
             let slower = 1.0 - pause / 30_000.0;
             assert_eq!(offsets, [10_000.0 * slower, 30_000.0 * slower]);
         }
-        // The device rests at 30 for ten seconds, which leaves room enough.
+        // The device rests at 30 for ten seconds, which leaves enough room.
         let rests = [(0, 0.0), (30, 30.0), (40, 30.0), (60, 60.0)];
         assert_eq!(split(&rests, &[2, 4], true)[1].start.get(), 40_000.0);
         let alone = split(&[(0, 0.0), (30, 30.0), (40, 30.0)], &[2, 3], true);

@@ -1,4 +1,4 @@
-//! What the cues do with one device, joined into one chain of scripts.
+//! Joins the movements of one device in all cues into one chain of scripts.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -21,12 +21,12 @@ use crate::render::counted;
 use crate::scenario::Scenario;
 use crate::space::Coordinate;
 
-/// An act's scripts, how they came about, and where they leave the devices.
+/// An act's scripts, statistics about them, and the resulting positions of devices.
 pub(super) struct Joined {
     pub(super) robots: Vec<RobotPlan>,
     pub(super) devices: Vec<DeviceUse>,
     pub(super) rest: Rest,
-    /// Where devices are left.
+    /// Final positions of the moved devices.
     pub(super) places: Moved,
     /// The first segment of each device.
     pub(super) first: Vec<First>,
@@ -84,7 +84,7 @@ pub(super) fn join(
     joined
 }
 
-/// Whether there is room for the steps of an act. What its device does not take is never made.
+/// Whether there is room for the steps of an act. Steps beyond the capacity of a device are never created.
 fn taken(
     findings: &mut Reader,
     cast: &Cast<'_>,
@@ -100,24 +100,24 @@ fn taken(
     let all = segments.iter().map(size).fold(0, usize::saturating_add);
     let (told, sound) = (room.is_overdrawn(), room.take(all));
     if let (false, false, Some(first)) = (sound, told, segments.values().flatten().next()) {
-        let message = format!("with the {all} steps of this act there are too many for one scenario");
-        let hint = Some("cut the scenario into several".to_owned());
+        let message = format!("with the {all} steps of this act, the scenario has too many steps");
+        let hint = Some("split the scenario into several scenarios".to_owned());
         let expected = format!("at most {}", room.most());
         findings.add(Code::TooMuch, first.part.place.clone(), message, expected, hint);
     }
     sound
 }
 
-/// One device of one robot, with everything that it does in an act.
+/// One device of one robot, with all its movements in an act.
 struct Lane<'a> {
     scenario: &'a Scenario,
     robot: &'a urrcp::RobotId,
     device: &'a Device,
-    /// Its largest speed, driven by position.
+    /// Its largest speed under position control.
     speed: Option<f64>,
-    /// Whether that or its body limits how fast it moves.
+    /// Whether its speed is limited by that or by its body.
     is_limited: bool,
-    /// The longest scripts, if the next one can be sent while one plays.
+    /// Maximum length of scripts, if the next one can be sent while one plays.
     longest: Option<Span>,
     segments: &'a [Segment],
 }
@@ -151,7 +151,7 @@ impl Lane<'_> {
         }
     }
 
-    /// Reports jumps from one cue of the act to the next. Returns the largest factor of the speed of the show for the ways between them.
+    /// Reports jumps between cues of the act. Returns the largest show speed factor for the movements between them.
     fn check_jumps(&self, findings: &mut Reader) -> f64 {
         let mover = Mover { robot: self.robot, device: self.device, speed: self.speed };
         let mut position: Option<Position> = None;
@@ -172,14 +172,14 @@ impl Lane<'_> {
         factor_max
     }
 
-    /// A rate that nothing ends: neither a last step of the resting value nor a lease.
+    /// Reports a rate that nothing ends: neither a final step with the resting value nor a lease.
     fn check_left_in_motion(&self, findings: &mut Reader) {
         let Some(last) = self.segments.last() else { return };
         let value = match &last.part.steps {
             Steps::One(values) => values.last().map(|value| value.to),
             Steps::Several(_) => None,
         };
-        // The default value of a device that is usually driven by position is a position.
+        // The default value of a device that usually takes positions is a position.
         let is_usual = self.device.primary_control_type() == Some(last.part.control_type);
         let resting = self.device.default_value.filter(|_| is_usual).unwrap_or(0.0);
         let lease = self.stop_condition().running;
@@ -219,7 +219,7 @@ impl Lane<'_> {
         }
     }
 
-    /// Where the device is left: not by a rate where it usually takes positions.
+    /// Returns the final position. `None` after a rate, if the device usually takes positions.
     fn rest(&self) -> Option<f64> {
         let control_type = self.segments.last()?.part.control_type;
         self.last_value().filter(|_| self.device.primary_control_type() == Some(control_type))
@@ -230,12 +230,12 @@ impl Lane<'_> {
         self.last_value().filter(|_| by_position)
     }
 
-    /// When its movements end; a last step may be earlier.
+    /// Returns the end of its movements; the last step may be earlier.
     fn end(&self) -> Span {
         self.segments.iter().map(Segment::end).max().unwrap_or_default()
     }
 
-    /// Every step with its time from the act's start.
+    /// Returns all steps, with times since the act's start.
     fn steps(&self) -> Vec<Step> {
         let count: usize = self.segments.iter().map(|segment| segment.part.steps.len() + 1).sum();
         let mut steps: Vec<Step> = Vec::with_capacity(count);
@@ -265,7 +265,7 @@ impl Lane<'_> {
         steps
     }
 
-    /// Stands for steps that are too many: the act still has its length.
+    /// Represents too many steps by a single one, so that the act keeps its length.
     fn last_step(&self) -> Vec<Step> {
         let last = self.segments.iter().max_by_key(|segment| segment.end());
         let step = last.and_then(|last| {
@@ -275,7 +275,7 @@ impl Lane<'_> {
         step.into_iter().collect()
     }
 
-    /// A device that moves linearly would creep through the gap between two cues; this step makes it wait.
+    /// Whether an extra step is needed: without it, a linear device would creep through the gap between two cues instead of waiting.
     fn is_held(&self, at: Span, last: &Setpoint, next: &Segment) -> bool {
         let value = match &next.part.steps {
             Steps::One(values) => values.first().map(|value| value.to),
@@ -287,7 +287,7 @@ impl Lane<'_> {
             && value.is_some_and(|value| next.part.moves_from_anywhere || value != last.value)
     }
 
-    /// As many steps as [`Self::steps`] makes.
+    /// Returns the number of steps in [`Self::steps`].
     fn count(&self) -> usize {
         let own: usize = self.segments.iter().map(|segment| segment.part.steps.len()).sum();
         let held = self.segments.windows(2).filter(|pair| {
@@ -297,7 +297,7 @@ impl Lane<'_> {
         own + held.count()
     }
 
-    /// As many scripts as needed.
+    /// Returns as many scripts as needed.
     fn scripts(&self, findings: &mut Reader) -> Option<(Vec<DeviceScript>, DeviceUse)> {
         let start = self.segments.first()?.start();
         let script = self.device.available_control_types.script()?;
@@ -359,14 +359,14 @@ impl Lane<'_> {
         let over = steps - most * queue as usize;
         let longest = self.segments.iter().max_by_key(|segment| segment.part.steps.len());
         let less = match longest.map(|segment| (segment.part.excess, &segment.cue)) {
-            Some((Excess::Turns, cue)) => format!("`{cue}` repeats it: repeat it less often"),
+            Some((Excess::Turns, cue)) => format!("reduce the repetitions in `{cue}`"),
             Some((Excess::Eases, _)) => "use `ease: linear`".to_owned(),
             Some((Excess::Curve, _)) => {
                 format!("use {over} fewer {}", if over == 1 { "step" } else { "steps" })
             }
             _ => format!("take out {}", counted(over, "keyframe")),
         };
-        let hint = format!("{less}, allow a larger error with `tolerance`, or cut the scenario into acts");
+        let hint = format!("{less}, allow a larger error with `tolerance`, or split the scenario into acts");
         let (code, message, expected) = match queue {
             1 => (
                 Code::TooManySteps,
@@ -377,7 +377,7 @@ impl Lane<'_> {
                 Code::QueueTooShort,
                 [format!("`{device}` of "), format!(" needs {count} scripts for its {steps} steps")],
                 format!(
-                    "at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps), or scripts that leave {REFILL} to send the next"
+                    "at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps), or scripts that leave at least {REFILL} to send the next one"
                 ),
             ),
         };

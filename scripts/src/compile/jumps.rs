@@ -1,4 +1,4 @@
-//! Devices that would have to jump: from cue to cue, and on each way that leads into an act.
+//! Checks for jumps of devices: between cues, and after each transition into an act.
 
 use std::collections::HashMap;
 
@@ -28,7 +28,7 @@ pub(super) struct Position {
 pub(super) struct Mover<'a> {
     pub(super) robot: &'a RobotId,
     pub(super) device: &'a Device,
-    /// Its largest speed, driven by position.
+    /// Its largest speed under position control.
     pub(super) speed: Option<f64>,
 }
 
@@ -41,8 +41,8 @@ pub(super) struct First {
 }
 
 impl Mover<'_> {
-    /// Checks the beginning of a movement against the position of the device. Returns the factor by which the show could be faster: the
-    /// speed of a device that moves to its first keyframe grows with that of the show.
+    /// Checks the beginning of a movement against the position of the device. Returns the largest show speed factor: the speed of a
+    /// device that moves to its first keyframe is proportional to the show's.
     pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) -> f64 {
         let unlimited = f64::INFINITY;
         let Steps::One(values) = &segment.part.steps else { return unlimited };
@@ -63,8 +63,8 @@ impl Mover<'_> {
         unlimited
     }
 
-    /// A jump of a device with a limited speed is an error, but a warning if only the description of the device states its
-    /// position, as at the beginning of the mission.
+    /// A jump of a device with limited speed is an error. It is only a warning if the position comes from the device's description alone,
+    /// as at the beginning of the mission.
     fn code_of(&self, from: &Position) -> Code {
         if from.is_sure && self.speed.is_some() { Code::TooFast } else { Code::Jump }
     }
@@ -80,13 +80,16 @@ impl Mover<'_> {
         };
         let hint = match (items, needed) {
             (Items::Keyframes, Some(needed)) => {
-                format!("put the first keyframe at {needed} or later: it is reached by moving there")
+                format!(
+                    "move the first keyframe to {needed} or later, so that the device has time to reach it"
+                )
             }
             (Items::Keyframes, None) => {
-                "a first keyframe later than 0s is reached by moving there".to_owned()
+                "move the first keyframe to a time after 0s, so that the device has time to reach it"
+                    .to_owned()
             }
-            (_, Some(needed)) => format!("let a cue before it move there, which takes {needed} or more"),
-            (_, None) => "let a cue before it move there".to_owned(),
+            (_, Some(needed)) => format!("move it there in an earlier cue, which takes at least {needed}"),
+            (_, None) => "move it there in an earlier cue".to_owned(),
         };
         let expected = match items {
             Items::Keyframes => format!("a first keyframe of {from}, or one later than 0s"),
@@ -106,7 +109,7 @@ impl Mover<'_> {
         });
     }
 
-    /// Checks the way from the position of the device to a first keyframe later than 0s. Returns the factor as `arrives`.
+    /// Checks the movement from the position of the device to a first keyframe later than 0s. Returns the factor like `arrives`.
     fn check_way_there(
         &self,
         findings: &mut Reader,
@@ -117,13 +120,13 @@ impl Mover<'_> {
         let (from, length) = (position.value, first.at.as_millis_f64() / 1_000.0);
         let needed = (first.to - from).abs() / length;
         let Some(speed) = self.speed else { return f64::INFINITY };
-        // `run` asks the robots for positions that only their descriptions state.
+        // `run` asks the robots for positions that come from descriptions alone.
         let factor = if position.is_sure { speed / needed } else { f64::INFINITY };
         if needed <= speed * (1.0 + 1e-6) {
             return factor;
         }
         let end = format!(
-            " has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
+            " has {} to move from {from} to its first keyframe, {}: this needs a speed of {needed:.4}",
             first.at, first.to
         );
         findings.add_shared(SharedFault {
@@ -135,13 +138,13 @@ impl Mover<'_> {
             place: segment.part.place.clone(),
             message: [format!("`{}` of ", self.device.id), end],
             expected: format!("at most {speed}"),
-            hint: Some(format!("put the first keyframe at {} or later", seconds(length * needed / speed))),
+            hint: Some(format!("move the first keyframe to {} or later", seconds(length * needed / speed))),
         });
         factor
     }
 }
 
-/// A way from one act to another.
+/// A transition from one act to another.
 struct Passage {
     to: usize,
     by: By,
@@ -155,15 +158,15 @@ enum By {
     Timeout,
     /// The act failed, and all devices went to their default state.
     Home,
-    /// The act has ended, without the robots that failed. A robot that is the only one to be left out never goes this way.
+    /// The act has ended without the robots that failed. `only`: the only robot that can be left out, which never takes this transition.
     Without { only: Option<usize> },
 }
 
-/// All ways for which something is known about the positions of devices.
+/// All transitions after which device positions are at least partially known.
 pub(super) struct Passages(Vec<Vec<Passage>>);
 
 impl Passages {
-    /// The ways between these acts.
+    /// Returns the transitions between these acts.
     pub(super) fn of(acts: &[Act], cast: &Cast<'_>) -> Self {
         let robots = participants(acts, cast);
         let of = |act: &Act| {
@@ -181,7 +184,7 @@ impl Passages {
     }
 }
 
-/// How the devices of other robots can be left by a failure of one of these robots.
+/// Returns how a failure of one of these robots can leave the devices of other robots.
 fn after_failure(policy: &FailurePolicy, robots: &[usize], cast: &Cast<'_>) -> impl Iterator<Item = By> {
     let rules: HashMap<&RobotId, OnFailure> =
         policy.robots.iter().map(|(robot, rule)| (robot, *rule)).collect();
@@ -195,7 +198,7 @@ fn after_failure(policy: &FailurePolicy, robots: &[usize], cast: &Cast<'_>) -> i
     home.into_iter().chain(without)
 }
 
-/// The robots that the acts move or read: no others take part in the mission.
+/// Returns the robots that the acts move or read: only these take part in the mission.
 fn participants(acts: &[Act], cast: &Cast<'_>) -> Vec<usize> {
     let moved = acts.iter().flat_map(|act| &act.plan.robots).map(|planned| &planned.robot);
     let read = acts.iter().flat_map(|act| &act.readings).map(|reading| &reading.robot);
@@ -209,7 +212,7 @@ fn participants(acts: &[Act], cast: &Cast<'_>) -> Vec<usize> {
     robots
 }
 
-/// Where an act leaves the devices that it moves: `None` for those that it does not leave at a position.
+/// Final positions of moved devices in an act; `None` for a device that is not left at a position.
 pub(super) type Moved = HashMap<(usize, usize), Option<f64>>;
 
 /// A possible position of a device when an act begins, and its cause.
@@ -228,10 +231,10 @@ enum LeftBy {
     Failure(usize),
 }
 
-/// The factors by which acts could be faster until a device exceeds its speed on the way to its first keyframe, by act, robot and device.
+/// Largest show speed factors that keep devices within their speeds on the way to their first keyframe, by act, robot and device.
 pub(super) type Factors = HashMap<(usize, usize, usize), f64>;
 
-/// Checks the beginning of each act against each way that leads into it, including ways back from a later act.
+/// Checks the beginning of each act against each transition into it, including returns from a later act.
 pub(super) fn check_entries(
     findings: &mut Reader,
     cast: &Cast<'_>,
@@ -282,7 +285,7 @@ pub(super) fn check_entries(
     factors
 }
 
-/// The number of positions that are distinguished at the beginning of one act.
+/// Maximum number of distinct positions at the beginning of one act.
 const PLACES_MAX: usize = 16;
 
 /// The possible positions of a device at the beginning of each act.
@@ -318,7 +321,7 @@ fn places(
     places
 }
 
-/// Adds a place; `false` if it is known. One finding for each value is enough: the one about a movement, if there is one.
+/// Adds a place; returns `false` if it is known. One finding per value is enough: the one about a movement, if there is one.
 fn add(places: &mut Vec<Place>, place: Place) -> bool {
     let Some(known) = places.iter_mut().find(|known| known.value == place.value) else {
         let has_room = places.len() < PLACES_MAX;

@@ -1,8 +1,8 @@
-//! From a scenario and a fleet to a choreography, checked against what each robot declares.
+//! Compiles a scenario and a fleet to a choreography, and checks it against the declarations of each robot.
 //!
-//! The way of an act: `cast` (which robots a cue is for), `schedule` (when it takes place), `perform` (the steps of each
-//! device for each cue), `join` (one chain of scripts a device). Then all acts: [`downbeat_plan::compensate`] (commands ahead of motions).
-//! `check_*` hold the rules, `acts` the graph of acts.
+//! The stages for an act: `cast` (the robots of a cue), `schedule` (its time), `perform` (the steps of each device for each cue), `join`
+//! (one chain of scripts per device). Then all acts: [`downbeat_plan::compensate`] (commands ahead of motions). `check_*` contain the
+//! rules, `acts` the graph of acts.
 
 mod acts;
 mod ahead;
@@ -50,12 +50,12 @@ use jumps::Passages;
 
 pub use outline::{Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, outline};
 
-/// What became of a scenario.
+/// Result of compiling a scenario.
 #[derive(Clone, Debug)]
 pub struct Compiled {
-    /// There only without errors.
+    /// `None` if there are errors.
     pub choreography: Option<Choreography>,
-    /// Everything that is wrong or worth a look, in the order of the files.
+    /// All errors and warnings, in the order of the files.
     pub findings: Vec<Finding>,
 }
 
@@ -83,14 +83,14 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
     Compiled { choreography: choreography.filter(|_| sound), findings }
 }
 
-/// Devices that take very long scripts may be given them.
+/// Raises the limit for devices that accept very long scripts.
 fn knots_max(fleet: &Fleet) -> usize {
     let devices = fleet.robots.iter().flat_map(devices_of);
     let longest = devices.map(perform::capacity).max().unwrap_or(0);
     longest.clamp(KNOTS_MAX, 2 * KNOTS_MAX)
 }
 
-/// So many robots of cues are kept before the first act is made.
+/// Maximum number of robots in cues that are kept before the first act is created.
 const MEMBERS_AHEAD_MAX: usize = 1_000_000;
 
 struct Compiler {
@@ -99,7 +99,7 @@ struct Compiler {
 }
 
 impl Compiler {
-    /// `readable`: nothing was left out in reading, so that what refers to something else can be judged.
+    /// `readable`: whether everything could be read, so that references can be checked.
     fn choreography(&mut self, fleet: &Fleet, readable: bool) -> Option<Choreography> {
         let scenario = std::mem::take(&mut self.scenario);
         let cast = Cast::new(fleet, &scenario.roles);
@@ -128,7 +128,7 @@ impl Compiler {
             }
             let (segments, readings) = (performer.segments, performer.readings);
             incomplete.extend(performer.incomplete);
-            // Where times contradict each other, cues would seem to overlap.
+            // If times contradict each other, cues would seem to overlap.
             if !times.consistent {
                 acts.push(None);
                 first_movements.push(Vec::new());
@@ -186,7 +186,7 @@ impl Compiler {
         }
         check_formations::check(&mut self.findings, &scenario, fleet);
         check_safety::check(&mut self.findings, &scenario, &acts);
-        // If the times of an act contradict each other, the positions in which it leaves devices are unknown.
+        // If the times of an act contradict each other, the final positions of its devices are unknown.
         let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
         let known = (first_movements.as_slice(), moved.as_slice());
         let passages = Passages::of(&acts, &cast);
@@ -205,7 +205,7 @@ impl Compiler {
         Some(choreography)
     }
 
-    /// The times of the acts one after another; of very many robots only those of the first acts.
+    /// Computes the times of the acts in order; with very many robots, only those of the first acts.
     fn first_times(&mut self, scenario: &Scenario, cast: &Cast<'_>) -> Vec<Times> {
         let mut known: Vec<Times> = Vec::new();
         let mut members = 0usize;
@@ -222,7 +222,7 @@ impl Compiler {
         known
     }
 
-    /// Who plays in the cues of an act, and when.
+    /// Returns the robots in the cues of an act, and their times.
     fn times(&mut self, act: &scenario::Act, cast: &Cast<'_>, horizon: Span) -> Times {
         let members: Vec<_> =
             act.cues.iter().map(|cue| cast.members(&mut self.findings, cue, horizon)).collect();
@@ -231,12 +231,12 @@ impl Compiler {
         if act.faults > 0 {
             self.findings.keep_from(before, |code| !matches!(code, Code::Conflict | Code::NoOrder));
         }
-        // The times of cues that could not be read completely are not known.
+        // The times of incompletely read cues are unknown.
         Times { members, times, consistent: consistent && act.faults == 0 }
     }
 }
 
-/// Notes how much faster the ways into acts could be.
+/// Stores the largest speed factors for the transitions into acts.
 fn limit_entries(acts: &mut [Act], cast: &Cast<'_>, factors: &jumps::Factors) {
     for (act, planned) in acts.iter_mut().enumerate().filter(|_| !factors.is_empty()) {
         for used in &mut planned.devices {
@@ -248,11 +248,11 @@ fn limit_entries(acts: &mut [Act], cast: &Cast<'_>, factors: &jumps::Factors) {
     }
 }
 
-/// What is known of an act before anything moves.
+/// The timing of an act, before its movements are computed.
 struct Times {
     members: Vec<cast::Members>,
     times: Vec<schedule::CueTime>,
-    /// Whether they satisfy everything that is asked.
+    /// Whether the times satisfy all constraints.
     consistent: bool,
 }
 

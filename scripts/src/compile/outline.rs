@@ -1,4 +1,4 @@
-//! Where the cues of a scenario are written and how they relate to each other, for a view that shows a plan next to its files.
+//! The locations of a scenario's cues and their relations, for a view that shows a plan next to its files.
 
 use std::borrow::Cow;
 
@@ -25,16 +25,16 @@ pub struct Outline {
     pub acts: Vec<WrittenAct>,
 }
 
-/// The cues of an act as they are written.
+/// The cues of an act as written.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WrittenAct {
-    /// Empty where the scenario has no acts of its own.
+    /// Empty if the scenario has no acts of its own.
     pub name: String,
     /// In the order of the file.
     pub cues: Vec<WrittenCue>,
 }
 
-/// A cue as it is written.
+/// A cue as written.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WrittenCue {
     /// Its robots, in its order.
@@ -45,36 +45,36 @@ pub struct WrittenCue {
     pub first_line: usize,
     /// Its last line.
     pub last_line: usize,
-    /// What has to hold between it and other cues, or the act.
+    /// The constraints between it and other cues or the act.
     pub relations: Vec<WrittenRelation>,
 }
 
-/// A relation of a cue, for people.
+/// A relation of a cue, for display.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WrittenRelation {
     /// `after the end of raise + 500 ms`.
     pub text: String,
     /// Index of the other cue in its act; `None` for the act itself.
     pub cue: Option<usize>,
-    /// The same as an inequality of two instants; `None` for the act itself.
+    /// The relation as an inequality of two instants; `None` for the act itself.
     #[serde(skip)]
     pub gap: Option<Gap>,
 }
 
-/// The time from one instant to another is at least `least` and, if that is given, at most `most`.
+/// The time from `from` to `to` is at least `least` and, if `most` is set, at most `most`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gap {
-    /// The instant that is counted from.
+    /// The reference instant.
     pub from: Moment,
-    /// The instant that is bound to it.
+    /// The constrained instant.
     pub to: Moment,
     /// Negative if `to` may come first.
     pub least: Span,
-    /// `None`: as late as it likes.
+    /// `None` if there is no upper bound.
     pub most: Option<Span>,
 }
 
-/// An instant of a cue, which is an index into its act.
+/// An instant of a cue; the cue is given by its index in the act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Moment {
     /// Its start.
@@ -93,7 +93,7 @@ impl Moment {
     }
 }
 
-/// The outline of a scenario that compiles; of one that does not, as much as can be read.
+/// Returns the outline of a scenario. If the scenario does not compile, it contains the readable parts.
 #[must_use]
 pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
     let Ok(documents) = scenario::documents(source, files) else { return Outline::default() };
@@ -125,7 +125,7 @@ pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
 }
 
 impl Relation {
-    /// `own` is the index of the cue that says so.
+    /// `own` is the index of the cue with this relation.
     fn written(&self, act: &Act, own: usize) -> WrittenRelation {
         let other = [&self.from, &self.to].into_iter().find_map(|anchor| match anchor {
             Anchor::StartOf(cue) | Anchor::EndOf(cue) => Some(cue),
@@ -169,7 +169,7 @@ impl Anchor {
     }
 }
 
-/// ` + 500 ms`, ` + 1 s to 2 s`; nothing for no gap.
+/// ` + 500 ms`, ` + 1 s to 2 s`; empty without a gap.
 fn gap(sign: char, least: Span, most: Option<Span>) -> String {
     match (least, most) {
         (Span::ZERO, None) => String::new(),

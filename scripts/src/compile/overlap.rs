@@ -1,4 +1,4 @@
-//! Two movements of a device at one time.
+//! Checks for two movements of a device at the same time.
 
 use urrcp::{Device, RobotId, Span};
 
@@ -7,7 +7,7 @@ use super::segment::Segment;
 use crate::duration::written;
 use crate::finding::{Code, Place, SharedFault};
 
-/// The fault of a movement that begins before an earlier one has ended, or at the same instant with another value.
+/// Returns the fault of a movement that begins before an earlier one has ended, or at the same instant with another value.
 pub(super) fn of_segments(
     device: &Device,
     robot: &RobotId,
@@ -38,13 +38,13 @@ pub(super) fn of_segments(
             robots: [robot.clone()].into(),
             place,
             message,
-            expected: "one value at one instant".to_owned(),
-            hint: Some(format!("start `{}` later, or leave one of the values out", segment.cue)),
+            expected: "one value at a time".to_owned(),
+            hint: Some(format!("start `{}` later, or remove one of the values", segment.cue)),
         }
     })
 }
 
-/// A cue that moves a device from a time on, although another cue, or the same one, moves it until later.
+/// Returns the fault of a cue that begins to move a device while another cue, or the same one, still moves it.
 pub(super) fn overlap(
     device: &Device,
     robot: RobotId,
@@ -60,12 +60,12 @@ pub(super) fn overlap(
     let (expected, hint) = if cue == before {
         (
             "one movement of a device at a time".to_owned(),
-            format!("leave out one of the two movements, or give one of them to a cue after `{cue}`"),
+            format!("remove one of the two movements, or put one of them into a cue after `{cue}`"),
         )
     } else {
         (
             format!("a start at {} or later", told(end)),
-            format!("start `{cue}` {} later, as with `after: {before}`", written(later)),
+            format!("start `{cue}` {} later, for example with `after: {before}`", written(later)),
         )
     };
     SharedFault {

@@ -1,4 +1,4 @@
-//! What each robot does in a cue: its tracks on its devices, as steps.
+//! Computes the movements of each robot in a cue: its tracks on its devices, as steps.
 
 mod group;
 
@@ -24,41 +24,41 @@ use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 use crate::shown::shortened;
 
-/// Up to this many steps the exact number of a movement is reported, whatever its device takes.
+/// Up to this number, the exact number of steps is reported even if it exceeds the capacity of the device.
 const TOLD_MAX: usize = 1_000_000;
 
 pub(super) use group::Ground;
 
-/// Further than any movement that is compiled although it leaves the limits, in units of a device.
+/// Larger than any compiled movement that leaves its limits, in units of a device.
 const FAR: f64 = 1e9;
-/// Most tolerances that are tried for a hint.
+/// Maximum number of tolerances tried for a hint.
 const TOLERANCES_MAX: usize = 16;
 
-/// Collects what all cues of an act do.
+/// Collects the movements of all cues of an act.
 pub(super) struct Performer<'c, 'a> {
     findings: &'c mut Reader,
     cast: &'c Cast<'a>,
     fits: &'c mut Fits,
-    /// When everything has to be over.
+    /// Time by which everything must be over.
     horizon: Span,
     /// By robot and device, in the order of both.
     pub(super) segments: std::collections::BTreeMap<(usize, usize), Vec<Segment>>,
     pub(super) readings: Vec<PlannedReading>,
-    /// Robots of which a movement is missing, as something is wrong with it: where they are is not known.
+    /// Robots with a missing movement because of an error: their positions are unknown.
     pub(super) incomplete: HashSet<usize>,
     /// For all movements of the act, each counted once for all robots that share it.
     steps: Budget,
-    /// For what `segments` holds.
+    /// For the contents of `segments`.
     uses: Budget,
 }
 
-/// Robots of one kind that do the same.
+/// Robots of one kind with the same movement.
 struct Alike {
     movement: usize,
     members: Vec<Member>,
 }
 
-/// Robots whose device of one name is the same.
+/// Robots with the same device of a certain name.
 struct Class<'a> {
     index: usize,
     device: &'a Device,
@@ -80,9 +80,9 @@ pub(super) struct OnDevice<'p> {
 pub(super) struct Fault {
     pub(super) code: Code,
     pub(super) place: Place,
-    /// Of several with one place and one limit, only the largest is described.
+    /// Among several faults with the same place and limit, only the largest is described.
     pub(super) size: f64,
-    /// The message up to `position of `elbow` on `arm-1``.
+    /// The first part of the message, up to `position of `elbow` on `arm-1``.
     pub(super) said: String,
     pub(super) expected: String,
     pub(super) hint: Option<String>,
@@ -98,7 +98,7 @@ impl<'p> OnDevice<'p> {
         Self { cue, track, device, robots, cast, ids: OnceCell::new() }
     }
 
-    /// The robots, made once for all faults.
+    /// The ids of the robots, created once for all faults.
     fn ids(&self) -> Arc<[RobotId]> {
         self.ids.get_or_init(|| self.cast.ids(self.robots)).clone()
     }
@@ -111,7 +111,7 @@ impl<'p> OnDevice<'p> {
     /// Adds a fault of these robots.
     pub(super) fn add(&self, findings: &mut Reader, control_type: ControlType, fault: Fault) {
         let Fault { code, place, size, said, expected, hint } = fault;
-        // All coordinates of a group share one cause, and so do all cues with the same formation.
+        // All coordinates of a group share one cause; so do all cues with the same formation.
         let cause = match self.cue.group.as_ref().filter(|group| group.place == place) {
             Some(group) => group.formation().map_or_else(|| format!("{place:?}"), str::to_owned),
             None => format!("{place:?} {} {expected}", self.device.id),
@@ -143,7 +143,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         Self { findings, cast, fits, horizon, segments, readings, incomplete, steps, uses }
     }
 
-    /// Steps so far, in steps of one value.
+    /// Number of steps so far, counted as steps with one value.
     pub(super) const fn steps_taken(&self) -> usize {
         self.steps.most() - self.steps.left()
     }
@@ -171,7 +171,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         self.readings(cue, members, time);
     }
 
-    /// A device that several kinds of robots lack is found once.
+    /// Reports a missing device once for all kinds of robots that lack it.
     fn missing_devices(&mut self, cue: &Cue, alike: &[Alike]) {
         let mut missing: Vec<(&Track, Vec<&Alike>)> = Vec::new();
         let mut index_of: HashMap<&Place, usize> = HashMap::new();
@@ -195,12 +195,15 @@ impl<'c, 'a> Performer<'c, 'a> {
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
             let after = track.device.rsplit(['/', '.']).next().unwrap_or_default();
             let hint = if known().any(|known| known == after) {
-                Some(format!("name the robot under `robots`, and the device alone: `{}`", shortened(after)))
+                Some(format!(
+                    "list the robot under `robots`, and write only the device here: `{}`",
+                    shortened(after)
+                ))
             } else {
                 self.findings.did_you_mean(&track.device, known())
             };
             let expected = one_of(known());
-            // A move may have the track, which several cues play.
+            // The track may belong to a move that several cues play.
             self.findings.add_shared(SharedFault {
                 code: Code::UnknownDevice,
                 cause: format!("{:?} {expected}", track.place),
@@ -215,7 +218,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
     }
 
-    /// The tracks of one movement, each compiled once for all robots whose device is the same.
+    /// Compiles the tracks of one movement, each once for all robots with the same device.
     fn movement(&mut self, cue: &Cue, name: &Arc<str>, groups: &[&Alike], time: &CueTime) {
         let first = &groups[0].members[0];
         for track in &cue.movement_of(first).tracks {
@@ -251,7 +254,7 @@ impl<'c, 'a> Performer<'c, 'a> {
                 "with the cue `{}` an act moves devices more than {most} times",
                 shortened(&cue.name)
             );
-            let hint = Some("cut the act into several, or the scenario".to_owned());
+            let hint = Some("split the act or the scenario into several".to_owned());
             self.findings.add(Code::TooMuch, cue.place.clone(), message, format!("at most {most}"), hint);
         }
         sound
@@ -311,8 +314,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         Some(Part { factor_max, ..part })
     }
 
-    /// The fewest steps within the tolerance; or the least error with this many steps, where the track asks for that.
-    /// Values that are wrong by themselves cause no further findings.
+    /// Returns the fewest steps within the tolerance or, if the track sets a number of steps, the least error with this number. Invalid
+    /// values do not cause further findings.
     fn fitted(
         &mut self,
         on: &OnDevice<'_>,
@@ -321,7 +324,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         sound: bool,
     ) -> Option<Part> {
         let own = actuator.tolerance();
-        // No steps within the limits come near a movement that leaves them, and to find how near takes long.
+        // A movement outside the limits cannot be approximated by steps within them, and finding the best approximation takes long.
         let widened = actuator.limits.map(|limits| Limits { min_value: -FAR, max_value: FAR, ..*limits });
         let unlimited = Actuator { limits: widened.as_ref(), ..*actuator };
         let actuator = if sound { actuator } else { &unlimited };
@@ -351,14 +354,14 @@ impl<'c, 'a> Performer<'c, 'a> {
                 device,
                 robots: on.ids(),
                 place: on.track.place.clone(),
-                message: [grid, format!(" keep the movement within {tolerance}")],
+                message: [grid, format!(" stay within {tolerance} of the movement")],
                 expected: format!("a tolerance of {needed} or more"),
-                hint: Some(format!("add `tolerance: {needed}` to the track, if that will do")),
+                hint: Some(format!("add `tolerance: {needed}` to the track, if this error is acceptable")),
             });
         }
         Some(Part {
             control_type: actuator.control_type,
-            // A movement that lacks a beginning is reported already.
+            // A movement without a beginning is already reported.
             moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
                 || actuator.lacks_beginning(played.curve),
             length: played.curve.length(),
@@ -374,7 +377,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         })
     }
 
-    /// A tolerance that some steps keep to: with a larger one the movement is sampled less densely, which may take more.
+    /// Returns a tolerance that some steps meet: with a larger tolerance, the movement is sampled less densely, which may require more.
     fn enough(&mut self, actuator: &Actuator<'_>, played: &Played<'_>, thinned: bool, needed: f64) -> f64 {
         let mut tolerance = rounded_up(needed);
         for _ in 0..TOLERANCES_MAX {
@@ -384,7 +387,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         tolerance
     }
 
-    /// Whether there is room for a movement of so many steps, which take the memory of so many of one value.
+    /// Whether there is room for a movement of `steps` steps, which take the memory of `size` steps with one value.
     fn taken(&mut self, on: &OnDevice<'_>, steps: usize, size: usize) -> bool {
         let (place, capacity) = (on.track.place.clone(), capacity(on.device));
         if steps > capacity.max(TOLD_MAX) {
@@ -403,7 +406,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         if !sound {
             let most = self.steps.most();
             let message = format!("with this movement an act has more than {most} steps");
-            let hint = Some("cut the scenario into several".to_owned());
+            let hint = Some("split the scenario into several scenarios".to_owned());
             self.findings.add(Code::TooMuch, place, message, format!("at most {most}"), hint);
         }
         sound
@@ -419,8 +422,8 @@ impl<'c, 'a> Performer<'c, 'a> {
     ) {
         let place = on.track.place.clone();
         if steps > most {
-            let message = format!("the movement takes {steps} steps at least");
-            let hint = Some("allow more steps, or take keyframes out".to_owned());
+            let message = format!("the movement needs at least {steps} steps");
+            let hint = Some("allow more steps, or remove keyframes".to_owned());
             self.findings.add(
                 Code::ToleranceTooTight,
                 place,
@@ -449,7 +452,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         let place = check_values::item_place(on.track, first.item);
         let message =
             format!("device `{}` has to move to its first keyframe from an unknown value", on.device.id);
-        let hint = Some("put a keyframe at 0s ahead of it, or `ease: step`".to_owned());
+        let hint = Some("add a keyframe at 0s before it, or use `ease: step`".to_owned());
         self.findings.add(Code::UnknownBeginning, place, message, "a keyframe at 0s", hint);
     }
 
@@ -468,7 +471,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             (None, _) => "scripts".to_owned(),
             (Some(_), Some(control_type)) => format!("{control_type} in scripts"),
             (Some(_), None) if several => "several values at once".to_owned(),
-            (Some(_), None) => "being moved".to_owned(),
+            (Some(_), None) => "movements".to_owned(),
         };
         let available: Vec<_> = available.iter().map(ToString::to_string).collect();
         let message =
@@ -476,8 +479,10 @@ impl<'c, 'a> Performer<'c, 'a> {
         let named = names(available.iter().map(String::as_str));
         let (expected, hint) = match (available.is_empty(), device.available_control_types.script()) {
             (true, None) => (
-                "a device that takes scripts".to_owned(),
-                Some("if it does, declare `script` under its `available_control_types`".to_owned()),
+                "a device that supports scripts".to_owned(),
+                Some(
+                    "if it supports scripts, declare `script` under its `available_control_types`".to_owned(),
+                ),
             ),
             (true, Some(_)) => (
                 "a device with `position`, `speed` or `acceleration` next to `script`".to_owned(),
@@ -487,7 +492,7 @@ impl<'c, 'a> Performer<'c, 'a> {
                 ),
             ),
             (false, _) => (
-                format!("a device that takes scripts of {named}"),
+                format!("a device that supports scripts of {named}"),
                 several.then(|| "write one number in each keyframe, as in `to: 45`".to_owned()),
             ),
         };
@@ -506,7 +511,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             && vectors.iter().any(|vector| vector.values.len() > 1)
         {
             let message = format!("several values for {}", on.who(control_type));
-            let expected = "one value a keyframe: only custom_N takes several";
+            let expected = "one value per keyframe: only custom_N accepts several";
             self.findings.add(Code::WrongType, on.track.list.clone(), message, expected, None);
             return None;
         }
@@ -576,7 +581,7 @@ impl<'c, 'a> Performer<'c, 'a> {
     }
 }
 
-/// A sensor that is not there, with what stands ahead of its name.
+/// Reports a missing sensor, with the text before its name.
 pub(super) fn unknown_sensor(
     findings: &mut Reader,
     cast: &Cast<'_>,
@@ -597,12 +602,13 @@ pub(super) fn unknown_sensor(
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
 }
 
-/// The most steps of a movement, with `left` remaining for the act: some more than the device takes, so that findings can state the number.
+/// Maximum number of steps of a movement, with `left` remaining for the act: more than the device accepts, so that findings can state the
+/// number.
 fn room(device: &Device, left: usize) -> usize {
     capacity(device).max(TOLD_MAX).min(left)
 }
 
-/// A movement as its cue plays it.
+/// Returns a movement as its cue plays it.
 fn stretched(curve: &Curve, stretch: Stretch, starts: Span) -> Cow<'_, Curve> {
     if stretch.from == stretch.to {
         return Cow::Borrowed(curve);
@@ -612,21 +618,21 @@ fn stretched(curve: &Curve, stretch: Stretch, starts: Span) -> Cow<'_, Curve> {
     Cow::Owned(curve)
 }
 
-/// The steps that a device can hold: max_number_of_steps for each script of its queue.
+/// Number of steps that a device can hold: `max_number_of_steps` for each script of its queue.
 pub(super) fn capacity(device: &Device) -> usize {
     let script = device.available_control_types.script();
     let most = script.map_or(0, |script| script.max_number_of_steps.max(1) as usize);
     most.saturating_mul(device.script_queue.max(1) as usize)
 }
 
-/// A figure for people that is no smaller than the number: four digits.
+/// Rounds up to four significant digits, for display.
 fn rounded_up(value: f64) -> f64 {
     let scale = 10f64.powf(3.0 - value.abs().log10().floor());
     let rounded = (value * scale - 1e-6).ceil() / scale;
     if rounded.is_finite() { rounded } else { value }
 }
 
-/// Whether a policy moves values to the grid.
+/// Whether the cue moves values to the grid.
 pub(super) fn snaps(cue: &Cue) -> bool {
     cue.off_grid == OffGrid::Snap
 }

@@ -1,4 +1,4 @@
-//! Acts that are generated to move devices from known positions to others.
+//! Generated acts that move devices from known positions to others.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::fleet::Fleet;
 use crate::plan::{Act, FailurePolicy, Positions};
 use crate::source::Source;
 
-/// A device, its position, and the position that it has to reach.
+/// A device with its current and its target position.
 pub(crate) struct DeviceWay<'a> {
     pub(crate) robot: &'a RobotId,
     pub(crate) device: &'a DeviceId,
@@ -21,7 +21,7 @@ pub(crate) struct DeviceWay<'a> {
     pub(crate) to: f64,
 }
 
-/// The nearest position to which scripts can set a device: it may have come to rest between two of them.
+/// Returns the nearest position to which scripts can set a device, which may have stopped between two of them.
 pub(crate) fn settable(device: &Device, position: f64) -> f64 {
     let types = &device.available_control_types;
     let script = types.script().map(|script| &script.limits);
@@ -32,8 +32,8 @@ pub(crate) fn settable(device: &Device, position: f64) -> f64 {
         .fold(position, |position, limits| limits.nearest_settable(position))
 }
 
-/// Compiles the act from a generated scenario, which findings call `source`, for a fleet whose devices stand at their default values. If a device accepts too few steps for a smooth
-/// movement, all devices move linearly.
+/// Compiles the act from a generated scenario, which findings call `source`. The default values in `fleet` are the current positions. If
+/// a device accepts too few steps for a smooth movement, all devices move linearly.
 pub(crate) fn compiled(
     source: &str,
     ways: &[DeviceWay<'_>],
@@ -63,7 +63,7 @@ fn eased(
         let keyframes = json!([{"at": "0s", "to": from}, {"at": over, "to": to, "ease": ease}]);
         tracks.entry(robot).or_default().insert(device.to_string(), keyframes);
     }
-    // Robots in unison are one cue.
+    // Robots in unison share one cue.
     let mut alike: BTreeMap<String, (Vec<&RobotId>, serde_json::Map<String, Value>)> = BTreeMap::new();
     for (robot, tracks) in tracks {
         let text = Value::Object(tracks.clone()).to_string();
@@ -71,7 +71,7 @@ fn eased(
     }
     let cue = |(robots, tracks)| json!({"at": "0s", "robots": robots, "tracks": tracks});
     let cues: Vec<_> = alike.into_values().map(cue).collect();
-    // Scenarios are YAML, and JSON is YAML.
+    // JSON is valid YAML.
     let text = json!({"scenario": source, "cues": cues}).to_string();
     let compiled = compile(&Source { name: source.into(), text }, fleet, &NoFiles);
     let acts = compiled.choreography.map(|choreography| choreography.acts).unwrap_or_default();
@@ -82,7 +82,7 @@ fn eased(
     acts.into_iter().next().ok_or_else(errors)
 }
 
-/// The fleet, with these positions of its devices as their default values.
+/// Returns the fleet with these positions as the default values of its devices.
 pub(crate) fn standing(fleet: &Fleet, from: &Positions) -> Fleet {
     let mut fleet = fleet.clone();
     for robot in &mut fleet.robots {
@@ -96,8 +96,7 @@ pub(crate) fn standing(fleet: &Fleet, from: &Positions) -> Fleet {
     fleet
 }
 
-/// Names a generated act, and copies from another act of its scenario the settings of starts and leases, and what a failure does
-/// but for the act that follows one.
+/// Names a generated act. Copies its settings of starts, leases and failures from another act, except for the act that follows a failure.
 pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, other: &Act) {
     act.plan.scenario = format!("{scenario}, {name}");
     act.name = name;
@@ -112,7 +111,7 @@ pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, other: &Act
     }
 }
 
-/// This name, or the first of `NAME-2`, `NAME-3` and so on that no act has.
+/// Returns this name, or the first unused one of `NAME-2`, `NAME-3` and so on.
 pub(crate) fn unused_name(name: &str, acts: &[Act]) -> String {
     let names = std::iter::once(name.to_owned()).chain((2..).map(|n| format!("{name}-{n}")));
     let mut unused = names.filter(|name| !acts.iter().any(|act| act.name == *name));
@@ -133,7 +132,7 @@ pub(crate) const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}}]}"#;
 
-/// Puts each robot of the fleet on a rail along x at the given y, in metres. Its joint moves it there by a centimetre for each degree.
+/// Puts each robot of the fleet on a rail along x at the given y, in metres. Its joint moves it by a centimetre per degree.
 #[cfg(test)]
 pub(crate) fn on_rails(fleet: &mut Fleet, y: &[f64]) {
     use crate::space::{Body, Coordinate, Shape, Space};

@@ -1,5 +1,5 @@
-//! When the cues of an act take place: their times and relations as a simple temporal network (Dechter, Meiri and Pearl,
-//! Artificial Intelligence 49, 1991), solved for the earliest schedule.
+//! Computes the times of an act's cues: their times and relations form a simple temporal network (Dechter, Meiri and Pearl, Artificial
+//! Intelligence 49, 1991), which is solved for the earliest schedule.
 
 use std::collections::HashMap;
 
@@ -17,20 +17,20 @@ use crate::scenario::{Act, Anchor, Cue, Motion, Order, Relation};
 use crate::shown::shortened;
 use crate::slips;
 
-/// When a cue takes place.
+/// The time of a cue.
 #[derive(Clone, Debug)]
 pub(super) struct CueTime {
     pub(super) start: Span,
     pub(super) end: Span,
-    /// What becomes of the length of its movement.
+    /// The change of its movement's length.
     pub(super) stretch: Stretch,
-    /// How much later it could start without the act ending later.
+    /// Largest delay of its start that does not delay the end of the act.
     pub(super) slack: Span,
-    /// Whether it decides when the act ends.
+    /// Whether it determines the end of the act.
     pub(super) critical: bool,
 }
 
-/// The start and end of each cue, and whether they satisfy everything that is asked.
+/// Returns the times of each cue, and whether they satisfy all constraints.
 pub(super) fn schedule(
     findings: &mut Reader,
     act: &Act,
@@ -51,7 +51,7 @@ pub(super) fn schedule(
     let shared = times.zones(findings);
     times.order_given(&shared);
     let consistent = match times.network.solve() {
-        // Orders are searched for with times that add up.
+        // Orders are searched only if the times are consistent.
         Ok(schedule) if times.in_time(findings, &schedule, horizon) => {
             times.order_auto(findings, &shared, schedule)
         }
@@ -67,7 +67,7 @@ pub(super) fn schedule(
     }
 }
 
-/// Every cue at its earliest by itself: what is known where the times contradict each other.
+/// Returns the times of each cue as if it were alone, for use when the times contradict each other.
 fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
     let time = |(cue, members): (&Cue, &Members)| {
         let length = match &cue.duration {
@@ -87,7 +87,7 @@ fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
     act.cues.iter().zip(members).map(time).collect()
 }
 
-/// The cues as they are shown.
+/// Returns the cues for display.
 pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
     let cue = |(cue, time): (&Cue, &CueTime)| PlannedCue {
         name: cue.name.clone(),
@@ -101,7 +101,7 @@ pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
     act.cues.iter().zip(times).map(cue).collect()
 }
 
-/// How a cue is repeated, of several ways the one with the most turns, at the length to which it is stretched.
+/// Returns the repetition of a cue at its stretched length; among several, the one that is played most often.
 fn repetition(cue: &Cue, stretch: Stretch) -> Option<Repetition> {
     let others = cue.overrides.iter().map(|(_, movement)| movement).chain(&cue.own);
     let all = std::iter::once(&cue.movement).chain(others).filter_map(|movement| movement.repetition);
@@ -109,22 +109,22 @@ fn repetition(cue: &Cue, stretch: Stretch) -> Option<Repetition> {
     Some(Repetition { times, length: stretch.of(length), every: stretch.of(every) })
 }
 
-/// Cues that need the same thing.
+/// Cues that need the same resource.
 struct Shared {
-    /// Its name; none for cues that are only kept apart.
+    /// Name of the zone; `None` for cues that are only kept apart.
     zone: Option<String>,
     order: Order,
     cues: Vec<usize>,
 }
 
-/// The prefix of a name in a sequence, such as `greet.`.
+/// Returns the prefix of a name in a sequence, such as `greet.`.
 fn sequence_of<'n>(name: &'n str, place: &Place) -> &'n str {
     &name[..name.rfind('.').filter(|_| place.used.is_some()).map_or(0, |dot| dot + 1)]
 }
 
-/// A hint for the name of an act, or of a cue of another act.
+/// Returns a hint if the name is that of an act, or of a cue of another act.
 fn of_acts(findings: &Reader, name: &str) -> Option<String> {
-    let order = "acts follow each other in the order of the file, or as `next` says";
+    let order = "acts follow each other in the order of the file, or as set with `next`";
     let name_shown = shortened(name);
     match findings.act_of.get(name) {
         Some(act) => Some(format!("`{name_shown}` is a cue of the act `{}`: {order}", shortened(act))),
@@ -151,7 +151,7 @@ impl<'a> Timetable<'a> {
         let events = act.cues.iter().map(|_| (network.event(), network.event())).collect();
         let mut by_name: HashMap<&str, Option<usize>> = HashMap::new();
         for (index, cue) in act.cues.iter().enumerate() {
-            // A name that stands twice cannot be referred to.
+            // A duplicate name cannot be referred to.
             by_name.entry(&cue.name).and_modify(|known| *known = None).or_insert(Some(index));
         }
         Self { act, network, origins: HashMap::new(), events, by_name }
@@ -168,7 +168,7 @@ impl<'a> Timetable<'a> {
         self.origins.insert(id, origin);
     }
 
-    /// A cue lasts as long as its movement, or as long as it is told to.
+    /// A cue lasts as long as its movement, or as long as its `duration` requires.
     fn length(&mut self, index: usize, cue: &Cue, members: &Members) {
         let (start, end) = self.events[index];
         let (min, max, place) = match &cue.duration {
@@ -184,7 +184,7 @@ impl<'a> Timetable<'a> {
         );
     }
 
-    /// Where a cue may be stretched, it is no shorter than its devices' speed and acceleration allow.
+    /// A stretchable cue is at least as long as the speeds and accelerations of its devices require.
     fn limits(&mut self, index: usize, cue: &Cue, members: &Members, cast: &Cast<'_>) {
         let Some(bounds) = cue.duration.as_ref().filter(|bounds| bounds.max != Some(bounds.min)) else {
             return;
@@ -205,7 +205,7 @@ impl<'a> Timetable<'a> {
                     let rates = (1..curve.knots.len()).map(|knot| rate(curve.peak_rates(knot, &peaks)));
                     limit.map_or(0.0, |limit| rates.fold(0.0, f64::max) / limit)
                 };
-                // Stretched by f, speeds fall with f and accelerations with its square.
+                // If a movement is stretched by f, speeds are divided by f and accelerations by its square.
                 let factor = worst(limits.speed, |rates| rates.0)
                     .max(worst(limits.acceleration, |rates| rates.1).sqrt());
                 let needed = Span::from_millis_f64(movement.length.as_millis_f64() * factor);
@@ -270,7 +270,7 @@ impl<'a> Timetable<'a> {
                 let (prefix, text) = name.text.split_at(sequence_of(&name.text, &name.place).len());
                 let known = || self.act.cues.iter().filter_map(|cue| cue.name.strip_prefix(prefix));
                 let hint = if parse_duration(text).is_some() {
-                    Some(format!("a time goes under `at`: write `at: {}`", shortened(text)))
+                    Some(format!("write a time under `at`: `at: {}`", shortened(text)))
                 } else {
                     of_acts(findings, text)
                         .or_else(|| relation(text, known()))
@@ -300,17 +300,17 @@ impl<'a> Timetable<'a> {
                 (second.place.of_key("cue"), format!("another cue called `{called}`")),
                 (first.place.of_key("cue"), format!("the first cue called `{called}`")),
             ];
-            let message = format!("several cues are called `{called}`");
+            let message = format!("duplicate cue name `{called}`");
             let hint = Some("rename one of them".to_owned());
             findings.add_related(Code::NameTwice, related, message, "a unique name", hint);
         }
     }
 
-    /// What cues share, in the order of their first use.
+    /// Returns the shared resources, in the order of their first use.
     fn zones(&self, findings: &mut Reader) -> Vec<Shared> {
         let mut shared: Vec<Shared> = Vec::new();
         let mut index_of: HashMap<&str, usize> = HashMap::new();
-        // The act's own stand behind those of the scenario.
+        // The act's own zones follow those of the scenario and override them.
         let orders: HashMap<&str, Order> =
             self.act.zones.iter().map(|(name, order)| (name.as_str(), *order)).collect();
         for (index, cue) in self.act.cues.iter().enumerate() {
@@ -349,7 +349,7 @@ impl<'a> Timetable<'a> {
         shared
     }
 
-    /// One after another, as they are in the file.
+    /// Orders cues as in the file.
     fn order_given(&mut self, shared: &[Shared]) {
         for zone in shared.iter().filter(|zone| zone.order == Order::Given) {
             for pair in zone.cues.windows(2) {
@@ -364,7 +364,7 @@ impl<'a> Timetable<'a> {
         self.constrain(from, to, (Some(Span::ZERO), None), origin);
     }
 
-    /// Whether all cues have ended by then; the first that has not is reported.
+    /// Whether all cues have ended by then; reports the first one that has not.
     fn in_time(&self, findings: &mut Reader, schedule: &Schedule, horizon: Span) -> bool {
         let ends = self.events.iter().map(|(_, end)| schedule.time(*end));
         let late = ends.enumerate().filter(|(_, end)| *end > horizon).min_by_key(|(_, end)| *end);
@@ -374,14 +374,14 @@ impl<'a> Timetable<'a> {
         let hint = if start > horizon {
             "begin it earlier: shorten the cues and pauses before it"
         } else {
-            "shorten it: less `duration`, `repeat`, `canon` or `delay`"
+            "shorten it: reduce `duration`, `repeat`, `canon` or `delay`"
         };
         let expected = format!("an end at {horizon} or earlier");
         findings.add(Code::TooMuch, cue.place.clone(), message, expected, Some(hint.to_owned()));
         false
     }
 
-    /// In an order with a short makespan.
+    /// Orders cues for a short makespan.
     fn order_auto(
         &mut self,
         findings: &mut Reader,
@@ -395,8 +395,8 @@ impl<'a> Timetable<'a> {
         }
         let limit = Span::from_nanos(i64::MAX / 4);
         if self.network.total() > limit {
-            let message = "the times of this act add up to more than a search for an order can count";
-            let hint = Some("shorten its cues, or give the order by `order: given`".to_owned());
+            let message = "the times of this act add up to more than the search for an order supports";
+            let hint = Some("shorten its cues, or keep the order of the file with `order: given`".to_owned());
             let place = self.act.cues[auto[0].cues[0]].place.clone();
             findings.add(Code::TooMuch, place, message, format!("at most {limit}"), hint);
             return None;
@@ -413,14 +413,14 @@ impl<'a> Timetable<'a> {
                 let zones = names(auto.iter().filter_map(|zone| zone.zone.as_deref()));
                 let proven = matches!(failed, Ordering::Infeasible(_));
                 let message = if proven {
-                    format!("no order of the cues of {zones} keeps all their times")
+                    format!("no order of the cues of {zones} satisfies all their times")
                 } else {
-                    format!("no order of the cues of {zones} was found that keeps all their times")
+                    format!("found no order of the cues of {zones} that satisfies all their times")
                 };
                 let hint = if proven {
-                    "allow more time, or take a cue out of the zone"
+                    "allow more time, or remove a cue from the zone"
                 } else {
-                    "the search may have missed one: allow more time, or order some cues by `after`"
+                    "the search may have missed one: allow more time, or order some cues with `after`"
                 };
                 let place = self.act.cues[auto[0].cues[0]].place.clone();
                 findings.add(
@@ -452,7 +452,7 @@ impl<'a> Timetable<'a> {
             let (start, end) = (schedule.time(*first), schedule.time(*last));
             let stretch = Stretch { from: members.length, to: end - start - members.delay };
             let slack = latest.as_ref().map_or(Span::ZERO, |latest| latest.time(*first) - start);
-            // The end of a cue that may start later is held by another cue.
+            // If a cue can start later, its end is held by another cue.
             let critical = slack == Span::ZERO && (critical.contains(first) || critical.contains(last));
             CueTime { start, end, stretch, slack, critical }
         };
@@ -460,7 +460,7 @@ impl<'a> Timetable<'a> {
     }
 }
 
-/// How a relation to a cue is written: with its sign between spaces, and its end in words.
+/// Suggests the correct form of a relation: with spaces around its sign, and its end in words.
 fn relation<'k>(text: &str, known: impl Iterator<Item = &'k str> + Clone) -> Option<String> {
     let is_known = |name: &str| known.clone().any(|known| known == name);
     let signed = ['+', '-'].iter().find_map(|sign| {

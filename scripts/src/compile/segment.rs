@@ -1,4 +1,4 @@
-//! What a cue does with a device once it is steps: shared by all robots of a kind, and when it begins for each.
+//! The movement of a device in a cue, as steps: shared by all robots of a kind, with a start for each robot.
 
 use std::sync::Arc;
 
@@ -8,10 +8,10 @@ use crate::finding::Place;
 use crate::motion::{Easing, Shape, Value};
 use crate::scenario::{Items, Motion, Track, Vectors};
 
-/// A stretch of one device's time that a cue has taken.
+/// A part of a device's time that a cue occupies.
 #[derive(Clone, Debug)]
 pub(super) struct Segment {
-    /// From the act's start: when the cue begins for this robot.
+    /// Start of the cue for this robot, since the act's start.
     pub(super) begin: Span,
     pub(super) cue: Arc<str>,
     pub(super) stop_condition: Option<StopCondition>,
@@ -23,25 +23,25 @@ pub(super) struct Segment {
 pub(super) struct Part {
     pub(super) control_type: ControlType,
     pub(super) steps: Steps,
-    /// How long the movement lasts; its last step may be earlier.
+    /// Duration of the movement; its last step may be earlier.
     pub(super) length: Span,
     pub(super) at_least: usize,
     pub(super) worst: f64,
     pub(super) worst_at: Span,
-    /// The first step is reached by moving from wherever the device is.
+    /// Whether the first step is reached by moving from any position.
     pub(super) moves_from_anywhere: bool,
-    /// The budget and tolerance within which it was made.
+    /// The tolerance within which the steps were created.
     pub(super) tolerance: f64,
-    /// The largest factor of the speed of the show within the limits of the device.
+    /// The largest show speed factor within the limits of the device.
     pub(super) factor_max: f64,
-    /// What is less of it where there is too much.
+    /// The quantity to reduce if there are too many steps.
     pub(super) excess: Excess,
     pub(super) items: Items,
     pub(super) place: Place,
 }
 
 impl Part {
-    /// What sets a device to this many values at once.
+    /// Returns a setpoint with these values.
     pub(super) fn setpoint(&self, values: &[f64]) -> Setpoint {
         let mut setpoint = Setpoint::new(self.control_type, values.first().copied().unwrap_or_default());
         setpoint.more = values.get(1..).unwrap_or_default().into();
@@ -49,14 +49,14 @@ impl Part {
     }
 }
 
-/// What makes many steps.
+/// The cause of many steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Excess {
-    /// Written one by one.
+    /// Single keyframes.
     Keyframes,
-    /// It is repeated.
+    /// Repetitions.
     Turns,
-    /// The ways between keyframes, which are bent.
+    /// Curved transitions between keyframes.
     Eases,
     /// A curve that is followed closely.
     Curve,
@@ -93,7 +93,7 @@ impl Steps {
         }
     }
 
-    /// How much memory they take in a script, in steps of one value.
+    /// Memory usage in a script, in steps with one value.
     pub(super) fn size(&self) -> usize {
         match self {
             Self::One(values) => values.len(),

@@ -1,4 +1,4 @@
-//! Several values at once: what a device is set to by each keyframe, or by as few of them as its track allows.
+//! Several values at once: the values of a device for all keyframes, or for as few of them as its track permits.
 
 use std::borrow::Cow;
 
@@ -8,18 +8,18 @@ use super::perform::OnDevice;
 use crate::motion::{Stretch, runs};
 use crate::scenario::{Vector, Vectors};
 
-/// Halvings of the tolerance on the way to the least error.
+/// Number of halvings of the tolerance in the search for the least error.
 const ROUNDS: u32 = 48;
 
-/// Values at times, and how far they are from what is written.
+/// Values at times, with their deviation from the written ones.
 pub(super) struct Thinned {
     pub(super) steps: Vectors,
     pub(super) worst: f64,
     pub(super) worst_at: Span,
 }
 
-/// The steps of a track: all keyframes; or, for a device that holds its values, those that its tolerance or its number of
-/// steps leaves.
+/// Returns the steps of a track: all keyframes or, for a device that holds its values, those that its tolerance or its number of steps
+/// permits.
 pub(super) fn thinned(on: &OnDevice<'_>, vectors: &Vectors, stretch: Stretch) -> Thinned {
     let wanted = on.track.tolerance.is_some() || on.track.steps_max.is_some();
     let kept = if !(wanted && on.device.interpolation == Interpolation::Hold) {
@@ -36,7 +36,7 @@ pub(super) fn thinned(on: &OnDevice<'_>, vectors: &Vectors, stretch: Stretch) ->
     Thinned { steps: kept.items.into_owned().moved(stretched), worst, worst_at: stretched(worst_at) }
 }
 
-/// The error that a track allows: its own tolerance, or what the script's limits name.
+/// Returns the permitted error of a track: its own tolerance, or that of the script's limits.
 pub(super) fn tolerance(on: &OnDevice<'_>) -> f64 {
     let script = on.device.available_control_types.script().map(|script| &script.limits);
     let own = || script.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity));
@@ -48,7 +48,7 @@ struct Kept<'a> {
     worst: (f64, Span),
 }
 
-/// As few as the tolerance allows. The last keyframe is where the movement ends.
+/// Keeps as few keyframes as the tolerance permits. The last one is always kept, because it ends the movement.
 fn kept<'a>(device: &Device, vectors: &Vectors, tolerance: f64) -> Kept<'a> {
     let mut items = Vectors::default();
     let mut worst = (0.0, Span::ZERO);
@@ -68,7 +68,7 @@ fn kept<'a>(device: &Device, vectors: &Vectors, tolerance: f64) -> Kept<'a> {
     Kept { items: Cow::Owned(items), worst }
 }
 
-/// The least error with this many of them, or as few as there can be.
+/// Minimizes the error with at most `most` keyframes, or with the smallest possible number.
 fn closest<'a>(device: &Device, vectors: &Vectors, most: usize) -> Kept<'a> {
     let largest = vectors.values().iter().fold(0.0, |most: f64, value| most.max(value.abs()));
     let (mut narrow, mut wide) = (0.0, 2.0 * largest);

@@ -13,10 +13,10 @@ use crate::transit;
 pub(crate) enum Axis<'a> {
     Fixed(f64),
     Moved {
-        /// Of the robot.
+        /// Index of the robot in the fleet.
         index: usize,
         device: &'a Device,
-        /// Metres in one unit.
+        /// Metres per unit of the device.
         scale: f64,
         offset: f64,
     },
@@ -30,7 +30,7 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// The place nearest to one in metres to which the device can be set.
+    /// Returns the nearest position in metres to which the device can be set.
     pub(crate) fn nearest(&self, metres: f64) -> f64 {
         match *self {
             Self::Fixed(value) => value,
@@ -42,7 +42,7 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// Where the device is in its default state, in metres.
+    /// Returns the device's default position in metres.
     pub(super) fn home(&self) -> Option<f64> {
         match *self {
             Self::Fixed(value) => Some(value),
@@ -52,21 +52,22 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// Metres in one unit, where its zero is, and its granularity.
+    /// Returns its metres per unit, its zero in metres, and its granularity.
     pub(super) fn grid(&self) -> Option<[f64; 3]> {
         let Self::Moved { scale, offset, .. } = *self else { return None };
         let limits = self.limits().and_then(|mut limits| limits.next());
         Some([scale, offset, limits.map_or(0.0, |limits| limits.granularity)])
     }
 
-    /// How far its steps may be off, in metres.
+    /// Returns the permitted error of its steps, in metres.
     pub(crate) fn error(&self, tolerance: Option<f64>) -> f64 {
         let Self::Moved { scale, .. } = self else { return 0.0 };
         let own = |limits: &Limits| limits.max_error.unwrap_or(0.0).max(limits.granularity);
         scale.abs() * tolerance.unwrap_or_else(|| self.most(own))
     }
 
-    /// The tolerance of its steps, in its units, with which they use this part of their error: no less than its grid needs.
+    /// Returns the tolerance of its steps, in its units, that uses only this share of their permitted error, but at least as much as its
+    /// grid needs.
     pub(crate) fn tolerance(&self, tolerance: Option<f64>, error_share: f64) -> Option<f64> {
         let Self::Moved { scale, .. } = self else { return tolerance };
         if error_share >= 1.0 {
@@ -80,7 +81,7 @@ impl<'a> Axis<'a> {
         self.limits().into_iter().flatten().map(value).fold(0.0, f64::max)
     }
 
-    /// The least and the largest coordinate that the device reaches, in metres.
+    /// Returns the smallest and the largest coordinate that the device reaches, in metres.
     pub(super) fn ends(&self) -> Option<[f64; 2]> {
         let Self::Moved { scale, offset, .. } = *self else { return None };
         let all = self.limits()?;
@@ -94,38 +95,38 @@ impl<'a> Axis<'a> {
 
 /// A robot of a group.
 pub(crate) struct Dancer<'a> {
-    /// Its index in the fleet.
+    /// Index of the robot in the fleet.
     pub(crate) robot: usize,
-    /// How much later than the cue it begins.
+    /// Delay of its start after the cue's.
     pub(crate) delay: Span,
     pub(crate) body: &'a Body,
     pub(crate) axes: [Axis<'a>; 3],
-    /// Where it is when it begins, in metres.
+    /// Its position when it begins, in metres.
     pub(crate) from: Point,
 }
 
 impl Dancer<'_> {
-    /// How much later than the cue it begins, in seconds.
+    /// Returns its delay after the cue in seconds.
     pub(super) fn delay_seconds(&self) -> f64 {
         self.delay.as_millis_f64() / 1_000.0
     }
 
-    /// Which robot it is, when and where it begins.
+    /// Returns the index of the robot, and the time and place of its start.
     pub(super) fn begin(&self) -> (usize, f64, Point) {
         (self.robot, self.delay_seconds(), self.from)
     }
 
-    /// The same as [`coarseness`].
+    /// Same as [`coarseness`].
     pub(super) fn coarseness(&self) -> f64 {
         coarseness_of(&self.axes)
     }
 
-    /// Whether it cannot change its height.
+    /// Whether its height is fixed.
     pub(super) const fn is_flat(&self) -> bool {
         matches!(self.axes[2], Axis::Fixed(_))
     }
 
-    /// How fast it may be along each axis, and altogether.
+    /// Returns the limits of speed and acceleration along each axis and in total.
     pub(super) fn limits(&self, fleet: &Fleet) -> transit::Limits {
         let of_axis = |axis: &Axis<'_>| {
             let Axis::Moved { device, scale, .. } = axis else { return [f64::INFINITY; 2] };
@@ -139,7 +140,7 @@ impl Dancer<'_> {
     }
 }
 
-/// How far a body can be from a place because of the grids of its devices, in metres.
+/// Largest distance of a body from a place because of the grids of its devices, in metres.
 pub(crate) fn coarseness(body: &Body, devices: &[Device]) -> f64 {
     axes(body, devices).map_or(0.0, |axes| coarseness_of(&axes))
 }
@@ -149,7 +150,7 @@ fn coarseness_of(axes: &[Axis<'_>; 3]) -> f64 {
     grids.map(|[scale, _, granularity]| scale * granularity).fold(0.0, f64::hypot)
 }
 
-/// x, y and z of a body; none if x or y is no device, or if speeds drive it.
+/// Returns x, y and z of a body; `None` if x or y is not a device, or if the body is driven by speeds.
 pub(crate) fn axes<'a>(body: &Body, devices: &'a [Device]) -> Option<[Axis<'a>; 3]> {
     if body.drive.is_some() {
         return None;

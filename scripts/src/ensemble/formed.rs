@@ -1,4 +1,4 @@
-//! A group that moves into a formation, or home.
+//! A group that moves into a formation or home.
 
 use std::cmp::Ordering;
 
@@ -8,7 +8,7 @@ use crate::motion::Swept;
 use crate::shown::shortened;
 use crate::transit::{self, Refused, Way};
 
-/// The way of each robot into a formation.
+/// Returns the movement of each robot into a formation.
 pub(super) fn formed(
     asked: Asked<'_>,
     form: &Form,
@@ -44,11 +44,11 @@ pub(super) fn formed(
     Ok(ways.map(|((way, share), dancer)| Moved::of_way(way, dancer, share)).collect())
 }
 
-/// The places of a formation, as many as there are robots or a choice is made; none for home.
+/// Returns the places of a formation; empty for home. Fewer places than robots require `spare`, and more places require `thin`.
 pub(super) fn places(form: &Form, robots: usize, ground: Ground<'_>) -> Result<Vec<Point>, Fault> {
     let Target::Formation(name) = &form.to else { return Ok(Vec::new()) };
     let written = ground.formations.get(name).ok_or(Fault::UnknownFormation)?;
-    // What is wrong with a formation or makes it too large is told where it stands.
+    // Faults of a formation, and too many places, are reported at the formation itself.
     let formation = written.formation.as_ref().ok_or(Fault::ToldElsewhere)?;
     let places = formation.places(robots).map_err(|_| Fault::ToldElsewhere)?;
     match (places.len().cmp(&robots), form.spare, form.thin) {
@@ -62,11 +62,11 @@ pub(super) fn places(form: &Form, robots: usize, ground: Ground<'_>) -> Result<V
     }
 }
 
-/// Whether all robots can be at the heights of the places.
+/// Checks that all robots can reach the heights of the places.
 fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), Fault> {
     let differ = |height: f64| places.iter().any(|place| (place[2] - height).abs() > LEVEL);
     let all_flat = dancers.iter().all(Dancer::is_flat);
-    // Robots that are all flat take a level formation to their own height.
+    // If all robots are flat, a level formation is moved to their height.
     let cannot = |dancer: &Dancer<'_>| {
         let height = if all_flat { places[0][2] } else { dancer.from[2] };
         dancer.is_flat() && differ(height)
@@ -80,9 +80,9 @@ fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), F
     Err(Fault::Flat { dancer, why })
 }
 
-/// Whether any two of these bodies could stand at the two places that are nearest to each other.
+/// Checks that any two of these bodies could stand at the two places that are nearest to each other.
 fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Result<(), Fault> {
-    // Of more places than robots only some are taken.
+    // If there are more places than robots, only some are used.
     let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return Ok(()) };
     let required = ground.fleet.space.between_middles(dancers.iter().map(|dancer| dancer.body));
     if pair.distance >= required.max(SAME) - ROUNDING {
@@ -92,7 +92,7 @@ fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Re
     }
 }
 
-/// Where the devices of each robot are in its default state.
+/// Returns the default position of each robot.
 fn homes(dancers: &[Dancer<'_>]) -> Result<Vec<Point>, Fault> {
     let home = |dancer: &Dancer<'_>| match dancer.axes.each_ref().map(Axis::home) {
         [Some(x), Some(y), Some(z)] => Some([x, y, z]),
@@ -125,7 +125,7 @@ fn bodies(
             from: dancer.from,
             keep: apart + radius,
             error: x.hypot(y).hypot(z),
-            // Half a step of each grid.
+            // Half a unit of each grid.
             rounding: dancer.coarseness() / 2.0,
             begin: dancer.delay_seconds(),
             limits: dancer.limits(ground.fleet),
@@ -135,7 +135,7 @@ fn bodies(
     dancers.iter().map(body).collect()
 }
 
-/// The places at the height of the robots, if none of these can change it.
+/// Moves the places to the height of the robots if none of these can change it.
 fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     if let Some(first) = dancers.first()
         && dancers.iter().all(|dancer| dancer.is_flat())
@@ -145,7 +145,8 @@ fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     places
 }
 
-/// The places to which the devices can be set, if they are the same for all robots: ways are judged to where they end.
+/// Rounds the places to those that the devices can reach, if these are the same for all robots: movements are checked up to their actual
+/// ends.
 fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     let grids = |dancer: &Dancer<'_>| dancer.axes.each_ref().map(Axis::grid);
     let Some(first) = dancers.first() else { return places };

@@ -1,4 +1,4 @@
-//! What groups need to know beyond their cues: the fleet, and the formations and paths of the scenario.
+//! The context of groups beyond their cues: the fleet, and the formations and paths of the scenario.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use crate::fleet::Fleet;
 use crate::formation::Formation;
 use crate::motion::Path;
 
-/// What groups need to know beyond their cues.
+/// The context of groups beyond their cues.
 #[derive(Clone, Copy)]
 pub(crate) struct Ground<'a> {
     pub(crate) fleet: &'a Fleet,
@@ -23,7 +23,7 @@ pub(crate) struct WrittenFormation {
     pub(crate) formation: Option<Formation>,
     /// Place of its name.
     pub(crate) place: Place,
-    /// The key that says how large it is, and its value: the places are further apart in proportion to that.
+    /// The key that defines its size, with its value; the distances between the places are proportional to it.
     pub(crate) size: (&'static str, f64),
 }
 

@@ -1,8 +1,9 @@
-//! What a group of robots does in space: into a formation, or turning, growing, shifting, or along a path as one.
+//! Movements of a group of robots in space: into a formation, or turning, growing, shifting or following a path as one.
 //!
-//! From where its robots are, `ways` makes the way of each of them, or says why there is none. `dancer` is a robot with the devices that
-//! are its coordinates, `formed`, `swept` and `along` are the ways; `together` is what a group is to do, and `ground` where. The reader of scenarios asks where a group will be; the compiler makes
-//! movements of the ways, and tells the faults.
+//! `ways` computes the movement of each robot from its current place, or returns the fault that prevents it. `dancer` contains a robot
+//! with the devices of its coordinates; `formed`, `swept` and `along` compute the movements; `together` contains the task of a group, and
+//! `ground` its context. The reader of scenarios asks for the future places of a group; the compiler turns the results into movements and
+//! reports the faults.
 
 mod along;
 mod dancer;
@@ -22,27 +23,27 @@ use crate::formation::{PLACES_MAX, Point};
 use crate::motion::{Function, Swept};
 use crate::transit::Blocked;
 
-/// Most robots of a group: each may have a place of one formation.
+/// Maximum number of robots in a group: each may have a place of one formation.
 pub(crate) const GROUP_MAX: usize = PLACES_MAX;
-/// Places that differ less in height, in metres, have one height.
+/// Places whose heights differ by less than this, in metres, are at the same height.
 const LEVEL: f64 = 1e-9;
 
-/// What a cue asks of its robots.
+/// The task of a cue for its robots.
 #[derive(Clone, Copy)]
 pub(crate) struct Asked<'a> {
     pub(crate) together: &'a Together,
-    /// How far steps may be off, in units of the devices, if the cue says so.
+    /// Permitted error of steps, in units of the devices, if the cue sets one.
     pub(crate) tolerance: Option<f64>,
 }
 
 impl Asked<'_> {
-    /// How long each robot has, in seconds.
+    /// Returns the time for each robot, in seconds.
     fn seconds(&self) -> f64 {
         self.together.over.as_millis_f64() / 1_000.0
     }
 }
 
-/// How one robot moves.
+/// The movement of one robot.
 #[derive(Clone, Debug)]
 pub(crate) struct Moved {
     /// In seconds since the cue's start.
@@ -50,56 +51,56 @@ pub(crate) struct Moved {
     pub(crate) length: f64,
     /// x, y and z in metres.
     pub(crate) axes: [Swept; 3],
-    /// The part of the error that its devices or the cue allow which its steps may use: less than 1 where others are close.
+    /// Share of the permitted error (of its devices or the cue) that its steps may use: less than 1 if other robots are close.
     pub(crate) error_share: f64,
 }
 
 impl Moved {
-    /// Where it leads, in metres.
+    /// Returns the end of the movement, in metres.
     pub(crate) fn end(&self) -> Point {
         self.axes.each_ref().map(|swept| Function::Swept(Box::new(swept.clone())).at(1.0))
     }
 }
 
-/// Why a group cannot do what is asked. Robots are given by their number among the dancers.
+/// A reason why a group cannot do its task. Robots are identified by their index among the dancers.
 #[derive(Clone, Debug)]
 pub(crate) enum Fault {
-    /// Of a formation or a path, which is told where it stands.
+    /// A fault of a formation or a path, which is reported at its own place.
     ToldElsewhere,
     /// More robots than [`GROUP_MAX`].
     TooMany,
     UnknownFormation,
-    /// More or fewer robots than places, and no choice.
+    /// The numbers of robots and places differ, and the cue does not resolve this.
     Count {
         places: usize,
     },
-    /// One that cannot change its height.
+    /// A robot that cannot change its height.
     Flat {
         dancer: usize,
         why: String,
     },
-    /// Those without a default value of each coordinate.
+    /// Robots that lack a default value for a coordinate.
     Homeless(Vec<usize>),
-    /// Two places that are nearer than any two of the bodies may be, in metres.
+    /// The two places are closer than two of the bodies may be, in metres.
     Crowded {
         places: [usize; 2],
         distance: f64,
         required: f64,
     },
-    /// The shortest time that is enough, in seconds.
+    /// `seconds` is the shortest sufficient time.
     TooShort {
         dancer: usize,
         seconds: f64,
     },
     Blocked(Blocked),
-    /// All stand in the middle.
+    /// All robots are in the middle.
     Unmoved,
     UnknownPath,
-    /// Laps of a path that does not end where it begins.
+    /// Laps along a path that does not end where it begins.
     OpenLaps(u32),
-    /// A path that is upright somewhere, with which the group would turn.
+    /// The group would turn with a path that is vertical somewhere.
     NoHeading,
-    /// Points of a way, of which there are too many.
+    /// Number of points of a path; it exceeds the limit.
     TooManyPoints(usize),
     SamePlace {
         behind: usize,
@@ -110,10 +111,10 @@ pub(crate) enum Fault {
     },
 }
 
-/// The way of each robot.
+/// Returns the movement of each robot.
 ///
 /// # Errors
-/// What cannot be done.
+/// The fault that prevents the movements.
 pub(crate) fn ways(
     asked: Asked<'_>,
     dancers: &[Dancer<'_>],
@@ -128,10 +129,10 @@ pub(crate) fn ways(
     }
 }
 
-/// The places into which this many robots move, if it is a formation.
+/// Checks the places into which this many robots move, if the target is a formation.
 ///
 /// # Errors
-/// What is wrong with their number, or the name.
+/// A fault in their number or in the name.
 pub(crate) fn places(together: &Together, robots: usize, ground: Ground<'_>) -> Result<(), Fault> {
     match &together.action {
         Action::Form(form) => formed::places(form, robots, ground).map(drop),
@@ -139,7 +140,7 @@ pub(crate) fn places(together: &Together, robots: usize, ground: Ground<'_>) -> 
     }
 }
 
-/// The ways of a group, as they were found when its cue was read: worth keeping, for a group of many takes its time.
+/// The movements of a group, computed when its cue was read. They are kept because a large group takes long to compute.
 #[derive(Clone, Debug)]
 pub(crate) struct Rehearsed {
     from: Vec<(usize, f64, Point)>,
@@ -151,7 +152,7 @@ impl Rehearsed {
         Self { from: dancers.iter().map(Dancer::begin).collect(), ways: Arc::new(ways) }
     }
 
-    /// The same ways, if these robots begin at the same places and times.
+    /// Returns the same movements if these robots begin at the same places and times.
     pub(crate) fn of(&self, dancers: &[Dancer<'_>]) -> Option<Result<Vec<Moved>, Fault>> {
         let same = self.from.iter().copied().eq(dancers.iter().map(Dancer::begin));
         same.then(|| (*self.ways).clone())

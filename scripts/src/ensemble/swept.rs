@@ -1,11 +1,11 @@
-//! A group that turns, grows, shifts and is carried as one.
+//! A group that turns, grows, shifts and is carried as one body.
 
 use super::along::{Carrier, carrier};
 use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved, Sweep};
 use crate::formation::{Point, SAME};
 use crate::motion::Swept;
 
-/// How each robot moves with the group.
+/// Returns the movement of each robot with the group.
 pub(super) fn swept(
     asked: Asked<'_>,
     sweep: &Sweep,
@@ -57,9 +57,9 @@ pub(super) fn swept(
     }
 }
 
-/// The largest speed and acceleration of a movement by its share of time: of robots side by side they are the same.
+/// Largest speed and acceleration of a movement, relative to its share of time. Equal for robots side by side.
 struct Rates {
-    /// The coordinates, relative to where they begin.
+    /// The coordinates relative to their start.
     axes: [Swept; 3],
     body: (f64, f64),
     own: [(f64, f64); 3],
@@ -81,7 +81,7 @@ impl Rates {
 /// The time that a robot needs, in seconds.
 struct Needed {
     shortest: f64,
-    /// What is enough for its steps as well.
+    /// Time that suffices for its steps as well.
     sure: f64,
 }
 
@@ -92,8 +92,8 @@ impl Needed {
         let own = rates.own.iter().zip(limits.axes);
         let own = own.map(|(rates, limits)| time(*rates, limits)).fold(0.0, f64::max);
         let error = dancer.axes.iter().map(|axis| axis.error(asked.tolerance)).fold(0.0, f64::max);
-        // The axes of a body have their steps at different times. Where its way bends, the mean speeds of two steps that overlap
-        // are then higher together than the speed at any moment, by about so much.
+        // The axes of a body have their steps at different times. Where its route bends, the combined mean speed of two overlapping
+        // steps exceeds the speed at any moment by about the square root in `stepped`.
         // Steps also end on the grid. With half of it, the remaining error allows steps so short that their speed is off by `off`.
         let grid =
             |axis: &Axis<'_>| axis.grid().map_or(0.0, |[scale, _, granularity]| scale.abs() * granularity);
@@ -106,13 +106,13 @@ impl Needed {
     }
 }
 
-/// Whether turning and growing leave it where it is: it stands in the middle.
+/// Whether turning and growing do not move it because it is in the middle.
 fn is_center(dancer: &Dancer<'_>, center: Point, sweep: &Sweep) -> bool {
     let axes = if sweep.grow == 1.0 || dancer.is_flat() { 2 } else { 3 };
     (0..axes).all(|axis| (dancer.from[axis] - center[axis]).abs() < SAME)
 }
 
-/// A robot that cannot follow, because it cannot change its height. Where none can, a group grows on its level.
+/// Returns a robot that cannot follow because its height is fixed. If all heights are fixed, the group grows within its level.
 fn left_behind(
     sweep: &Sweep,
     carrier: Option<&Carrier>,
@@ -128,22 +128,22 @@ fn left_behind(
     }
     let grows = sweep.grow != 1.0 && dancers.iter().any(|dancer| !dancer.is_flat());
     let off = flat.find(|dancer| grows && (dancers[*dancer].from[2] - middle).abs() > LEVEL)?;
-    Some((off, "the group grows in height too"))
+    Some((off, "the group also grows in height"))
 }
 
-/// The shortest time for a movement with these largest derivatives by its share of time.
+/// Shortest time for a movement with these largest derivatives, relative to its share of time.
 fn time((slope, curvature): (f64, f64), [speed, acceleration]: [f64; 2]) -> f64 {
     (slope / speed).max((curvature / acceleration).sqrt())
 }
 
-/// The mean of all places.
+/// Mean of all places.
 #[expect(clippy::cast_precision_loss, reason = "groups are small")]
 fn middle(dancers: &[Dancer<'_>]) -> Point {
     let count = dancers.len().max(1) as f64;
     std::array::from_fn(|axis| dancers.iter().map(|dancer| dancer.from[axis]).sum::<f64>() / count)
 }
 
-/// x, y and z of a body that is at a place when the group begins.
+/// Returns x, y and z of a body from its place at the group's start.
 fn axes(dancer: &Dancer<'_>, center: Point, sweep: &Sweep, turning: bool) -> [Swept; 3] {
     let from = dancer.from;
     let [x, y, mut z]: Point = std::array::from_fn(|axis| from[axis] - center[axis]);

@@ -1,4 +1,4 @@
-//! What a group of bodies is to do together, as a cue says it: to move into a formation, or to turn, grow and shift as one.
+//! The joint task of a group of bodies in a cue: to move into a formation, or to turn, grow and shift as one.
 
 use urrcp::Span;
 
@@ -6,19 +6,19 @@ use crate::finding::Place;
 use crate::formation::Point;
 use crate::transit::Least;
 
-/// What a group of bodies does together.
+/// The joint task of a group of bodies.
 #[derive(Clone, Debug)]
 pub(crate) struct Together {
     pub(crate) action: Action,
-    /// How long each of them has.
+    /// Time for each of them.
     pub(crate) over: Span,
     pub(crate) over_place: Place,
-    /// Where it stands in the file.
+    /// Its place in the file.
     pub(crate) place: Place,
 }
 
 impl Together {
-    /// The name of the formation into which they move.
+    /// Returns the name of the formation into which they move.
     pub(crate) fn formation(&self) -> Option<&str> {
         match &self.action {
             Action::Form(Form { to: Target::Formation(name), .. }) => Some(name),
@@ -33,7 +33,7 @@ pub(crate) enum Action {
     Sweep(Sweep),
 }
 
-/// Into a formation.
+/// A movement into a formation.
 #[derive(Clone, Debug)]
 pub(crate) struct Form {
     pub(crate) to: Target,
@@ -42,53 +42,53 @@ pub(crate) struct Form {
     pub(crate) thin: Option<Thin>,
 }
 
-/// Where the bodies go.
+/// The target of the bodies.
 #[derive(Clone, Debug)]
 pub(crate) enum Target {
-    /// Each to the default values of its devices.
+    /// Each body moves to the default values of its devices.
     Home,
     Formation(String),
 }
 
-/// What robots do for which there is no place.
+/// Behaviour of robots without a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Spare {
     Stay,
     Home,
 }
 
-/// Which places stay empty if there are fewer robots.
+/// The places that stay empty if there are fewer robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Thin {
-    /// Those between places at even steps through the list.
+    /// The places between those at even steps through the list.
     Evenly,
-    /// Those that lead to the shortest ways.
+    /// The places whose omission gives the shortest movements.
     Nearest,
 }
 
-/// A group moves as one body would, but for its size.
+/// A movement of a group as one body whose size may change.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sweep {
-    /// About the vertical, from x to y.
+    /// Turns about the vertical, from x to y.
     pub(crate) turns: f64,
-    /// x and y about which it turns and grows; the middle of the group if not given.
+    /// x and y of the centre of turning and growing; `None` for the middle of the group.
     pub(crate) about: Option<[f64; 2]>,
     pub(crate) grow: f64,
     pub(crate) shift: Point,
-    /// A path along which it is carried.
+    /// The path along which it is carried.
     pub(crate) along: Option<Course>,
 }
 
-/// How a group goes along a path.
+/// The movement of a group along a path.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Course {
     pub(crate) path: String,
-    /// How often, if the scenario says so.
+    /// Number of laps, if the scenario sets it.
     pub(crate) laps: Option<u32>,
     /// Whether it turns with the path, about its middle.
     pub(crate) turning: bool,
-    /// Whether each robot follows the one before it in the cue, through its place.
+    /// Whether each robot follows the previous one in the cue, through its place.
     pub(crate) follow: bool,
-    /// Where it stands in the file.
+    /// Its place in the file.
     pub(crate) place: Place,
 }

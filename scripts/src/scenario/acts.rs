@@ -1,4 +1,4 @@
-//! Acts: what is synchronised together, what each waits for, what follows, what a failure does.
+//! Acts: their cues, the condition for their beginning, the next act, and the reaction to a failure.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema, words};
 
 keys! {
-    /// What is prepared, decided and started together.
+    /// Cues that are prepared, decided and started together.
     pub(super) struct ActKeys as "act" {
         /// Its name.
         act: kinds::NAME,
@@ -28,8 +28,8 @@ keys! {
         cues: kinds::CUES,
         #[default("`done`")]
         wait: kinds::WAIT,
-        /// The act that follows, or `end`.
-        #[default("the act below")]
+        /// The following act, or `end`.
+        #[default("the next act in the file")]
         next: kinds::NAME,
         on_failure: kinds::ON_FAILURE,
         on_doubt: kinds::ON_DOUBT,
@@ -43,7 +43,7 @@ keys! {
 keys! {
     /// One of `for`, `time` and `sensor`.
     pub(super) struct WaitKeys {
-        /// All done, or the operator's go.
+        /// `done`: the previous act has ended; `operator`: the operator gives the go.
         r#for: words!(WAIT_WORDS),
         /// A time of day such as `19:30:00`, local time, or a date and time as in RFC 3339.
         time: kinds::TEXT,
@@ -55,9 +55,9 @@ keys! {
         below: kinds::NUMBER,
         /// Readings from the first to the second.
         within: Kind::List(&kinds::NUMBER, 2..=2),
-        /// How long to wait.
+        /// Longest wait.
         timeout: kinds::TIME,
-        /// The act that follows when the time is over, or `end`.
+        /// The act that follows after the timeout, or `end`.
         otherwise: kinds::NAME,
     }
 }
@@ -65,7 +65,7 @@ keys! {
 keys! {
     /// By robot or group.
     pub(super) struct OnFailureKeys {
-        /// For robots that are not named.
+        /// For robots without an entry.
         default: kinds::FAILURE_WORD,
         /// The act that follows a failure, or `end`.
         then: kinds::NAME,
@@ -74,11 +74,11 @@ keys! {
 
 type Condition = fn() -> Wait;
 
-/// The conditions that are one word.
+/// The conditions that are a single word.
 pub(super) const WAIT_WORDS: [(&str, Condition); 2] =
     [("done", || Wait::Done), ("operator", || Wait::Operator)];
 
-/// What holds where an act or cue says nothing.
+/// Settings for acts and cues that do not override them.
 pub(super) struct Defaults<'a> {
     pub(super) lease: StopCondition,
     pub(super) off_grid: OffGrid,
@@ -88,7 +88,7 @@ pub(super) struct Defaults<'a> {
     pub(super) on_doubt: OnDoubt,
 }
 
-/// What acts have in common.
+/// Settings that all acts share.
 struct Shared {
     zones: Arc<[(String, Order)]>,
     rules: Arc<[(Name, OnFailure)]>,
@@ -96,17 +96,17 @@ struct Shared {
     faults: usize,
 }
 
-/// What a failure does, as written.
+/// The reaction to a failure, as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OnFailureRule {
     pub(crate) default: Option<OnFailure>,
     pub(crate) robots: Vec<(Name, OnFailure)>,
-    /// What the scenario says of robots, one list for all acts.
+    /// The scenario's rules for robots; one list for all acts.
     pub(crate) inherited: Arc<[(Name, OnFailure)]>,
     pub(crate) then: Option<Name>,
 }
 
-/// What an act waits for, as written.
+/// The wait of an act, as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct WrittenWait {
     pub(crate) wait: Wait,
@@ -157,14 +157,14 @@ pub(super) fn read(
             items.iter().enumerate().filter_map(act).collect()
         }
         (Some(_), Some(acts)) => {
-            let hint = Some("move the cues into an act of their own".to_owned());
-            let message = "a scenario with both `cues` and `acts`";
+            let hint = Some("move the cues into a separate act".to_owned());
+            let message = "`cues` and `acts` cannot be combined";
             reader.add(Code::UnknownKey, acts.key_place(), message, "one of the two", hint);
             Vec::new()
         }
         (None, None) => {
             let hint =
-                "write `cues:` and below it the movements; `downbeat init first-show` writes an example";
+                "write `cues:` and the movements below it; run `downbeat init first-show` for an example";
             if !["cues", "acts"].iter().any(|key| reader.is_miswritten(root, key)) {
                 let message = "the scenario has no `cues`";
                 reader.add(
@@ -246,7 +246,7 @@ fn act(
     })
 }
 
-/// Reports the keys of a cue in one finding, and returns the map without them. `None` if none of `moves` is among them.
+/// Reports the keys of a cue in one finding, and returns the map without them. `None` if it contains none of `moves`.
 pub(super) fn without_cue(
     reader: &mut Reader,
     at: &At<'_>,
@@ -312,7 +312,7 @@ pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
         return OnFailureRule { default: reader.word(at, &ON_FAILURE), ..OnFailureRule::default() };
     };
     let mut rule = OnFailureRule::default();
-    for (key, at) in reader.entries(at, "robot, `default` or `then` to what happens") {
+    for (key, at) in reader.entries(at, "robot, `default` or `then` to its action") {
         match key {
             "default" => rule.default = reader.word(&at, &ON_FAILURE),
             "then" => {
@@ -331,7 +331,7 @@ pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
 /// A hint for an unknown condition of an act.
 fn wait_hint(text: &str) -> Option<String> {
     if parse_duration(text).is_some() {
-        return Some(format!("to begin later, let the first cue of the act have `at: {text}`"));
+        return Some(format!("to begin later, add `at: {text}` to the first cue of the act"));
     }
     if parse_time(text).is_some() {
         return Some(format!("write `wait: {{time: \"{text}\"}}`"));
@@ -341,7 +341,7 @@ fn wait_hint(text: &str) -> Option<String> {
         "trigger", "hotkey", "input",
     ]
     .contains(&text.to_lowercase().as_str());
-    operator.then(|| "write `operator`: the act begins when someone types `downbeat go`".to_owned())
+    operator.then(|| "write `operator`: the act begins when the operator runs `downbeat go`".to_owned())
 }
 
 fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
@@ -366,7 +366,7 @@ fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
         Some(Name { text: reader.name(&at, "the name of an act, or `end`")?, place: at.place() })
     });
     if let (None, Some(name)) = (timeout, &otherwise) {
-        let message = "`otherwise` without a `timeout` is never taken";
+        let message = "`otherwise` has no effect without a `timeout`";
         let hint = Some("add a timeout, such as `timeout: 30s`".to_owned());
         reader.add(Code::MissingKey, name.place.clone(), message, "a `timeout`", hint);
     }
@@ -383,7 +383,7 @@ fn sensor_wait(
     let text = reader.text(sensor, expected)?;
     let named = text.split_once('/').map(|(robot, sensor)| (robot.to_owned(), sensor.to_owned()));
     if named.is_none() {
-        let message = format!("`{}` names no robot and sensor", shortened(&text));
+        let message = format!("`{}` is not a robot and a sensor", shortened(&text));
         let hint = Some(match text.split_once('.') {
             Some((robot, sensor)) => format!("write a slash: `{}/{}`", shortened(robot), shortened(sensor)),
             None => format!("write the robot and a slash before it: `ROBOT/{}`", shortened(&text)),
@@ -426,7 +426,7 @@ fn meant_time(text: &str) -> Option<String> {
     parse_time(&written).map(|_| written)
 }
 
-/// A time of day, `19:30` or `19:30:00.5`, or an instant as in RFC 3339: what an act may wait for.
+/// Parses a time that an act can wait for: a time of day, `19:30` or `19:30:00.5`, or an instant as in RFC 3339.
 #[must_use]
 pub fn parse_time(text: &str) -> Option<Wait> {
     parse_instant(text).map(Wait::Instant).or_else(|| parse_time_of_day(text).map(Wait::TimeOfDay))

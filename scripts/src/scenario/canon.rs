@@ -1,4 +1,4 @@
-//! How much later each robot of a cue begins: by its number, by its place, at random, or as its `at` says.
+//! Delays of the robots of a cue: by their order, by their place, at random, or by their `at`.
 
 use super::kinds;
 use crate::exact::{Beginning, Exact, Fraction, Laps, fraction};
@@ -8,31 +8,31 @@ use crate::node::Node;
 use downbeat_reader::keys;
 
 keys! {
-    /// The order of the robots, and how much later they begin.
+    /// The order of the robots, and their delays.
     pub(super) struct CanonKeys {
-        /// How much later each place of the order begins than the one before.
+        /// Delay from each place of the order to the next.
         step: kinds::TIME,
-        /// How fast the start runs over the places of the robots, in metres a second.
+        /// Speed at which the start passes over the places of the robots, in metres per second.
         speed: kinds::NUMBER,
-        /// How much later the last begins than the first.
+        /// Delay from the first start to the last.
         over: kinds::TIME,
         by: kinds::BY,
-        /// For `by: random`: another number gives another order.
+        /// For `by: random`: each number gives another order.
         seed: kinds::NUMBER,
         direction: kinds::DIRECTION,
     }
 }
 
-/// Speeds of a wave over the robots, in metres a second.
+/// Limits of the speed of a wave over the robots, in metres per second.
 const SPEED_MIN: f64 = 1e-3;
 const SPEED_MAX: f64 = 1e6;
 
-/// How much later each robot of a cue begins than the cue.
+/// Delay of each robot of a cue relative to the cue.
 #[derive(Clone, Debug)]
 pub(crate) enum Canon {
-    /// Each by so much later than the one before it.
+    /// The same delay from each robot to the next.
     Even(Laps),
-    /// One time for each robot, in their order.
+    /// One time per robot, in their order.
     Each { delays: Vec<Exact>, from: Beginning, place: Place },
 }
 
@@ -43,7 +43,7 @@ impl Default for Canon {
 }
 
 impl Canon {
-    /// How much later the robot of this number begins.
+    /// Returns the delay of the robot at this index.
     pub(crate) fn delay(&self, index: usize) -> urrcp::Span {
         match self {
             Self::Even(laps) => laps.begin(u32::try_from(index).unwrap_or(u32::MAX)),
@@ -53,7 +53,7 @@ impl Canon {
         }
     }
 
-    /// The same, with what `at` says of each robot.
+    /// Adds the delays that `at` gives each robot.
     pub(super) fn delayed(self, late: Option<Late>) -> Self {
         let Some(Late { by, from, place }) = late else { return self };
         let delays = by.iter().enumerate().map(|(index, late)| match &self {
@@ -64,7 +64,7 @@ impl Canon {
     }
 }
 
-/// Robots whose `at` differs.
+/// The delays of robots whose `at` differs.
 pub(super) struct Late {
     pub(super) by: Vec<Exact>,
     pub(super) from: Beginning,
@@ -88,11 +88,11 @@ fn each(reader: &Reader, at: &At<'_>, delays: Vec<Exact>) -> Canon {
     Canon::Each { delays, from: reader.music.start, place: at.place() }
 }
 
-/// When the places of the order begin.
+/// Start times of the places of the order.
 enum Steps {
-    /// Each by so much later than the one before it.
+    /// The same delay from each place to the next.
     Even(Exact),
-    /// One time for each place.
+    /// One time per place.
     Each(Vec<Exact>),
 }
 
@@ -105,11 +105,11 @@ impl Steps {
     }
 }
 
-/// How much later each place of the order begins than the one before it; `$index` is the number of the place.
+/// Reads the delay from each place of the order to the next; `$index` is the number of the place.
 fn steps(reader: &mut Reader, at: &At<'_>) -> Option<Steps> {
     let count = reader.group.count();
     let mut begins = vec![Exact::ZERO];
-    // The step of a group of one is read as well: it may be wrong.
+    // The step of a group of one is also read, because it may contain errors.
     for index in 1..count.max(2) {
         let robot = Robot { index, count: count.max(2) };
         let (step, differs) = reader.as_robot(robot, |reader| reader.exact(at));
@@ -136,8 +136,8 @@ fn in_order(reader: &mut Reader, at: &At<'_>) -> Option<Canon> {
             let second = travelled(reader, &speed);
             let across = across?;
             if !matches!(across.by, By::Axis(_) | By::Point(_)) {
-                let message = "a speed without places";
-                let hint = Some("add `by: x`, or give a `step`".to_owned());
+                let message = "the `speed` of a canon needs an order by position";
+                let hint = Some("add `by: x`, or use a `step`".to_owned());
                 let expected = "`by: x`, `y`, `z` or a point";
                 reader.add(Code::MissingKey, speed.key_place(), message, expected, hint);
                 return None;
@@ -150,7 +150,7 @@ fn in_order(reader: &mut Reader, at: &At<'_>) -> Option<Canon> {
             scaled(over?, &parts(&along))
         }
         _ => {
-            let message = "a canon with none or several of `step`, `speed` and `over`";
+            let message = "found none or several of `step`, `speed` and `over`";
             reader.add(Code::MissingKey, at.place(), message, "exactly one of them", None);
             return None;
         }
@@ -162,9 +162,9 @@ fn scaled(unit: Exact, by: &[Fraction]) -> Vec<Exact> {
     by.iter().map(|share| unit.times(*share)).collect()
 }
 
-/// The time that a metre takes.
+/// Returns the time per metre.
 fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
-    let expected = "a speed from 0.001 to 1000000 metres a second";
+    let expected = "a speed from 0.001 to 1000000 metres per second";
     let speed = reader.positive(at, expected)?;
     if (SPEED_MIN..=SPEED_MAX).contains(&speed) {
         return Some(Exact::of_nanos(Fraction::from_integer(1_000_000_000) / fraction(speed)));

@@ -1,4 +1,4 @@
-//! A cue: which robots move what and when, and the changes of the movement before that.
+//! A cue: its robots, their movement and its time, and the changes that apply to the movement first.
 
 use urrcp::{Millis, Span, StopCondition};
 
@@ -23,9 +23,9 @@ pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), 
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
 keys! {
-    /// Robots move devices from some time on; without robots and tracks a mark that others can refer to.
+    /// Robots move devices from some time on. Without robots and tracks, it is a mark that others can refer to.
     pub(crate) struct CueKeys as "cue" {
-        /// Its name, for other cues and for messages.
+        /// Its name, for other cues and messages.
         cue: kinds::NAME,
         /// When it starts: a time or position, exactly; or a range.
         at: kinds::INSTANTS,
@@ -62,11 +62,11 @@ keys! {
         scale: kinds::SCALE,
         reverse: kinds::REVERSE,
         repeat: kinds::REPEAT,
-        /// How much later each robot begins than the one before.
+        /// Delay from each robot to the next.
         ///
         /// See [patterns over a group](#patterns-over-a-group).
         canon: kinds::CANON,
-        /// For some robots other values.
+        /// Other values for some robots.
         overrides: Kind::Entries(&OverrideKeys::KIND),
         /// Zones that it needs.
         uses: kinds::NAMES,
@@ -74,9 +74,9 @@ keys! {
         apart: kinds::NAMES,
         stop_condition: kinds::LEASE,
         off_grid: kinds::OFF_GRID,
-        /// Largest error of its tracks, in the devices' unit.
+        /// Largest permitted error of its tracks, in the devices' unit.
         tolerance: kinds::NUMBER,
-        /// Sensors that are read, with the times from the cue's start.
+        /// Sensors to be read, with the times from the cue's start.
         read: Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &Kind::List(&kinds::TIME, 0..=usize::MAX)])),
         /// The robots move into this formation without coming too close to each other.
         form: Kind::AnyOf(&[&kinds::NAME, &FormKeys::KIND]),
@@ -88,15 +88,15 @@ keys! {
         shift: Kind::List(&kinds::NUMBER, 3..=3),
         /// The robots are carried along this path as one body, from where they are.
         along: Kind::AnyOf(&[&kinds::NAME, &AlongKeys::KIND]),
-        /// How long each robot has for `form`, `turn`, `grow`, `shift` and `along`.
+        /// Time for each robot for `form`, `turn`, `grow`, `shift` and `along`.
         over: kinds::TIME,
-        /// A remark, which `plan` shows next to the cue.
+        /// A remark, which `plan` prints next to the cue.
         note: kinds::TEXT,
     }
 }
 
 keys! {
-    /// What is different for a robot.
+    /// Differences for one robot.
     pub(super) struct OverrideKeys as "override" {
         r#move: kinds::NAME,
         parameters: kinds::PARAMETERS,
@@ -106,17 +106,17 @@ keys! {
         scale: kinds::SCALE,
         reverse: kinds::REVERSE,
         repeat: kinds::REPEAT,
-        /// How much later it begins than the cue.
+        /// Its delay relative to the cue.
         delay: kinds::TIME,
     }
 }
 
 keys! {
-    /// Apart for scripts that wait and scripts that run.
+    /// Separate leases for waiting and for running scripts.
     pub(super) struct LeaseKeys {
-        /// How long the server may be silent before a script that has not started is dropped.
+        /// Longest silence of the server before a script that has not started is dropped.
         pending: Kind::AnyOf(&[&kinds::TIME, &schema!({"const": "none"})]),
-        /// How long the server may be silent before a running script ends; `none` lets shows go on without a link.
+        /// Longest silence of the server before a running script ends. With `none`, shows continue without a link.
         running: Kind::AnyOf(&[&kinds::TIME, &schema!({"const": "none"})]),
     }
 }
@@ -145,10 +145,10 @@ pub(super) fn read(
             let message = format!("a cue has no `{key}`");
             let hint = Some(match key {
                 "robots" => {
-                    "a cue with neither robots nor tracks is a mark that others can refer to".to_owned()
+                    "a cue with neither robots nor tracks is a marker that other cues can refer to".to_owned()
                 }
                 _ => {
-                    "say what its robots do: `tracks`, a `move`, or `form`, `turn`, `grow`, `shift`, `along`"
+                    "add what its robots do: `tracks`, a `move`, or `form`, `turn`, `grow`, `shift`, `along`"
                         .to_owned()
                 }
             });
@@ -186,7 +186,7 @@ pub(super) fn read(
     if let Some(group) = &mut group {
         library.form_name(reader, group);
     }
-    let entries = keys.overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
+    let entries = keys.overrides.as_ref().map(|at| reader.entries(at, "robot to its override"));
     let entries = entries.unwrap_or_default();
     let mut overriding = read_overrides(reader, &shaping, &entries);
     overriding.iter_mut().for_each(|overriding| library.cast_name(reader, &mut overriding.name));
@@ -217,9 +217,7 @@ pub(super) fn read(
         group,
         rehearsed: None,
         tolerance,
-        text: CueText {
-            note: keys.note.and_then(|at| reader.text(&at, "a remark, in words")).map(Into::into),
-        },
+        text: CueText { note: keys.note.and_then(|at| reader.text(&at, "a remark as text")).map(Into::into) },
     };
     reader.music.start = Beginning::default();
     cue.rehearsed = standing::leave(&mut reader.group, library, &cue);
@@ -236,8 +234,8 @@ fn bounds(reader: &mut Reader, at: &At<'_>) -> Option<Bounds> {
         _ => reader.duration(at).map(|fixed| (fixed, Some(fixed)))?,
     };
     if max == Some(Span::ZERO) {
-        let hint = Some("leave it out for the length of the movement itself".to_owned());
-        reader.add(Code::BadMotion, at.place(), "a movement of no length", "a time above 0", hint);
+        let hint = Some("leave it out to keep the length of the movement".to_owned());
+        reader.add(Code::BadMotion, at.place(), "a movement of length 0", "a time above 0", hint);
         return None;
     }
     Some(Bounds { min, max, place: at.place() })
@@ -246,7 +244,7 @@ fn bounds(reader: &mut Reader, at: &At<'_>) -> Option<Bounds> {
 pub(super) fn robot_names(reader: &mut Reader, at: &At<'_>) -> Vec<Name> {
     let expected = "a robot, a group or a list of them";
     if matches!(at.node, Node::List(items) if items.is_empty()) {
-        nothing(reader, at, "the cue is for no robot", expected);
+        nothing(reader, at, "the cue has no robots", expected);
     }
     name_list(reader, at, expected)
 }
@@ -264,7 +262,7 @@ pub(super) fn name_list(reader: &mut Reader, at: &At<'_>, expected: &str) -> Vec
     items.iter().filter_map(name).collect()
 }
 
-/// `2s` for both, or a map of pending and running, each a time or `none`.
+/// `2s` for both, or a map of `pending` and `running`, each a time or `none`.
 pub(super) fn lease(reader: &mut Reader, at: &At<'_>, default: StopCondition) -> Option<StopCondition> {
     let Node::Map(_) = at.node else {
         return reader.duration(at).map(|span| StopCondition::both(Millis::from_span(span)));
@@ -293,7 +291,7 @@ fn read_readings(reader: &mut Reader, at: &At<'_>) -> Vec<Reading> {
     readings
 }
 
-/// What some robots of a cue do otherwise.
+/// Differences for some robots of a cue.
 pub(super) struct Overriding<'a> {
     pub(super) name: Name,
     pub(super) shaping: Shaping<'a>,

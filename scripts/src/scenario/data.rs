@@ -14,14 +14,14 @@ use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
 use downbeat_reader::{keys, words};
 
-/// Milliseconds in each unit of a time.
+/// Milliseconds per time unit.
 const UNITS: [(&str, f64); 3] = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];
 const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];
 
 keys! {
     /// One column of a CSV file.
     pub(super) struct SamplesKeys {
-        /// From the scenario's folder.
+        /// Path from the scenario's folder.
         #[required]
         file: kinds::TEXT,
         /// The column with times: its name, or its number from 1.
@@ -34,12 +34,12 @@ keys! {
         time_unit: words!(UNITS),
         /// Factor on the values.
         scale: kinds::NUMBER,
-        /// The way from one row to the next. Default: as the device moves.
+        /// Movement from one row to the next. Default: as the device moves.
         ease: words!(EASES),
     }
 }
 
-/// Most faults of one file that are listed; the last says how many more there are.
+/// Maximum number of listed faults per file; the last one contains the number of the others.
 const FAULTS_MAX: usize = 20;
 
 /// `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1, ease: step}`
@@ -59,7 +59,7 @@ pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Op
         }
         Err(finding) => {
             let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
-            let hint = Some("the path counts from the folder of the scenario".to_owned());
+            let hint = Some("the path is relative to the folder of the scenario".to_owned());
             reader.add(Code::Unreadable, file.place(), message, "a readable CSV file", hint);
             return None;
         }
@@ -85,7 +85,7 @@ struct Table<'r, 'a> {
 }
 
 impl Table<'_, '_> {
-    /// A column by its name in the header, or by its number from 1; and whether there is a header.
+    /// Returns a column by its name in the header or by its number from 1, and whether there is a header.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small whole number")]
     fn column(&mut self, at: &At<'_>, header: &[&str]) -> Option<(usize, bool)> {
         if let Node::Number(number) = at.node {
@@ -133,11 +133,11 @@ impl Table<'_, '_> {
             };
             let at = Span::from_millis_f64(at * millis);
             if at < Span::ZERO || at.as_millis_f64() > urrcp::OFFSET_MS_MAX {
-                self.fault(*line, &format!("the time {at}"), "a time from 0 on");
+                self.fault(*line, &format!("the time {at}"), "a time of at least 0");
                 continue;
             }
             if let Some(last) = knots.last().filter(|last| at <= last.at) {
-                let message = format!("{at} comes after {}", last.at);
+                let message = format!("{at} is not later than {}", last.at);
                 self.fault(*line, &message, "times that increase");
                 continue;
             }

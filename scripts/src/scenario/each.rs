@@ -1,4 +1,4 @@
-//! The movements of a cue: one for all of its robots, or, where it asks for `$index` or `$count`, one for each.
+//! The movements of a cue: one for all of its robots, or one for each if it uses `$index` or `$count`.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -15,10 +15,10 @@ use crate::finding::Code;
 use crate::fleet::Fleet;
 use crate::shown::shortened;
 
-/// The robots that names stand for, before they are checked.
+/// Resolves names to robots before they are checked.
 pub(super) struct Roster<'a> {
     pub(super) fleet: &'a Fleet,
-    /// By their composed names.
+    /// Index of each robot, by its composed name.
     index_of: HashMap<Cow<'a, str>, usize>,
 }
 
@@ -29,7 +29,7 @@ impl<'a> Roster<'a> {
         Self { fleet, index_of }
     }
 
-    /// Each robot once, in the order in which they are named; names of none are left out.
+    /// Returns each robot once, in the order of the names. Unknown names are skipped.
     pub(super) fn robots(&self, roles: &HashMap<String, Vec<Name>>, names: &[Name]) -> Vec<usize> {
         let mut seen = std::collections::HashSet::new();
         let of_role = |name: &Name| roles.get(&name.text).cloned().unwrap_or_else(|| vec![name.clone()]);
@@ -45,7 +45,7 @@ impl<'a> Roster<'a> {
             false => return,
         };
         let message = format!("the role `{}` has the name of a {whose}", shortened(name));
-        let hint = Some("rename the role here and in the cues that it plays in".to_owned());
+        let hint = Some("rename the role here and in the cues that use it".to_owned());
         reader.add(Code::NameClash, at.key_place(), message, "a unique name", hint);
     }
 
@@ -58,18 +58,18 @@ impl<'a> Roster<'a> {
     }
 }
 
-/// What the robots of a cue do.
+/// The movements of the robots of a cue.
 #[derive(Default)]
 pub(super) struct Movements {
     pub(super) shared: Movement,
     pub(super) overrides: Vec<(Name, Movement)>,
-    /// Those of single robots, and which one each robot of the cue has.
+    /// Movements of single robots; `own_of` maps each robot of the cue to its movement.
     pub(super) own: Vec<Movement>,
     pub(super) own_of: Vec<Option<usize>>,
 }
 
 impl Movements {
-    /// What the robots do as a group may take longer than their tracks.
+    /// A group movement may take longer than the tracks.
     pub(super) fn last_at_least(&mut self, length: Span) {
         let overrides = self.overrides.iter_mut().map(|(_, movement)| movement);
         for movement in std::iter::once(&mut self.shared).chain(overrides).chain(&mut self.own) {
@@ -111,7 +111,7 @@ pub(super) fn movements(
             Some(index) => (&overriding[index].shaping, differ[index]),
             None => (base, differs),
         };
-        // What is wrong for one robot is likely to be wrong for all.
+        // A fault for one robot is likely to be a fault for all.
         if !differs || reader.found.len() > faults {
             read.own_of.push(None);
             continue;
@@ -127,7 +127,7 @@ pub(super) fn movements(
     read
 }
 
-/// Reads a movement as that of the only robot; and whether it is another one for others, when nothing is kept of it.
+/// Reads a movement as that of the only robot. Also returns whether it differs for other robots; in that case, nothing of it is kept.
 fn probe(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> (Movement, bool) {
     let before = (reader.mark(), reader.knots);
     let movement = of_robot(reader, library, shaping, Robot { index: 0, count: 1 });

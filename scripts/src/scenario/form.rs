@@ -1,4 +1,4 @@
-//! The keys for what a group of bodies does together: `form`, `turn`, `grow`, `shift`, `along` and `over`.
+//! The keys for joint movements of bodies: `form`, `turn`, `grow`, `shift`, `along` and `over`.
 
 use super::cue::CueKeys;
 use super::formations::SHAPES;
@@ -13,33 +13,33 @@ use crate::transit::Least;
 use downbeat_reader::keys::Kind;
 use downbeat_reader::{keys, words};
 
-/// Most turns: more would take more steps than any device holds.
+/// Maximum turn: more would take more steps than any device holds.
 const DEGREES_MAX: f64 = 360_000.0;
 /// Largest factor.
 const GROW_MAX: f64 = 1_000.0;
-/// Most laps of a path.
+/// Maximum number of laps along a path.
 const LAPS_MAX: u32 = 100;
-/// Furthest shift, in metres.
+/// Maximum shift, in metres.
 const METRES_MAX: f64 = 1e6;
 
 const LEAST: [(&str, Least); 2] = [("total", Least::Total), ("longest", Least::Longest)];
 const SPARE: [(&str, Spare); 2] = [("stay", Spare::Stay), ("home", Spare::Home)];
 const THIN: [(&str, Thin); 2] = [("evenly", Thin::Evenly), ("nearest", Thin::Nearest)];
-/// The keys of a cue that say what its robots do as a group, and for how long.
+/// The keys of a cue for the movement of its robots as a group, and its duration.
 const GROUP: [&str; 6] = ["form", "turn", "grow", "shift", "along", "over"];
 
 keys! {
-    /// Into which formation, and how.
+    /// The formation, and how to move into it.
     pub(super) struct FormKeys {
         /// A formation, or `home`: the default values of each robot's devices.
         #[required]
         to: kinds::NAME,
-        /// What of the ways is made small: their sum, or the longest of them.
+        /// The quantity to minimize: the sum of the distances, or the longest of them.
         #[default("`total`")]
         least: words!(LEAST),
-        /// What robots do for which there is no place.
+        /// What robots without a place do.
         spare: words!(SPARE),
-        /// Which places are taken if there are fewer robots: at even steps, or those with the shortest ways.
+        /// Which places are taken if there are fewer robots: those at even steps, or those with the shortest distances.
         thin: words!(THIN),
     }
 }
@@ -47,7 +47,7 @@ keys! {
 keys! {
     /// A turn about the vertical.
     pub(super) struct TurnKeys {
-        /// How far, in degrees from x to y.
+        /// Angle, in degrees from x to y.
         #[required]
         by: kinds::NUMBER,
         /// x and y of the centre in metres.
@@ -57,66 +57,72 @@ keys! {
 }
 
 keys! {
-    /// Along which path, and how.
+    /// The path, and how to move along it.
     pub(super) struct AlongKeys {
         /// The path.
         #[required]
         path: kinds::NAME,
-        /// How often, for a closed path: a whole number.
+        /// Number of laps, for a closed path: a whole number.
         #[default("1")]
         laps: kinds::NUMBER,
         /// Whether the group turns with the heading of the path, about its middle.
         turning: kinds::TRUTH,
-        /// Whether each robot follows the one that is named before it, through its place; the first one goes along the path.
+        /// Whether each robot follows the previous one in the list, through its place; the first one moves along the path.
         follow: kinds::TRUTH,
     }
 }
 
-/// What a cue says of its robots as a group.
+/// Reads the group movement of a cue.
 pub(super) fn read(reader: &mut Reader, cue: &At<'_>, keys: &CueKeys<'_>) -> Option<Together> {
     let sweeps = [keys.turn, keys.grow, keys.shift, keys.along];
     let first = keys.form.or_else(|| sweeps.into_iter().flatten().next());
     let Some(first) = first else {
         let over = keys.over.filter(|_| !GROUP.iter().any(|key| reader.is_miswritten(cue, key)))?;
-        let expected = "one of `form`, `turn`, `grow`, `shift`, `along` that takes so long";
-        let hint = Some("a cue with tracks has a `duration`".to_owned());
-        reader.add(Code::MissingKey, over.key_place(), "`over` in a cue without a `form`", expected, hint);
+        let expected = "one of `form`, `turn`, `grow`, `shift`, `along` in this cue";
+        let hint = Some("use `duration` for a cue with tracks".to_owned());
+        reader.add(
+            Code::MissingKey,
+            over.key_place(),
+            "`over` needs a movement of a group to set the duration of",
+            expected,
+            hint,
+        );
         return None;
     };
     if let Some(at) = keys.duration {
         let (message, hint) = match keys.over {
-            Some(_) => ("a `duration` next to `over`", "remove it"),
-            None => ("a `duration` for the way of a group", "write `over` instead"),
+            Some(_) => ("`duration` and `over` cannot be combined", "remove it"),
+            None => ("`duration` is not supported for the movement of a group", "write `over` instead"),
         };
-        let expected = "`over` alone: it says how long the cue takes";
+        let expected = "only `over`, which sets the duration of the cue";
         reader.add(Code::UnknownKey, at.key_place(), message, expected, Some(hint.to_owned()));
     }
-    // What changes a movement changes no group.
+    // Changes of a movement do not apply to groups.
     let shaping = [keys.scale, keys.mirror, keys.reverse, keys.repeat, keys.devices, keys.overrides];
     for at in shaping.into_iter().flatten() {
-        let message = "the movement of a group cannot be changed";
-        let hint = Some("write a cue for each turn, and one of its own for tracks".to_owned());
+        let message = "this key is not supported for the movement of a group";
+        let hint = Some("write a cue for each repetition, and a separate cue for tracks".to_owned());
         reader.add(
             Code::UnknownKey,
             at.key_place(),
             message,
-            "`form`, `turn`, `grow`, `shift` or `along` alone",
+            "only `form`, `turn`, `grow`, `shift` or `along`",
             hint,
         );
     }
     if keys.over.is_none() && keys.duration.is_none() && !reader.is_miswritten(cue, "over") {
-        let hint = Some("say how long it takes, as in `over: 6s`".to_owned());
+        let hint = Some("add the duration, as in `over: 6s`".to_owned());
         let named = GROUP.into_iter().zip([keys.form, keys.turn, keys.grow, keys.shift, keys.along]);
         let named = named.filter(|(_, value)| value.is_some()).map(|(name, _)| name).next();
-        let message = format!("`{}` without `over`", named.unwrap_or("form"));
+        let message = format!("missing `over` for `{}`", named.unwrap_or("form"));
         reader.add(Code::MissingKey, first.key_place(), message, "a key `over`", hint);
     }
     let length = keys.over.and_then(|at| positive_time(reader, &at));
     let action = match keys.form {
         Some(form) => {
             for other in sweeps.iter().flatten() {
-                let hint = Some("write the other one as a cue of its own".to_owned());
-                let message = "a group forms and turns in one cue";
+                let hint = Some("write the other one as a separate cue".to_owned());
+                let message = "`form` cannot be combined with another movement of the group";
                 reader.add(Code::UnknownKey, other.key_place(), message, "one of the two", hint);
             }
             read_form(reader, &form).map(Action::Form)
@@ -149,7 +155,7 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
     let target = target(reader, &to?)?;
     if matches!(target, Target::Home) {
         for choice in [least, spare, thin].into_iter().flatten() {
-            let message = "a choice of places where each robot has its own";
+            let message = "places cannot be chosen for `home`: each robot has its own";
             reader.add(Code::UnknownKey, choice.key_place(), message, "`form: home`", None);
         }
     }
@@ -159,7 +165,7 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
     Some(Form { to: target, least, spare, thin })
 }
 
-/// A shape that stands where the name of a formation belongs.
+/// Returns the shape in a place where the name of a formation is expected.
 fn shape_within(node: &Node) -> Option<&'static str> {
     let Node::Map(entries) = node else { return None };
     SHAPES.into_iter().find(|shape| entries.iter().any(|(key, _)| key == shape))
@@ -170,7 +176,9 @@ fn read_sweep(reader: &mut Reader, keys: &CueKeys<'_>) -> Option<Sweep> {
         Some(at) if matches!(at.node, Node::Map(_)) && !is_spread(at.node) => {
             let TurnKeys { by, about } = reader.keys(&at, "`turn`")?;
             let about = match about {
-                Some(at) => Some(numbers::<2>(reader, &at, "x and y in metres, as [1, 0.5]", METRES_MAX)?),
+                Some(at) => {
+                    Some(numbers::<2>(reader, &at, "x and y in metres, such as [1, 0.5]", METRES_MAX)?)
+                }
                 None => None,
             };
             (degrees(reader, &by?)?, about)
@@ -192,7 +200,7 @@ fn read_sweep(reader: &mut Reader, keys: &CueKeys<'_>) -> Option<Sweep> {
         None => 1.0,
     };
     let shift = match keys.shift {
-        Some(at) => numbers::<3>(reader, &at, "metres along x, y and z, as [0, 0, 1.5]", METRES_MAX)?,
+        Some(at) => numbers::<3>(reader, &at, "metres along x, y and z, such as [0, 0, 1.5]", METRES_MAX)?,
         None => [0.0; 3],
     };
     let along = match keys.along {
@@ -202,8 +210,8 @@ fn read_sweep(reader: &mut Reader, keys: &CueKeys<'_>) -> Option<Sweep> {
     let others = [keys.turn, keys.grow, keys.shift].into_iter().flatten();
     if along.as_ref().is_some_and(|along| along.follow) {
         for other in others {
-            let message = "robots that follow each other are no body that turns, grows or shifts";
-            let hint = Some("write the other one as a cue of its own".to_owned());
+            let message = "`follow` cannot be combined with `turn`, `grow` or `shift`";
+            let hint = Some("write the other one as a separate cue".to_owned());
             reader.add(Code::UnknownKey, other.key_place(), message, "`along` alone", hint);
         }
     }
@@ -224,7 +232,8 @@ fn read_along(reader: &mut Reader, at: &At<'_>) -> Option<Course> {
     let is_set = |reader: &mut Reader, at: Option<At<'_>>| at.map_or(Some(false), |at| reader.truth(&at));
     let (is_turning, follows) = (is_set(reader, turning)?, is_set(reader, follow)?);
     if let (true, true, Some(at)) = (is_turning, follows, turning) {
-        let message = "robots that follow each other have no middle about which they turn";
+        let message =
+            "`follow` and `turning` cannot be combined: robots that follow each other have no common centre";
         reader.add(Code::UnknownKey, at.key_place(), message, "`follow` or `turning`", None);
     }
     let path = path?;
@@ -246,7 +255,7 @@ fn degrees(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     in_bounds(reader, at, value, expected, DEGREES_MAX)
 }
 
-/// A quarter turn in words.
+/// Returns the angle of a quarter turn in words.
 fn turn_of(word: &str) -> Option<i16> {
     match word {
         "left" | "counterclockwise" => Some(90),
@@ -277,7 +286,7 @@ fn numbers<const N: usize>(reader: &mut Reader, at: &At<'_>, expected: &str, mos
         }
         return None;
     }
-    // One finding is enough: all three are likely to have the same fault.
+    // One finding is enough: all three items are likely to have the same fault.
     let read: Option<Vec<f64>> = items.iter().map(|at| bounded(reader, at, expected, most)).collect();
     read?.try_into().ok()
 }

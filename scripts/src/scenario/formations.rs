@@ -20,20 +20,20 @@ use crate::shown::shortened;
 use downbeat_reader::keys;
 use downbeat_reader::keys::Kind;
 
-/// Longest length and furthest coordinate, in metres: far more than robots could play in, and nothing overflows.
+/// Maximum length and coordinate, in metres: far more than robots need, and small enough to prevent overflow.
 const METRES_MAX: f64 = 1e6;
-/// Most columns and rows of a grid.
+/// Maximum number of columns and of rows of a grid.
 const SIDE_MAX: u32 = 10_000;
 
-/// Most characters of a text.
+/// Maximum number of characters of a text.
 const TEXT_MAX: usize = 200;
-/// Degrees between the arms of a V, if nothing is said: neighbours on the two arms are as far apart as those on one.
+/// Default angle between the arms of a V, in degrees: neighbours on the two arms are as far apart as those on one.
 const VEE_ANGLE: f64 = 60.0;
 
 const LENGTH: &str = "a length above 0, in metres, up to 1000000";
-const LENGTHS: &str = "lengths above 0 in metres, as [1, 1, 2]";
-const POINT: &str = "a place in metres, as [1, 0, 2.5]";
-const ROTATION: &str = "degrees about the vertical, or [roll, pitch, yaw] in degrees, as [90, 0, 0]";
+const LENGTHS: &str = "lengths above 0 in metres, such as [1, 1, 2]";
+const POINT: &str = "a place in metres, such as [1, 0, 2.5]";
+const ROTATION: &str = "degrees about the vertical, or [roll, pitch, yaw] in degrees, such as [90, 0, 0]";
 
 /// The keys that are shapes.
 pub(super) const SHAPES: [&str; 9] =
@@ -42,7 +42,7 @@ pub(super) const SHAPES: [&str; 9] =
 keys! {
     /// A set of places in metres. It has exactly one shape.
     pub(super) struct FormationKeys as "formation" {
-        /// These places.
+        /// An explicit list of places.
         points: Kind::List(&kinds::PLACE, 1..=10000),
         /// Along the x axis.
         line: LineKeys::KIND,
@@ -50,7 +50,7 @@ keys! {
         circle: CircleKeys::KIND,
         /// Row by row along the x axis.
         grid: GridKeys::KIND,
-        /// The tip, then one place of each arm after another.
+        /// The tip, then one place on each arm in turn.
         v: VeeKeys::KIND,
         /// Spread evenly over a sphere.
         sphere: SphereKeys::KIND,
@@ -60,12 +60,12 @@ keys! {
         svg: kinds::TEXT,
         /// The points of a PLY or CSV file, or the surface of an STL file; from the scenario's folder.
         cloud: kinds::TEXT,
-        /// Where the middle is; default 0, or where points are written.
+        /// Position of the middle. Default: 0, or as written for points.
         at: kinds::PLACE,
         rotate: kinds::ROTATION,
         /// Factor about the middle; default 1.
         scale: kinds::NUMBER,
-        /// Metres of the longest side: of a text, a drawing, a cloud or points, instead of `scale`.
+        /// Length of the longest side in metres, for a text, a drawing, a cloud or points; instead of `scale`.
         size: kinds::NUMBER,
     }
 }
@@ -96,15 +96,15 @@ keys! {
         /// Metres between columns, rows and layers; one number, or one for each.
         #[required]
         spacing: Kind::AnyOf(&[&kinds::NUMBER, &kinds::PLACE]),
-        /// Default: as many as make a square.
+        /// Default: a square.
         columns: kinds::NUMBER,
-        /// Default: as many as are needed. With it, the grid continues in layers above.
+        /// Default: as many as needed. If it is set, the grid continues in layers above.
         rows: kinds::NUMBER,
     }
 }
 
 keys! {
-    /// The tip, then one place of each arm after another.
+    /// The tip, then one place on each arm in turn.
     pub(super) struct VeeKeys {
         /// Metres between neighbours on an arm.
         #[required]
@@ -123,20 +123,20 @@ keys! {
     }
 }
 
-/// A shape, and how it stands if nothing is said of that.
+/// A shape with its default placing.
 struct Shaped {
     shape: Shape,
     placing: Placing,
-    /// The longest side of the box around it, if it does not depend on the number of robots.
+    /// The longest side of its bounding box, if it does not depend on the number of robots.
     longest: Option<f64>,
-    /// Metres of one unit of the shape; none if the scenario has to say it.
+    /// Metres per unit of the shape; `None` if the scenario must set it.
     unit: Option<f64>,
-    /// The key of the shape that says how large it is, if one number does.
+    /// The key that defines the size of the shape, if a single number does.
     size: Option<(&'static str, f64)>,
 }
 
 impl Shaped {
-    /// One with its middle at 0.
+    /// Creates a shape whose middle is at 0.
     fn around_0(shape: Shape) -> Self {
         Self { shape, placing: Placing::default(), longest: None, unit: Some(1.0), size: None }
     }
@@ -154,7 +154,7 @@ pub(super) fn read(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'
     WrittenFormation { formation, place: at.key_place(), size: size.unwrap_or(("scale", 1.0)) }
 }
 
-/// A formation with the key that says how large it is.
+/// Reads a formation and the key that defines its size.
 fn formation(
     reader: &mut Reader,
     files: &dyn Files,
@@ -188,7 +188,7 @@ fn formation(
     Some((Formation { shape, placing }, size))
 }
 
-/// The one shape of a formation.
+/// Reads the single shape of a formation.
 fn shape(
     reader: &mut Reader,
     files: &dyn Files,
@@ -332,14 +332,15 @@ fn read_text(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let expected = "a text of 1 to 200 characters";
     let written = reader.name(at, expected)?;
     if written.trim().is_empty() || written.chars().count() > TEXT_MAX {
-        let message = format!("the text `{}` of {} characters", shortened(&written), written.chars().count());
+        let message =
+            format!("the text `{}` has {} characters", shortened(&written), written.chars().count());
         reader.add(Code::WrongType, at.place(), message, expected, None);
         return None;
     }
     match text::strokes_of(&written) {
         Ok(strokes) => Some(upright(&strokes, Some(1.0 / text::LETTER_HEIGHT))),
         Err(c) => {
-            let message = format!("there are no strokes for the character `{c}`");
+            let message = format!("the character `{c}` is not supported");
             let hint = Some("draw it as an SVG path, and use `svg`".to_owned());
             let expected = format!("letters, spaces, and these characters: {}", text::letters());
             reader.add(Code::UnknownWord, at.place(), message, expected, hint);
@@ -378,7 +379,7 @@ fn read_cloud(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Sha
     Some(Shaped { placing: Placing::about(middle), longest, ..Shaped::around_0(shape) })
 }
 
-/// Strokes that stand upright, with their middle at 0.
+/// Turns strokes into an upright shape with its middle at 0.
 fn upright(strokes: &[text::FlatStroke], unit: Option<f64>) -> Shaped {
     let lines: Vec<Vec<Point>> =
         strokes.iter().map(|line| line.iter().map(|[x, y]| [*x, 0.0, *y]).collect()).collect();
@@ -388,7 +389,7 @@ fn upright(strokes: &[text::FlatStroke], unit: Option<f64>) -> Shaped {
     Shaped { placing: Placing::about(middle).moved([0.0; 3]), longest, unit, ..Shaped::around_0(shape) }
 }
 
-/// The bytes of a file that the scenario names.
+/// Returns the name and bytes of a file that the scenario refers to.
 fn bytes_of(
     reader: &mut Reader,
     files: &dyn Files,
@@ -404,7 +405,7 @@ fn bytes_of(
         }
         Err(finding) => {
             let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
-            let hint = Some("the path counts from the folder of the scenario".to_owned());
+            let hint = Some("the path is relative to the folder of the scenario".to_owned());
             reader.add(Code::Unreadable, at.place(), message, "a readable file", hint);
             None
         }
@@ -417,11 +418,11 @@ fn unfit_file(reader: &mut Reader, at: &At<'_>, name: &str, unfit: Unfit) -> Opt
     None
 }
 
-/// The factor by which the longest side becomes this long.
+/// Returns the factor that gives the longest side this length.
 fn sized(reader: &mut Reader, shaped: &Shaped, at: &At<'_>, scale: Option<At<'_>>) -> Option<f64> {
     let size = length(reader, at)?;
     if scale.is_some() {
-        let message = "`size` and `scale` are two sizes";
+        let message = "`size` and `scale` cannot be combined";
         reader.add(Code::UnknownKey, at.key_place(), message, "one of them", None);
         return None;
     }
@@ -431,20 +432,20 @@ fn sized(reader: &mut Reader, shaped: &Shaped, at: &At<'_>, scale: Option<At<'_>
             reader.add(
                 Code::WrongType,
                 at.place(),
-                "all places are one point",
-                "`size` for a shape that has one",
+                "all places are at the same point",
+                "`size` only for a shape with an extent",
                 None,
             );
             None
         }
         None => {
-            let message = "the size of this shape is part of it";
-            let hint = Some("write its `radius`, `length` or `spacing`, or `scale` it".to_owned());
+            let message = "this shape already defines its size";
+            let hint = Some("change its `radius`, `length` or `spacing`, or use `scale`".to_owned());
             reader.add(
                 Code::UnknownKey,
                 at.key_place(),
                 message,
-                "`size` for points, a text or a file",
+                "`size` only for points, a text or a file",
                 hint,
             );
             None
@@ -483,17 +484,17 @@ fn one_of_two(reader: &mut Reader, at: &At<'_>, what: &str, keys: [&str; 2]) -> 
     }
     let expected = format!("either `{}` or `{}`", keys[0], keys[1]);
     let hint = Some("lengths are in metres".to_owned());
-    reader.add(Code::MissingKey, at.place(), format!("{what} needs its size"), expected, hint);
+    reader.add(Code::MissingKey, at.place(), format!("{what} has no size"), expected, hint);
     None
 }
 
-/// A length above 0 in metres.
+/// Reads a length above 0 in metres.
 pub(super) fn length(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     let value = reader.positive(at, LENGTH)?;
     within(reader, at, value, LENGTH)
 }
 
-/// A factor above 0.
+/// Reads a factor above 0.
 pub(super) fn factor(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     let expected = "a factor above 0, up to 1000000";
     let value = reader.positive(at, expected)?;
@@ -509,7 +510,7 @@ fn within(reader: &mut Reader, at: &At<'_>, value: f64, expected: &str) -> Optio
     None
 }
 
-/// A place in metres.
+/// Reads a place in metres.
 pub(super) fn point(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     each_axis(reader, at, POINT, |reader, at| {
         let value = reader.number(at, POINT)?;
@@ -517,7 +518,7 @@ pub(super) fn point(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     })
 }
 
-/// One number turns about the vertical.
+/// Reads a rotation. A single number is a turn about the vertical.
 pub(super) fn rotation(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     match at.node {
         Node::List(_) => each_axis(reader, at, ROTATION, |reader, at| reader.degrees(at, ROTATION)),
@@ -525,7 +526,7 @@ pub(super) fn rotation(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     }
 }
 
-/// A list of three, one for each axis.
+/// Reads a list of three values, one per axis.
 fn each_axis(
     reader: &mut Reader,
     at: &At<'_>,
@@ -539,7 +540,7 @@ fn each_axis(
             [x, y] => match (x.node, y.node) {
                 (Node::Number(x), Node::Number(y)) => {
                     let height = if expected == LENGTHS { *y } else { 0.0 };
-                    Some(format!("add the third one, for the height: `[{x}, {y}, {height}]`"))
+                    Some(format!("add the height as the third value: `[{x}, {y}, {height}]`"))
                 }
                 _ => None,
             },
@@ -548,7 +549,7 @@ fn each_axis(
         reader.add(Code::WrongType, at.place(), message, expected, hint);
         return None;
     }
-    // One finding is enough: all three are likely to have the same fault.
+    // One finding is enough: all three parts are likely to have the same fault.
     let numbers: Option<Vec<f64>> = parts.iter().map(|part| read(reader, part)).collect();
     Point::try_from(numbers?).ok()
 }

@@ -8,14 +8,14 @@ use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::motion::{Between, Curve, FormulaPart, Function, Knot, Shape};
 
-/// What the file does not number.
+/// An item that has no number in the file.
 const NO_ITEM: u32 = u32::MAX;
-/// Steps of the formula times places at which it is looked at, in the budget of all expressions.
+/// Assumed number of evaluations of a formula, for the budget of all expressions.
 const LOOKS: usize = 64;
-/// Values that lie nearer than this part of the largest one are one value.
+/// Values that differ by less than this share of the largest one are equal.
 const GAP: f64 = 1e-6;
 
-/// Reads the formula of a track, which is at `at`, and how long it lasts.
+/// Reads the formula of a track, at `formula_at`, and its duration.
 pub(super) fn moved(
     reader: &mut Reader,
     at: &At<'_>,
@@ -24,7 +24,7 @@ pub(super) fn moved(
 ) -> Option<Written> {
     let formula = reader.formula(formula_at);
     let Some(length) = length else {
-        let hint = Some("say how long it lasts, as in `for: 8s`".to_owned());
+        let hint = Some("add the duration, as in `for: 8s`".to_owned());
         reader.add(Code::MissingKey, at.place(), "a formula has no `for`", "a key `for`", hint);
         return None;
     };
@@ -43,17 +43,17 @@ pub(super) fn moved(
                 }
                 Trouble::TooMany => (
                     "the formula has too many turns, corners or jumps".to_owned(),
-                    "a movement of fewer pieces",
+                    "a movement with fewer pieces",
                 ),
             };
             let hint = match trouble {
                 Trouble::NoValue(_) => {
-                    "a division by zero, or the root of a negative number: choose with `if`"
+                    "use `if` to avoid a division by zero or the root of a negative number"
                 }
                 Trouble::TooMany if formula.is_random() => {
-                    "let `random` have the same number for a while: `random(7, floor(t / 2s))`"
+                    "keep each number of `random` for some time: `random(7, floor(t / 2s))`"
                 }
-                Trouble::TooMany => "let it last a shorter time and `repeat` it",
+                Trouble::TooMany => "use a shorter duration and `repeat` it",
             };
             reader.add(Code::BadMotion, formula_at.place(), message, expected, Some(hint.to_owned()));
             None
@@ -61,7 +61,7 @@ pub(super) fn moved(
     }
 }
 
-/// Smooth pieces as functions; at jumps two knots.
+/// Turns smooth pieces into functions, and jumps into two knots.
 fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
     let at = |time: Span| formula.at(seconds_of(time));
     let largest =
@@ -78,7 +78,7 @@ fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
             let jumps = (to - before).abs() > moved + GAP * largest;
             match jumps {
                 false => {}
-                // At the very beginning a formula has the value that it goes on from, at the very end the one that it comes from.
+                // At the very beginning, the value of a formula is the one after the jump; at the very end, the one before it.
                 true if index == 0 => knots[0].to = to,
                 true if index + 1 == pieces.len() => {}
                 true => {

@@ -1,5 +1,4 @@
-//! Where a value of a movement is decided, if not where it is written: by a parameter that a cue gives to a move, or by a change that
-//! the cue makes.
+//! Origin of a value of a movement, if it is not its own place: a parameter that a cue passes to a move, or a change by the cue.
 
 use std::sync::Arc;
 
@@ -23,24 +22,24 @@ pub(crate) enum Change {
 }
 
 impl Changed {
-    /// The value before the change.
+    /// Returns the value before the change.
     pub(crate) fn undone(&self, value: f64) -> f64 {
         self.about + (value - self.about) / self.factor
     }
 }
 
-/// Items that depend on a parameter, and where that is given.
+/// Items that depend on a parameter, each with the place of its argument.
 pub(crate) type Givens = Vec<(u32, Given)>;
 
-/// Where a parameter is given.
+/// The place of an argument.
 #[derive(Clone, Debug)]
 pub(crate) struct Given {
     pub(crate) place: Arc<Place>,
-    /// Whether it is the value, not a part of an expression.
+    /// Whether the parameter is the whole value, not a part of an expression.
     pub(crate) is_alone: bool,
 }
 
-/// Where the first parameter on which a value depends is given.
+/// Returns the place of the argument for the first parameter on which a value depends.
 pub(super) fn given(reader: &Reader, at: &At<'_>) -> Option<Given> {
     let Node::Text(text) = at.node else { return None };
     let is_part = |c: char| c.is_alphanumeric() || c == '_';

@@ -1,4 +1,4 @@
-//! Included files: as they are, or under a name and with parameters, so that one file can be there several times.
+//! Included files: plain, or under a name and with parameters, so that one file can be included several times.
 
 use std::sync::Arc;
 
@@ -14,12 +14,12 @@ use downbeat_reader::keys;
 const EXPECTED: &str = "the path of a file, {file, as, parameters}, or a list of these";
 
 keys! {
-    /// A file under a name of its own, with parameters.
+    /// A file under its own name, with parameters.
     pub(super) struct IncludeKeys as "included" {
         /// Its path, from the scenario's folder.
         #[required]
         file: kinds::TEXT,
-        /// What its names begin with here: `left` makes `left.bow` of its move `bow`.
+        /// Prefix of its names: with `left`, its move `bow` becomes `left.bow`.
         r#as: kinds::NAME,
         parameters: kinds::PARAMETERS,
     }
@@ -29,11 +29,11 @@ keys! {
 pub(super) struct Included {
     pub(super) file: String,
     pub(super) place: Place,
-    /// Neither a name nor parameters: its names are those of all files.
+    /// Whether it has neither a name nor parameters, so that its names are shared by all files.
     pub(super) is_plain: bool,
 }
 
-/// The files under `include`; what is wrong there is found by [`check`].
+/// Returns the files under `include`; errors there are reported by [`check`].
 pub(super) fn named(root: &Node, file: usize) -> Vec<Included> {
     let at = At::document(root, u16::try_from(file).unwrap_or(u16::MAX));
     let mut all = Vec::new();
@@ -52,7 +52,7 @@ pub(super) fn named(root: &Node, file: usize) -> Vec<Included> {
     all
 }
 
-/// What stands under `include` of a document, one by one.
+/// Visits the entries under `include` of a document.
 fn each(root: &At<'_>, mut take: impl FnMut(&At<'_>)) {
     let Node::Map(entries) = root.node else { return };
     let Some((_, node)) = entries.iter().find(|(key, _)| key == "include") else { return };
@@ -63,7 +63,7 @@ fn each(root: &At<'_>, mut take: impl FnMut(&At<'_>)) {
     }
 }
 
-/// Finds what is wrong under `include`.
+/// Reports errors under `include`.
 pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
     let items = match at.node {
         Node::List(_) => reader.list(at, EXPECTED),
@@ -81,14 +81,14 @@ pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
             && let Some(name) = reader.name(&at, "the name of this copy")
             && name.contains('.')
         {
-            let message = format!("`{}` has a point", shortened(&name));
-            let expected = "a name without one: the names of this copy follow it after a point";
+            let message = format!("`{}` contains a dot", shortened(&name));
+            let expected = "a name without a dot: a dot separates it from the names of this copy";
             reader.add(Code::WrongType, at.place(), message, expected, None);
         }
     }
 }
 
-/// The parameters of a file that is included as it is: their defaults.
+/// Sets the parameters of a plain included file to their defaults.
 pub(super) fn defaults(reader: &mut Reader, parameters: Option<At<'_>>, (name, place): (&str, &Place)) {
     let used = of_file(name, (0, &Node::Null), place.clone());
     let values = with_defaults(reader, &used, parameters.as_ref(), Vec::new());
@@ -99,15 +99,15 @@ fn of_file<'a>(name: &str, (file, node): (u16, &'a Node), place: Place) -> Used<
     Used { kind: "file", name: name.to_owned(), part: Shared { file, name: "", node, copy: 0 }, place }
 }
 
-/// Where copies are made.
+/// The context in which copies are made.
 struct Within<'n> {
     copy: usize,
-    /// The files that led here.
+    /// The chain of files that include each other.
     files: Vec<u16>,
     used: Option<&'n Arc<Use>>,
 }
 
-/// Takes every file that is included under a name or with parameters, once for each such include.
+/// Adds every file that is included under a name or with parameters, once per include.
 pub(super) fn copies<'a>(reader: &mut Reader, library: &mut Library<'a>, documents: &'a Documents<'_>) {
     for (file, plain) in (0u16..).zip(&documents.plain) {
         if plain.is_some() {
@@ -140,8 +140,8 @@ fn copies_in<'a>(
             let both = (name.clone(), own.clone());
             if seen.contains(&both) {
                 let message = format!("`{}` is included as `{}` twice", shortened(name), shortened(own));
-                let hint = Some("give one of them another name, or take it out".to_owned());
-                reader.add(Code::NameTwice, item.place(), message, "each file once under a name", hint);
+                let hint = Some("rename one of them, or remove it".to_owned());
+                reader.add(Code::NameTwice, item.place(), message, "each file at most once per name", hint);
                 return;
             }
             seen.push(both);
@@ -149,7 +149,7 @@ fn copies_in<'a>(
         let target = u16::try_from(index).unwrap_or(u16::MAX);
         if let Some(refused) = refused(within, library, target, name) {
             let (code, message, hint) = refused;
-            let expected = "files that do not lead back to themselves, in moderate numbers";
+            let expected = "a limited number of files that do not include themselves";
             reader.add(code, item.place(), message, expected, Some(hint.to_owned()));
             return;
         }
@@ -165,12 +165,11 @@ fn refused(
 ) -> Option<(Code, String, &'static str)> {
     let name = shortened(name);
     if within.files.contains(&target) {
-        let message = format!("the file `{name}` includes itself again and again");
-        return Some((Code::PlaysItself, message, "take one of these includes out"));
+        let message = format!("the file `{name}` includes itself");
+        return Some((Code::PlaysItself, message, "remove one of these includes"));
     }
-    let hint = "include fewer files under names of their own";
-    let message =
-        format!("with `{name}` more than {INCLUDES_MAX} files are included under names of their own");
+    let hint = "include fewer files under their own names";
+    let message = format!("with `{name}`, more than {INCLUDES_MAX} files are included under their own names");
     (library.copies.len() > INCLUDES_MAX).then_some((Code::TooMuch, message, hint))
 }
 

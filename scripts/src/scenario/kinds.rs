@@ -1,4 +1,4 @@
-//! Kinds of values that several keys of a scenario take.
+//! Kinds of values that several keys of a scenario accept.
 
 use super::acts::{
     ON_DOUBT as ON_DOUBT_WORDS, ON_FAILURE as ON_FAILURE_WORDS, OnFailureKeys, WAIT_WORDS, WaitKeys,
@@ -36,23 +36,23 @@ named! {
     /// A cue of the same act, or a list of them: `raise`, `start of raise + 500ms`, `raise + 0s..1s`.
     pub(super) static RELATION = Kind::AnyOf(&[&TEXT, &PLAIN_NUMBER, &Kind::List(&NAME, 0..=usize::MAX)]);
 
-    /// How long the server may be silent before the robot stops by itself.
+    /// Longest silence of the server before the robot stops by itself.
     pub(super) static LEASE = Kind::AnyOf(&[&TIME, &LeaseKeys::KIND]);
 
-    /// How cues that share a zone follow each other: as they stand in the file, or in the best order that is found.
+    /// Order of cues that share a zone: as in the file, or the best order found.
     pub(super) static ORDER = words!(ORDER_WORDS);
 
     /// Values off a device's grid: refuse them, or take the nearest and warn.
     pub(super) static OFF_GRID = words!(OFF_GRID_WORDS);
 
-    /// What a failure does.
+    /// Reaction to a failure.
     pub(super) static FAILURE_WORD = words!(ON_FAILURE_WORDS);
 
-    /// What a robot's failure does: `stop` all where they are, send all `home`, or go on `without` it.
+    /// Reaction to a robot's failure: `stop` all where they are, send all `home`, or continue `without` it.
     pub(super) static ON_FAILURE =
         Kind::AnyOf(&[&FAILURE_WORD, &Kind::KeysAnd(OnFailureKeys::declaration, &FAILURE_WORD)]);
 
-    /// What the others do when a robot is silent shortly before the start and may or may not start: they `start` (default), or
+    /// Reaction of the others if a robot is silent shortly before the start and may or may not start: they `start` (default), or
     /// `withdraw` and do not move.
     pub(super) static ON_DOUBT = words!(ON_DOUBT_WORDS);
 
@@ -80,14 +80,14 @@ named! {
         &VARIABLE,
     ]);
 
-    /// Beats a minute; or a list of tempos with the bars from which they hold.
+    /// Beats per minute, or a list of tempos with the bars from which they apply.
     pub(super) static TEMPO = Kind::AnyOf(&[
         &schema!({"type": "number", "minimum": 1, "maximum": 10000}),
         &VARIABLE,
         &Kind::List(&TempoKeys::KIND, 0..=usize::MAX),
     ]);
 
-    /// A time signature such as `3/4`: beats of a bar, and what a beat is.
+    /// A time signature such as `3/4`: beats per bar, and the note value of a beat.
     pub(super) static SIGNATURE = schema!({"type": "string", "pattern": "^\\s*\\d+\\s*/\\s*\\d+\\s*$"});
 
     /// Things that only one cue can use at a time: a list of names, or a map from name to order.
@@ -100,7 +100,7 @@ named! {
     /// A map from device to its movement.
     pub(super) static TRACKS = Kind::SomeEntries(&TRACK);
 
-    /// Other moves, each after the one before it; those of a list within the list begin together.
+    /// Other moves, one after another; those of a list within the list begin together.
     pub(super) static PLAY = Kind::List(
         &Kind::AnyOf(&[&PlayKeys::KIND, &Kind::List(&PlayKeys::KIND, 0..=usize::MAX)]),
         1..=usize::MAX,
@@ -122,17 +122,17 @@ named! {
     /// The movement backwards.
     pub(super) static REVERSE = Kind::AnyOf(&[&BOOLEAN, &EXPRESSION]);
 
-    /// How often the movement is done.
+    /// Number of times that the movement is played.
     pub(super) static REPEAT = Kind::AnyOf(&[&TURNS, &EXPRESSION, &SPREAD, &RepeatKeys::KIND]);
 
-    /// What happens.
+    /// The cues.
     pub(super) static CUES = Kind::List(&CueKeys::KIND, 1..=usize::MAX);
 
-    /// What has to be so before the act begins: done (the default), operator, a time of day, or a sensor.
+    /// Condition for the act's beginning: done (the default), operator, a time of day, or a sensor.
     pub(super) static WAIT = Kind::AnyOf(&[&words!(WAIT_WORDS), &WaitKeys::KIND]);
 
-    /// Files with variables, moves, sequences and roles, from the scenario's folder; `{file, as, parameters}` includes one under a
-    /// name of its own.
+    /// Files with variables, moves, sequences and roles, from the scenario's folder; `{file, as, parameters}` includes a file under its
+    /// own name.
     pub(super) static INCLUDE = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND, &Kind::List(&ONE_INCLUDE, 0..=usize::MAX)]);
 
     /// Names with values; `$name` stands for the value.
@@ -154,19 +154,19 @@ named! {
     /// Formations by name: places for any number of robots.
     pub(super) static FORMATIONS = Kind::Entries(&FormationKeys::KIND);
 
-    /// Paths by name: ways through space along which groups of robots go.
+    /// Paths by name: routes through space along which groups of robots move.
     pub(super) static PATHS = Kind::Entries(&PathKeys::KIND);
 
     /// Degrees about the vertical, or roll, pitch and yaw; of a formation about its middle.
     pub(super) static ROTATION = Kind::AnyOf(&[&NUMBER, &Kind::List(&NUMBER, 3..=3)]);
 
-    /// How much later each robot begins than the one before.
+    /// Delay from each robot to the next.
     pub(super) static CANON = Kind::AnyOf(&[&TIME, &CanonKeys::KIND]);
 }
 
-/// A file, as it is or under a name of its own.
+/// A file, plain or under its own name.
 static ONE_INCLUDE: Kind = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND]);
-/// How often a movement is done, as a number.
+/// Number of times that a movement is played.
 pub(super) static TURNS: Kind = schema!({"type": "integer", "minimum": 1, "maximum": 10000000});
-/// Two bounds with points between them.
+/// Two bounds separated by two dots.
 static RANGE: Kind = schema!({"type": "string", "pattern": "^.+\\.\\..+$"});

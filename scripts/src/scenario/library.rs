@@ -1,4 +1,4 @@
-//! What cues share: included files, variables, moves, roles, formations, paths, the tempo.
+//! The parts that cues share: included files, variables, moves, roles, formations, paths, the tempo.
 
 use std::borrow::Cow;
 use std::cell::{OnceCell, RefCell};
@@ -29,13 +29,13 @@ use crate::tags::foreign_tags;
 use downbeat_reader::keys::Kind;
 use downbeat_reader::{keys, schema};
 
-/// Most files that a scenario may include, directly or through others.
+/// Maximum number of files that a scenario may include, directly or indirectly.
 pub(super) const INCLUDES_MAX: usize = 256;
 
 keys! {
     /// A file that scenarios include.
     pub(super) struct IncludedKeys {
-        /// What the file is for, in words.
+        /// Purpose of the file, in words.
         doc: kinds::TEXT,
         /// Names with their defaults; `~` for none.
         parameters: Kind::Entries(&schema!({"type": ["number", "string", "boolean", "null"]})),
@@ -49,7 +49,7 @@ keys! {
     }
 }
 
-/// The keys whose entries cues share, which scenarios and included files have.
+/// The keys for shared entries, which occur in scenarios and included files.
 pub(super) struct Parts<'a> {
     pub(super) variables: Option<At<'a>>,
     pub(super) moves: Option<At<'a>>,
@@ -66,18 +66,18 @@ impl<'a> IncludedKeys<'a> {
     }
 }
 
-/// The scenario and its includes, as trees.
+/// The scenario and its included files, as trees.
 #[derive(Debug, Default)]
 pub(crate) struct Documents<'a> {
     pub(crate) sources: Vec<Cow<'a, Source>>,
     pub(crate) nodes: Vec<Node>,
-    /// The name by which each file is included; none of the scenario.
+    /// The name by which each file is included; empty for the scenario.
     pub(super) names: Vec<String>,
-    /// For each file where it is included as it is, without a name and parameters of its own.
+    /// For each file, the place of its plain include, without a name and parameters.
     pub(super) plain: Vec<Option<Place>>,
 }
 
-/// Reads a scenario's file and everything that it includes, each file once.
+/// Reads a scenario and everything that it includes, each file once.
 pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     let parse = |source: &Source| {
         let mut node = node::parse(source)?;
@@ -108,7 +108,7 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
                 && let Some((message, hint)) = not_to_include(node)
             {
                 let mut reader = Reader::default();
-                let expected = "a file with `moves`, `variables` and others that scenarios share";
+                let expected = "a file with `moves`, `variables` and other keys that scenarios share";
                 reader.add(Code::Include, place, message, expected, Some(hint.to_owned()));
                 findings.extend(locate(&documents.sources, reader.found));
                 continue;
@@ -130,9 +130,9 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
                     let mut reader = Reader::default();
                     let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
                     let hint = Some(if name.contains('*') {
-                        "name each file, as in `[moves/bow.yaml, moves/wave.yaml]`".to_owned()
+                        "list each file, as in `[moves/bow.yaml, moves/wave.yaml]`".to_owned()
                     } else {
-                        "the path counts from the folder of the scenario".to_owned()
+                        "the path is relative to the folder of the scenario".to_owned()
                     });
                     reader.add(Code::Include, place, message, "a readable file", hint);
                     findings.extend(locate(&documents.sources, reader.found));
@@ -145,7 +145,7 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
     if findings.is_empty() { Ok(documents) } else { Err(findings) }
 }
 
-/// A move or a sequence as it is written.
+/// A move or a sequence as written.
 #[derive(Clone, Copy)]
 pub(crate) struct Shared<'a> {
     pub(crate) file: u16,
@@ -156,18 +156,18 @@ pub(crate) struct Shared<'a> {
     pub(super) copy: usize,
 }
 
-/// A file that is included under a name or with parameters; the first one is the scenario with all that it includes as it is.
+/// A file that is included under a name or with parameters. The first one is the scenario with all its plain includes.
 #[derive(Default)]
 pub(super) struct Copy {
-    /// What its names begin with, such as `left.`.
+    /// Prefix of its names, such as `left.`.
     pub(super) prefix: String,
     /// Its parameters and variables.
     pub(super) values: Vec<Variable>,
-    /// Where it is included.
+    /// The place of the include.
     pub(super) used: Option<Arc<Use>>,
 }
 
-/// Moves, sequences, roles, formations and paths by name, and where data files come from.
+/// Moves, sequences, roles, formations and paths by name, with access to data files.
 pub(crate) struct Library<'a> {
     pub(super) moves: HashMap<String, Shared<'a>>,
     pub(super) sequences: HashMap<String, Shared<'a>>,
@@ -176,17 +176,16 @@ pub(crate) struct Library<'a> {
     pub(super) paths: HashMap<String, WrittenPath>,
     pub(super) files: &'a dyn Files,
     pub(super) copies: Vec<Copy>,
-    /// How many variables all files see.
+    /// Number of variables that all files can use.
     pub(super) globals: usize,
     roster: Roster<'a>,
     used: RefCell<HashSet<(&'static str, String)>>,
-    /// Names of all moves, in order; made for the first finding that lists them.
+    /// Sorted names of all moves; created for the first finding that lists them.
     names: OnceCell<Vec<String>>,
 }
 
 impl<'a> Library<'a> {
-    /// With the moves and sequences of all files that are included as they are; what is wrong with them is found by
-    /// [`Self::include`] and [`Self::add`].
+    /// Registers the moves and sequences of all plain includes. Their errors are reported by [`Self::include`] and [`Self::add`].
     pub(super) fn new(documents: &'a Documents<'_>, files: &'a dyn Files, fleet: &'a Fleet) -> Self {
         let mut library = Self {
             moves: HashMap::new(),
@@ -209,7 +208,7 @@ impl<'a> Library<'a> {
         library
     }
 
-    /// Takes the moves and sequences of a file under the names that they have in this copy.
+    /// Registers the moves and sequences of a file under their names in this copy.
     pub(super) fn register(&mut self, node: &'a Node, file: u16, copy: usize) {
         let Node::Map(entries) = node else { return };
         let prefix = self.copies[copy].prefix.clone();
@@ -224,7 +223,7 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Roles of the copy that is read by the names that they have for all.
+    /// Replaces role names of the current copy by their global names.
     pub(super) fn cast(&self, reader: &Reader, mut names: Vec<Name>) -> Vec<Name> {
         names.iter_mut().for_each(|name| self.cast_name(reader, name));
         names
@@ -237,7 +236,7 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// A formation or a path of the copy that is read by the name that it has for all.
+    /// Replaces the name of a formation or a path of the current copy by its global name.
     pub(super) fn form_name(&self, reader: &Reader, group: &mut Together) {
         let own = |name: &str| format!("{}{name}", self.copies[reader.nesting.copy].prefix);
         let named = match &mut group.action {
@@ -254,17 +253,17 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// The robots that names stand for, as far as they are known.
+    /// Returns the robots that the names refer to, as far as they are known.
     pub(super) fn robots(&self, names: &[Name]) -> Vec<usize> {
         self.roster.robots(&self.roles, names)
     }
 
-    /// What groups need to know.
+    /// Returns the context of groups.
     pub(super) fn ground(&self) -> Ground<'_> {
         Ground { fleet: self.roster.fleet, formations: &self.formations, paths: &self.paths }
     }
 
-    /// Takes a file that is included as it is.
+    /// Adds a plain included file.
     pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, named: (&str, &Place)) {
         let at = At::document(node, file);
         let Some(keys) = reader.keys::<IncludedKeys<'_>>(&at, "an included file") else { return };
@@ -275,7 +274,7 @@ impl<'a> Library<'a> {
         self.add_from(reader, &keys.parts(), (file, 0));
     }
 
-    /// Takes what the scenario's own file holds.
+    /// Adds the contents of the scenario's own file.
     pub(super) fn add(&mut self, reader: &mut Reader, include: Option<At<'_>>, parts: &Parts<'_>) {
         if let Some(at) = include {
             includes::check(reader, &at);
@@ -339,10 +338,10 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// The move of that name.
+    /// Returns the move with this name.
     pub(super) fn get(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("move", reader, name);
-        // The moves as a whole have a finding already.
+        // An error in `moves` as a whole is already reported.
         if found.is_none() && !reader.is_wrong("moves") {
             let known = || self.names.get_or_init(|| sorted(&self.moves)).iter().map(String::as_str);
             let none = || known().next().is_none().then(|| "define it under `moves`".to_owned());
@@ -364,7 +363,7 @@ impl<'a> Library<'a> {
         found.map(|(name, part)| Used { kind: "move", name, part, place: at.place() })
     }
 
-    /// The sequence of that name.
+    /// Returns the sequence with this name.
     pub(super) fn sequence(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("sequence", reader, name);
         if found.is_none() && !reader.is_wrong("sequences") {
@@ -377,7 +376,7 @@ impl<'a> Library<'a> {
         found.map(|(name, part)| Used { kind: "sequence", name, part, place: at.place() })
     }
 
-    /// First among the names of the copy that is read, then among all.
+    /// Searches the names of the current copy first, then all names.
     fn find(&self, kind: &'static str, reader: &Reader, name: &str) -> Option<(String, Shared<'a>)> {
         let parts = self.parts(kind);
         let own = format!("{}{name}", self.copies[reader.nesting.copy].prefix);
@@ -387,7 +386,7 @@ impl<'a> Library<'a> {
         Some((name, part))
     }
 
-    /// Everything that cues can use: its kind, its name, and where it stands.
+    /// Returns everything that cues can use, with its kind, name and definition.
     pub(crate) fn offered(&self) -> impl Iterator<Item = (&'static str, String, Shared<'a>)> {
         let of =
             |kind: &'static str| self.parts(kind).iter().map(move |(name, part)| (kind, name.clone(), *part));
@@ -406,7 +405,7 @@ fn sorted(parts: &HashMap<String, Shared<'_>>) -> Vec<String> {
 }
 
 impl Library<'_> {
-    /// Moves or sequences that nothing uses: their faults are found as well.
+    /// Returns moves or sequences that nothing uses, so that their errors are reported as well.
     pub(super) fn unused(&self, kind: &'static str) -> Vec<String> {
         let used = self.used.borrow();
         let names = self.parts(kind).keys().cloned();
@@ -417,22 +416,22 @@ impl Library<'_> {
 }
 
 fn twice(reader: &mut Reader, at: &At<'_>, what: &str, name: &str) {
-    let message = format!("the {what} `{}` is in two files", shortened(name));
+    let message = format!("duplicate {what} `{}`: two files define it", shortened(name));
     let hint = Some("rename one of them".to_owned());
     reader.add(Code::NameTwice, at.key_place(), message, format!("each {what} once"), hint);
 }
 
-/// The name of a variable or a parameter, where it is defined: without the `$` of its uses.
+/// Returns the name of a variable or a parameter in its definition, without the `$` of its uses.
 pub(super) fn plain_name<'n>(reader: &mut Reader, at: &At<'_>, name: &'n str, what: &str) -> &'n str {
     let Some(plain) = name.strip_prefix('$') else { return name };
-    let message = format!("the {what} `{}` is defined with its `$`", shortened(name));
+    let message = format!("unexpected `$` in the definition of the {what} `{}`", shortened(name));
     let hint =
         Some(format!("write `{}:` here, and `{}` where it is used", shortened(plain), shortened(name)));
     reader.add(Code::UnknownKey, at.key_place(), message, "a name", hint);
     plain
 }
 
-/// A number, a text or a truth value.
+/// Reads a number, a text or a boolean.
 pub(super) fn scalar(reader: &mut Reader, at: &At<'_>) -> Option<Node> {
     if is_spread(at.node) {
         return reader.spread(at).map(Node::Text);
@@ -446,7 +445,7 @@ pub(super) fn scalar(reader: &mut Reader, at: &At<'_>) -> Option<Node> {
     }
 }
 
-/// Sets the tempo for what is read from now on.
+/// Sets the tempo for everything that is read afterwards.
 pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Option<At<'_>>) {
     let beats_a_bar = signature.and_then(|at| read_signature(reader, &at)).unwrap_or(4);
     let Some(at) = tempo else { return };
@@ -464,12 +463,12 @@ pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Optio
 }
 
 keys! {
-    /// A tempo from some bar on.
+    /// A tempo that applies from a bar on.
     pub(super) struct TempoKeys {
         /// The beginning of a bar, such as `bar 9`.
         #[required]
         at: schema!({"type": "string", "pattern": "^\\s*bar\\s+\\d+(\\s+beat\\s+1)?\\s*$"}),
-        /// Beats a minute.
+        /// Beats per minute.
         #[required]
         bpm: kinds::NUMBER,
         signature: kinds::SIGNATURE,
@@ -524,7 +523,7 @@ fn bpm(reader: &mut Reader, at: &At<'_>) -> Option<Fraction> {
     None
 }
 
-/// `3/4`: the beats of a bar.
+/// Reads the beats per bar of a signature such as `3/4`.
 fn read_signature(reader: &mut Reader, at: &At<'_>) -> Option<u8> {
     let expected = "a time signature such as 3/4";
     let text = reader.text(at, expected)?;

@@ -1,6 +1,7 @@
-//! The scenario as written, variables and moves put in. Names of robots are resolved against the fleet in `compile`.
+//! The scenario as written, with variables and moves expanded. `compile` resolves names of robots against the fleet.
 //!
-//! `library` reads what cues share, `formations` places, `paths` ways, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
+//! `library` reads the shared parts of cues, `formations` places, `paths` paths, `cue` a cue, `when` its times, `track` the movement of
+//! one device, `acts` the graph.
 
 mod acts;
 mod canon;
@@ -58,9 +59,9 @@ pub(crate) use library::{Documents, Shared};
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 
-/// Largest allowed spread of starts where the scenario names none.
+/// Default of the largest permitted spread of starts.
 const START_TOLERANCE: Span = Span::from_millis(10);
-/// Running lease where the scenario names none: two seconds of silence.
+/// Default running lease: two seconds of silence.
 const RUNNING_LEASE_MS: f64 = 2_000.0;
 
 /// A choreography as written.
@@ -72,7 +73,7 @@ pub(crate) struct Scenario {
     pub(crate) stop_condition: StopCondition,
     pub(crate) lease_place: Option<Place>,
     pub(crate) requirements: Requirements,
-    /// Where the least distance of bodies is required.
+    /// Place of the required least distance between bodies.
     pub(crate) closest_place: Option<Place>,
     pub(crate) roles: HashMap<String, Vec<Name>>,
     pub(crate) formations: HashMap<String, WrittenFormation>,
@@ -81,25 +82,25 @@ pub(crate) struct Scenario {
     pub(crate) at_end: Option<AtEnd>,
 }
 
-/// Devices move to their default values when the mission has ended well.
+/// After a successful mission, devices move to their default values.
 #[derive(Clone, Debug)]
 pub(crate) struct AtEnd {
-    /// Duration of the movement; computed from the limits of the devices if none is given.
+    /// Duration of the movement; if `None`, it follows from the limits of the devices.
     pub(crate) over: Option<Span>,
     pub(crate) place: Place,
 }
 
-/// What starts together.
+/// A group of cues that start together.
 #[derive(Clone, Debug)]
 pub(crate) struct Act {
     pub(crate) name: String,
     pub(crate) place: Place,
     pub(crate) cues: Vec<Cue>,
-    /// Faults that reading its cues has found: what they would have said of its times is missing.
+    /// Number of faults found in its cues; their times may therefore be incomplete.
     pub(crate) faults: usize,
-    /// Zones with the way their cues are ordered, the act's own last. Acts without own ones share a list.
+    /// Zones with the order of their cues; the act's own zones are last. Acts without own zones share a list.
     pub(crate) zones: Arc<[(String, Order)]>,
-    /// For cues that are kept apart.
+    /// Order of cues that are kept apart.
     pub(crate) order: Order,
     pub(crate) wait: WrittenWait,
     pub(crate) next: Option<Name>,
@@ -107,13 +108,13 @@ pub(crate) struct Act {
     pub(crate) on_doubt: OnDoubt,
 }
 
-/// How cues that need the same zone are put in order.
+/// Order of cues that need the same zone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Order {
-    /// As they are in the file.
+    /// As in the file.
     #[default]
     Given,
-    /// The best order that is found.
+    /// The best order found.
     Auto,
 }
 
@@ -123,29 +124,29 @@ pub(crate) struct Cue {
     pub(crate) name: String,
     pub(crate) place: Place,
     pub(crate) relations: Vec<Relation>,
-    /// Fixed or bounded length to which its movement is stretched.
+    /// Fixed or bounded length, to which its movement is stretched.
     pub(crate) duration: Option<Bounds>,
     pub(crate) robots: Vec<Name>,
     pub(crate) robots_place: Place,
-    /// What the robots do that no override names.
+    /// The movement of robots without an override.
     pub(crate) movement: Movement,
     pub(crate) overrides: Vec<(Name, Movement)>,
-    /// The movements of robots that have one of their own, because it depends on which of them it is.
+    /// Movements of single robots, which depend on the robot's index.
     pub(crate) own: Vec<Movement>,
-    /// Which of them each robot of the cue has, in their order; empty where none has.
+    /// Index into `own` for each robot of the cue, in order; empty if there are none.
     pub(crate) own_of: Vec<Option<usize>>,
-    /// How much later each robot begins than the cue.
+    /// Delay of each robot relative to the cue.
     pub(crate) canon: Canon,
     pub(crate) uses: Vec<Name>,
     pub(crate) apart: Vec<Name>,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) off_grid: OffGrid,
     pub(crate) readings: Vec<Reading>,
-    /// What the robots do as a group, in space.
+    /// The movement of the robots as a group in space.
     pub(crate) group: Option<Together>,
-    /// The ways of the group, as far as its places were known when the cue was read.
+    /// The group's movements, if its places were known when the cue was read.
     pub(crate) rehearsed: Option<Rehearsed>,
-    /// For its tracks without one.
+    /// Default for its tracks.
     pub(crate) tolerance: Option<f64>,
     pub(crate) text: CueText,
 }
@@ -154,15 +155,15 @@ pub(crate) struct Cue {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Movement {
     pub(crate) tracks: Vec<Track>,
-    /// Later than the cue.
+    /// Delay relative to the cue.
     pub(crate) delay: Span,
     pub(crate) length: Span,
     pub(crate) repetition: Option<Repetition>,
-    /// Parameters without a value: faults only if some robot does it.
+    /// Parameters without a value, which are faults only if a robot plays the movement.
     pub(crate) unset: Vec<Unset>,
 }
 
-/// A least and a largest length.
+/// A minimum and a maximum length.
 #[derive(Clone, Debug)]
 pub(crate) struct Bounds {
     pub(crate) min: Span,
@@ -176,41 +177,41 @@ pub(crate) struct Track {
     pub(crate) device: String,
     pub(crate) control: Option<ControlType>,
     pub(crate) motion: Motion,
-    /// How long it is, before it is laid on the clock.
+    /// Exact length, before rounding to the clock.
     pub(crate) length: Exact,
-    /// How much later than the movement it begins, before that is laid on the clock.
+    /// Exact delay relative to the movement, before rounding to the clock.
     pub(crate) begin: Exact,
-    /// The same on the clock.
+    /// The same delay, rounded to the clock.
     pub(crate) starts: Span,
-    /// The movements that it consists of, if a move plays several.
+    /// The component movements, if a move plays several.
     pub(crate) pieces: Vec<Piece>,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
     /// Place of the track's key.
     pub(crate) place: Place,
-    /// How often it has been repeated in all.
+    /// Total number of times that it is played.
     pub(crate) turns: u32,
-    /// What its items are called: keyframes, points, pieces, rows.
+    /// Kind of its items: keyframes, points, pieces, rows.
     pub(crate) items: Items,
     /// Place of the list of its keyframes.
     pub(crate) list: Place,
-    /// Items that depend on a parameter, and where that is given.
+    /// Items that depend on a parameter, with the place of the argument.
     pub(crate) given: Givens,
     /// The last change of all its values.
     pub(crate) changed: Option<Changed>,
 }
 
-/// A movement of its own within a track.
+/// A separate movement within a track.
 #[derive(Clone, Debug)]
 pub(crate) struct Piece {
-    /// The number of its first item among those of the track.
+    /// Index of its first item among those of the track.
     pub(crate) first: u32,
     pub(crate) items: Items,
     /// Place of the list of its items.
     pub(crate) list: Place,
 }
 
-/// What a movement is written in.
+/// The kind of items in which a movement is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Items {
     Keyframes,
@@ -222,7 +223,7 @@ pub(crate) enum Items {
 }
 
 impl Items {
-    /// One of them, for messages.
+    /// Returns the singular, for messages.
     pub(crate) const fn one(self) -> &'static str {
         match self {
             Self::Keyframes => "keyframe",
@@ -234,14 +235,14 @@ impl Items {
     }
 }
 
-/// One value over time, or several at times.
+/// One value over time, or several values at certain times.
 #[derive(Clone, Debug)]
 pub(crate) enum Motion {
     Curve(Curve),
     Vectors(Vectors),
 }
 
-/// What happens to values off a device's grid.
+/// Treatment of values off a device's grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum OffGrid {
     /// A finding.
@@ -251,7 +252,7 @@ pub(crate) enum OffGrid {
     Snap,
 }
 
-/// A sensor is read at some time of a cue.
+/// A sensor reading at a time of a cue.
 #[derive(Clone, Debug)]
 pub(crate) struct Reading {
     pub(crate) sensor: String,
@@ -270,19 +271,19 @@ impl Reading {
 }
 
 impl Scenario {
-    /// Until when its acts have ended: a script is sent with its start and the lead added up.
+    /// Returns the latest end of its acts: a script is sent with the sum of its start and the lead.
     pub(crate) fn horizon(&self) -> Span {
         longest() - self.lead.unwrap_or_default().max(LEADS.1)
     }
 
-    /// What its groups need to know.
+    /// Returns the context of its groups.
     pub(crate) fn ground<'a>(&'a self, fleet: &'a Fleet) -> Ground<'a> {
         Ground { fleet, formations: &self.formations, paths: &self.paths }
     }
 }
 
 impl Track {
-    /// The item of this number: what it is called, its own number from 0 unless it is a whole movement, and its place.
+    /// Returns the kind of the item at this index, its own index from 0 (`None` for a whole movement), and its place.
     pub(crate) fn item(&self, item: u32) -> (Items, Option<u32>, Place) {
         let (items, own, list) = match self.pieces.iter().rfind(|piece| piece.first <= item) {
             Some(piece) if item != u32::MAX => (piece.items, item - piece.first, &piece.list),
@@ -295,7 +296,7 @@ impl Track {
         }
     }
 
-    /// Where the parameter on which an item depends is given.
+    /// Returns the place of the argument on which an item depends.
     pub(crate) fn given(&self, item: u32) -> Option<&Place> {
         self.given_as(item).map(|given| given.place.as_ref())
     }
@@ -304,14 +305,14 @@ impl Track {
         self.given.iter().find(|(known, _)| *known == item).map(|(_, given)| given)
     }
 
-    /// When it ends, before that is laid on the clock.
+    /// Exact end, before rounding to the clock.
     pub(crate) fn end(&self) -> Exact {
         self.begin.plus(self.length)
     }
 }
 
 impl Motion {
-    /// How much memory it takes, in knots.
+    /// Memory usage, in knots.
     pub(crate) fn size(&self) -> usize {
         match self {
             Self::Curve(curve) => curve.size(),
@@ -327,10 +328,10 @@ impl Motion {
     }
 }
 
-/// The fleet file that a scenario names, relative to the scenario's own folder.
+/// Returns the path of the fleet file in a scenario, relative to the scenario's folder.
 #[must_use]
 pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
-    // The key stands at the left margin of a block map, or nowhere that is found so cheaply.
+    // Cheap check before parsing the text.
     if !source.text.contains("fleet") {
         return None;
     }
@@ -341,7 +342,7 @@ pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
     })
 }
 
-/// A finding about the fleet file that a scenario names, at the place at which it names it.
+/// Moves a finding about the fleet file to the place where the scenario refers to that file.
 #[must_use]
 pub fn place_at_fleet(source: &Source, about: Finding) -> Finding {
     let mut reader = Reader::default();
@@ -367,58 +368,58 @@ keys! {
         sequences: kinds::SEQUENCES,
         /// Names for robots and groups.
         ///
-        /// They are for use in cues, and differ from the names of robots and groups.
+        /// They are used in cues and must differ from the names of robots and groups.
         roles: kinds::ROLES,
         /// Formations by name: places for any number of robots.
         ///
         /// See [formations](#a-formation).
         formations: kinds::FORMATIONS,
-        /// Paths by name: ways through space along which groups of robots go.
+        /// Paths by name: routes through space along which groups of robots move.
         ///
         /// See [paths](#a-path).
         paths: kinds::PATHS,
         tempo: kinds::TEMPO,
         signature: kinds::SIGNATURE,
         zones: kinds::ZONES,
-        /// How cues that share a zone follow each other: as they stand in the file, or in the best order that is found.
+        /// Order of cues that share a zone: as in the file, or the best order found.
         ///
-        /// It is for zones that do not set an order of their own, and for `apart`.
+        /// It applies to zones without their own order, and to `apart`.
         #[default("`given`")]
         order: kinds::ORDER,
         #[default("`refuse`")]
         off_grid: kinds::OFF_GRID,
-        /// Largest allowed spread of starts.
+        /// Largest permitted spread of starts.
         ///
-        /// A fleet whose clocks allow more does not start; if starts were further apart, the mission ends `out_of_tolerance`; if
-        /// a step was later than that, it ends `steps_late`.
+        /// A fleet whose clocks permit a larger spread does not start. If the starts were further apart, the mission ends
+        /// `out_of_tolerance`; if a step was later than that, it ends `steps_late`.
         #[default("10ms")]
         start_tolerance: kinds::TIME,
-        /// From sending to the start.
+        /// Time from sending to the start.
         #[default("computed from the measured delays")]
         lead: kinds::TIME,
-        /// How long the server may be silent before the robot stops by itself.
+        /// Longest silence of the server before the robot stops by itself.
         ///
         /// A plain time sets both parts. If you set the pending part, leases cannot become short near the start
         /// ([mission.md](mission.md)).
         #[default("running 2s, pending computed")]
         stop_condition: kinds::LEASE,
-        /// What a robot's failure does: `stop` all where they are, send all `home`, or go on `without` it.
+        /// Reaction to a robot's failure: `stop` all where they are, send all `home`, or continue `without` it.
         ///
-        /// With `home`, all stop, and then move to their default positions together.
+        /// With `home`, all robots stop, then move to their default positions together.
         #[default("`stop`")]
         on_failure: kinds::ON_FAILURE,
         #[default("`start`")]
         on_doubt: kinds::ON_DOUBT,
-        /// After the last act, devices move to their default values: with `home`, in the shortest time that their limits permit;
-        /// with `{home: time}`, in this time.
+        /// After the last act, devices move to their default values: with `home`, in the shortest time that their limits permit; with
+        /// `{home: time}`, in this time.
         #[default("devices stay where they are")]
         at_end: Kind::AnyOf(&[&schema!({"const": "home"}), &AtEndKeys::KIND]),
         require: RequireKeys::KIND,
-        /// What happens.
+        /// The cues.
         ///
         /// A scenario has either `cues` or `acts`.
         cues: kinds::CUES,
-        /// Acts, each started by itself.
+        /// Acts, each started separately.
         acts: Kind::List(&ActKeys::KIND, 1..=usize::MAX),
     }
     also {"oneOf": [{"required": ["cues"]}, {"required": ["acts"]}]}
@@ -432,9 +433,9 @@ impl<'a> ScenarioKeys<'a> {
 }
 
 keys! {
-    /// What happens when the show ends.
+    /// Behaviour at the end of the show.
     pub(super) struct AtEndKeys {
-        /// How long the way home takes.
+        /// Duration of the movement home.
         #[required]
         home: kinds::TIME,
     }
@@ -450,7 +451,7 @@ pub(crate) fn included_keys() -> &'static Declaration {
     library::IncludedKeys::declaration()
 }
 
-/// Reads the trees of a scenario and its includes. What is wrong is left out and found.
+/// Reads the trees of a scenario and its includes. Invalid parts are reported and skipped.
 pub(crate) fn read(
     reader: &mut Reader,
     documents: &Documents<'_>,
@@ -513,7 +514,7 @@ fn read_at_end(reader: &mut Reader, at: &At<'_>) -> Option<AtEnd> {
     Some(AtEnd { over, place })
 }
 
-/// What cues share, of all files.
+/// Reads the parts that cues share, from all files.
 fn shared<'a>(
     reader: &mut Reader,
     documents: &'a Documents<'_>,
@@ -534,7 +535,7 @@ fn shared<'a>(
     library
 }
 
-/// What the cues of a scenario share, without the cues.
+/// Returns the shared parts of a scenario's cues, without the cues.
 pub(crate) fn library_of<'a>(
     reader: &mut Reader,
     documents: &'a Documents<'_>,
@@ -546,20 +547,20 @@ pub(crate) fn library_of<'a>(
     Some(shared(reader, documents, files, fleet, &keys))
 }
 
-/// Scripts are sent that much ahead: what remains is for the act.
+/// Reads how early scripts are sent; the rest of the horizon remains for the act.
 fn read_lead(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
     let (lead, (most, _)) = (reader.duration(at)?, LEADS);
     if lead > most {
-        let hint = Some("wait for a time of day with an act's `wait`".to_owned());
+        let hint = Some("use the `wait` of an act to wait for a time of day".to_owned());
         reader.add(Code::TooMuch, at.place(), format!("a lead of {lead}"), format!("at most {most}"), hint);
     }
     Some(lead.min(most))
 }
 
-/// Reads a scenario's file and everything that it includes.
+/// Reads a scenario and everything that it includes.
 ///
 /// # Errors
-/// The findings when one of them cannot be read or is not YAML.
+/// The findings if a file cannot be read or is not YAML.
 pub(crate) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     library::documents(source, files)
 }

@@ -1,4 +1,4 @@
-//! What a cue's movement is made of: a move with its parameters, tracks, and what is done with them.
+//! The movement of a cue: a move with its parameters, tracks, and the changes that apply to them.
 
 use urrcp::Span;
 
@@ -21,13 +21,13 @@ use crate::shown::shortened;
 use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema};
 
-/// Most times that a movement is repeated.
+/// Maximum number of times that a movement is played.
 const REPEATS_MAX: u32 = 10_000_000;
 
 keys! {
-    /// Something that devices do, with parameters.
+    /// A movement of devices, with parameters.
     pub(super) struct MoveKeys as "move" {
-        /// What it does, in words.
+        /// Description in words.
         doc: kinds::TEXT,
         /// Names with their defaults; `~` for none.
         parameters: Kind::Entries(&Kind::AnyOf(&[&schema!({"type": ["number", "string", "boolean", "null"]}), &kinds::SPREAD])),
@@ -61,21 +61,21 @@ keys! {
 }
 
 keys! {
-    /// A number of turns, or as many whole turns as fit.
+    /// A number of times, or as many whole repetitions as fit.
     pub(super) struct RepeatKeys {
-        /// How many turns.
+        /// Number of times that the movement is played.
         times: Kind::AnyOf(&[&kinds::TURNS, &kinds::VARIABLE, &kinds::EXPRESSION, &kinds::SPREAD]),
-        /// From the beginning of a turn to that of the next. Default: the length of the movement.
+        /// Time from the beginning of one repetition to that of the next. Default: the length of the movement.
         every: kinds::TIME,
         /// A time of the act or a position in the music; the cue needs a fixed `at`.
         until: kinds::INSTANT,
-        /// For how long.
+        /// Total duration.
         r#for: kinds::TIME,
     }
     also {"maxProperties": 2, "minProperties": 1}
 }
 
-/// The keys that make a movement.
+/// The keys that define a movement.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Shaping<'a> {
     pub(super) named: Option<At<'a>>,
@@ -107,14 +107,14 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     let length = tracks.iter().map(|track| track.starts + track.motion.length()).max().unwrap_or_default();
     if let Some(at) = shaping.named.or(shaping.tracks).filter(|_| length > longest()) {
         let message = format!("the movement lasts {length}");
-        let hint = Some("cut it into several".to_owned());
+        let hint = Some("split it into several".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return Movement::default();
     }
     Movement { tracks, delay, length, repetition, unset: std::mem::take(&mut reader.unset) }
 }
 
-/// Tracks after all changes, and how they are repeated.
+/// Tracks after all changes, with their repetition.
 pub(super) struct Shaped {
     pub(super) tracks: Vec<Track>,
     repetition: Option<Repetition>,
@@ -128,8 +128,8 @@ pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shapi
     let mut tracks =
         shaping.named.map(|at| of_move(reader, library, &at, shaping.parameters)).unwrap_or_default();
     if let (None, Some(at)) = (shaping.named, shaping.parameters) {
-        let expected = "a `move` that takes them";
-        reader.add(Code::MissingKey, at.key_place(), "parameters without a move", expected, None);
+        let expected = "a `move` with these parameters";
+        reader.add(Code::MissingKey, at.key_place(), "`parameters` needs a `move`", expected, None);
     }
     if let Some(at) = shaping.tracks {
         for track in read_tracks(reader, library, &at) {
@@ -164,18 +164,18 @@ pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shapi
     Some(Shaped { tracks, repetition })
 }
 
-/// Before it is laid on the clock.
+/// Exact length, before rounding to the clock.
 pub(super) fn length(tracks: &[Track]) -> Exact {
     tracks.iter().map(Track::end).max().unwrap_or_default()
 }
 
-/// Backwards within the length of the longest track.
+/// Reverses the tracks within the length of the longest one.
 fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     let exact = length(tracks);
     let starts = |track: &Track| reader.music.start.lay(track.begin);
     let longest = tracks.iter().map(|track| starts(track) + track.motion.length()).max().unwrap_or_default();
     for track in tracks {
-        // What a move plays keeps its place: nothing moves the device before it and after it.
+        // A played movement keeps its place: nothing moves the device before or after it.
         let is_played = !track.pieces.is_empty();
         let within = if is_played { track.motion.length() } else { longest };
         curves(std::slice::from_mut(track), at, reader, |curve| curve.reverse(within));
@@ -190,14 +190,15 @@ fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
 
 /// Whether there is room for the tracks: every cue has its own copy of a move.
 fn taken(reader: &mut Reader, shaping: &Shaping<'_>, tracks: &[Track]) -> bool {
-    // What is played was counted when it was read.
+    // Played movements were already counted when they were read.
     let own = tracks.iter().filter(|track| track.pieces.is_empty());
     let size = own.map(|track| track.motion.size()).fold(0, usize::saturating_add);
     let sound = reader.knots.take(size);
     if let (false, Some(at)) = (sound, shaping.named.or(shaping.tracks)) {
         let most = reader.knots.most();
         let message = format!("with this movement the scenario has more than {most} keyframes");
-        let hint = Some("let several robots share a cue, or cut the scenario into several".to_owned());
+        let hint =
+            Some("use one cue for several robots, or split the scenario into several scenarios".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {most} in all cues"), hint);
     }
     sound
@@ -213,7 +214,7 @@ fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Optio
     let keys = reader.keys(&body, &used.what());
     let Some(MoveKeys { doc, parameters, tracks, play }) = keys else { return Vec::new() };
     if let Some(at) = doc {
-        reader.text(&at, "what the move does, in words");
+        reader.text(&at, "a description of the move");
     }
     match (tracks, play) {
         (Some(_), None) | (None, Some(_)) => {}
@@ -236,7 +237,7 @@ fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Optio
     within(reader, library, &used, [parameters, given], read).unwrap_or_default()
 }
 
-/// Reads a move that no cue uses, as far as its parameters have values.
+/// Checks a move that no cue uses, as far as its parameters have values.
 pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &str) {
     let Some(part) = library.moves.get(name) else { return };
     let root = At::document(&Node::Null, part.file);
@@ -282,7 +283,7 @@ fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     }
 }
 
-/// What a transformation applies to: some devices, about a value.
+/// The target of a transformation: some devices, and the reference value.
 struct Aim {
     about: f64,
     devices: Option<Vec<Name>>,
@@ -320,7 +321,7 @@ fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         _ if reader.truth(at) == Some(true) => aim(reader, None, None),
         _ => return,
     };
-    // An incomplete change would lead to wrong values.
+    // An incomplete change would produce wrong values.
     if reader.found.len() > before {
         return;
     }
@@ -352,7 +353,7 @@ fn affine(
     }
 }
 
-/// Applies a transformation to the tracks that it can be applied to.
+/// Transforms the tracks that support it.
 fn curves(
     tracks: &mut [Track],
     at: &At<'_>,
@@ -363,7 +364,7 @@ fn curves(
         match &mut track.motion {
             Motion::Curve(curve) => change(curve),
             Motion::Vectors(_) => {
-                let message = format!("`{}` has several values a keyframe", shortened(&track.device));
+                let message = format!("`{}` has several values per keyframe", shortened(&track.device));
                 let expected = "tracks of one value";
                 reader.add(Code::BadMotion, at.key_place(), message, expected, None);
             }
@@ -377,11 +378,11 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) -> Option<Repe
     let longest_track = tracks.iter().map(end).max().unwrap_or_default();
     let Turns { times, cycle: every } = repeats(reader, at, once)?;
     let laps = reader.laps(every);
-    // Behind the last turn nothing waits for another one.
+    // The last repetition is not followed by a wait.
     let rest = laps.begin(1) - longest_track;
     let (cycle, whole) = (laps.begin(1), laps.begin(times) - rest);
     if whole > longest() {
-        let message = format!("{times} times a movement of {cycle} lasts {whole}");
+        let message = format!("{times} repetitions of a movement of {cycle} last {whole}");
         let hint = Some("repeat it less often".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return None;
@@ -392,7 +393,7 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) -> Option<Repe
     });
     let added = added.fold(0, usize::saturating_add);
     if !reader.knots.take(added) {
-        let message = format!("{times} times makes {added} keyframes more");
+        let message = format!("{times} repetitions add {added} keyframes");
         let expected = format!("at most {} in all cues", reader.knots.most());
         reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
         return None;
@@ -406,13 +407,13 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) -> Option<Repe
     (times > 1).then_some(Repetition { times, length: longest_track, every: cycle })
 }
 
-/// How often a movement is done, and how long after each other its turns begin.
+/// Number of times that a movement is played, and the interval between the starts.
 struct Turns {
     times: u32,
     cycle: Exact,
 }
 
-/// A number of times, or as many whole turns as fit.
+/// Reads a number of times, or computes how many whole repetitions fit.
 fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
     if is_spread(at.node) || !matches!(at.node, Node::Map(_)) {
         return reader.count(at, 1, REPEATS_MAX).map(|times| Turns { times, cycle: once });
@@ -428,15 +429,15 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
         (None, None, Some(during)) => reader.exact(&during)?,
         _ => {
             let expected = "a number of times, {times: 3, every: 4s}, {until: 20s} or {for: 8s}";
-            let message = "found none or several of times, until and for";
+            let message = "found none or several of `times`, `until` and `for`";
             let hint = (times.is_none() && until.is_none())
-                .then(|| "say how often: `times: 3`, or for how long: `for: 20s`".to_owned());
+                .then(|| "add the number of repetitions, `times: 3`, or the duration, `for: 20s`".to_owned());
             reader.add(Code::WrongType, at.place(), message, expected, hint);
             return None;
         }
     };
     let cycle = cycle?;
-    // The last turn has no wait behind it.
+    // The last repetition is not followed by a wait.
     let times = time.minus(once).divided_by(cycle).map(|times| times.floor() + 1);
     let times = times.and_then(|times| u32::try_from(times.to_integer()).ok());
     if let Some(times) = times.filter(|times| (1..=REPEATS_MAX).contains(times)) {
@@ -444,8 +445,8 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
     }
     let (time, once) = (time.rounded(), once.rounded());
     let (message, hint) = if time < once {
-        let hint = format!("give it `{}` or more, or leave `repeat` out", written(once));
-        (format!("{time} is not enough for a movement of {once}"), Some(hint))
+        let hint = format!("use at least `{}`, or leave `repeat` out", written(once));
+        (format!("{time} is too short for a movement of {once}"), Some(hint))
     } else {
         (format!("a movement of {once} fits into {time} more than {REPEATS_MAX} times"), None)
     };
@@ -453,18 +454,18 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
     None
 }
 
-/// A turn begins when the one before it has ended, or later.
+/// Reads the interval between repetitions: each begins when the previous one has ended, or later.
 fn cycle(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Exact> {
     let cycle = reader.exact(at)?;
     if cycle >= once {
         return Some(cycle);
     }
     let (cycle, once) = (cycle.rounded(), once.rounded());
-    let message = format!("a movement of {once} would begin again after {cycle}");
+    let message = format!("a movement of {once} would be repeated after {cycle}");
     let hint = Some(if cycle == Span::ZERO {
-        "leave `every` out: then each turn begins when the one before it has ended".to_owned()
+        "leave `every` out: then each repetition begins when the previous one has ended".to_owned()
     } else {
-        "make the movement shorter, or let its turns begin less often".to_owned()
+        "shorten the movement, or increase the time between its repetitions".to_owned()
     });
     reader.add(Code::BadMotion, at.place(), message, format!("at least {once}"), hint);
     None

@@ -1,5 +1,5 @@
-//! What is read because something else uses it: moves within moves, cues of sequences, files with parameters. Its parameters,
-//! the names that it sees, and the bounds that keep what leads back to itself, or doubles again and again, from being followed.
+//! Reading of nested parts: moves within moves, cues of sequences, files with parameters. Handles their parameters, the names visible to
+//! them, and the bounds that prevent following cycles or repeated doubling.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,13 +13,13 @@ use crate::finding::{Code, Place, Use, did_you_mean_this, one_of};
 use crate::node::Node;
 use crate::shown::shortened;
 
-/// A move or a sequence where it is used.
+/// A move or a sequence at the place where it is used.
 pub(super) struct Used<'a> {
     /// `move` or `sequence`.
     pub(super) kind: &'static str,
     pub(super) name: String,
     pub(super) part: Shared<'a>,
-    /// Where its name stands.
+    /// Place of its name there.
     pub(super) place: Place,
 }
 
@@ -29,7 +29,8 @@ impl Used<'_> {
         format!("the {} `{}`", self.kind, shortened(&self.name))
     }
 
-    /// For findings in what is used. Of a move that a cue of the scenario uses nothing is told: it is the same for all cues.
+    /// Returns the use that findings refer to. Omits a move used directly by a cue of the scenario, because its findings are the same for
+    /// all cues.
     pub(super) fn told(&self, reader: &Reader, library: &Library<'_>) -> Option<Arc<Use>> {
         if self.kind == "move" && self.place.used.is_none() && reader.nesting.inside.is_empty() {
             return library.copies[self.part.copy].used.clone();
@@ -39,8 +40,8 @@ impl Used<'_> {
     }
 }
 
-/// Reads what is used, with its parameters in force and with the names that its own file sees. `None` where it leads back to
-/// itself or too deep, which is found.
+/// Reads a used part with its parameters and the names that its own file can use. Reports a cycle or too deep nesting, and returns
+/// `None`.
 pub(super) fn within<R>(
     reader: &mut Reader,
     library: &Library<'_>,
@@ -72,7 +73,7 @@ pub(super) fn within<R>(
     Some(result)
 }
 
-/// Where each parameter has its value; of one that is handed on, where it was given first.
+/// Returns the place of each parameter's value. For a parameter that is passed on, this is the place where it was first given.
 fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
     let Node::Map(entries) = given.node else { return Vec::new() };
     let place = |(name, node): &(String, Node)| {
@@ -82,7 +83,7 @@ fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
     entries.iter().map(place).collect()
 }
 
-/// Whether it is being read already, or as deep as may be.
+/// Whether the part is already being read, or the nesting is too deep.
 fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
     let inside = &reader.nesting.inside;
     let (place, depth) = (used.place.clone(), inside.len());
@@ -91,24 +92,24 @@ fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
         let told = reader.nesting.circles.get(&message).and_then(|index| reader.found.get(*index));
         if told.is_none_or(|told| told.message != message) {
             reader.nesting.circles.insert(message.clone(), reader.found.len());
-            let hint = Some("take one of these uses out".to_owned());
-            reader.add(Code::PlaysItself, place, message, "no way back to where it began", hint);
+            let hint = Some("remove one of these uses".to_owned());
+            reader.add(Code::PlaysItself, place, message, "a definition that does not use itself", hint);
         }
         return true;
     }
     if depth >= DEPTH_MAX {
-        let message = format!("{what} is used within {depth} others");
-        // What doubles so deep is not followed on its other ways.
+        let message = format!("{what} is nested in {depth} others");
+        // Repeated doubling at this depth is not followed any further.
         (reader.nesting.plays, reader.nesting.cues) =
             (Budget::overdrawn(PLAYS_MAX), Budget::overdrawn(SEQUENCE_CUES_MAX));
-        let hint = Some("write some of them out".to_owned());
-        reader.add(Code::TooMuch, place, message, format!("at most {DEPTH_MAX} within one another"), hint);
+        let hint = Some("replace some of them with their contents".to_owned());
+        reader.add(Code::TooMuch, place, message, format!("at most {DEPTH_MAX} nested levels"), hint);
         return true;
     }
     false
 }
 
-/// What is said of a circle, the same wherever one comes into it.
+/// Describes a cycle, identically for every entry point.
 fn around(inside: &[String]) -> String {
     let least = (0..inside.len()).min_by_key(|index| &inside[*index]).unwrap_or(0);
     let mut chain = inside.iter().cycle().skip(least).take(inside.len());
@@ -117,11 +118,11 @@ fn around(inside: &[String]) -> String {
     if others.is_empty() {
         format!("{first} uses itself")
     } else {
-        format!("{first} uses itself, by way of {}", others.join(", "))
+        format!("{first} uses itself via {}", others.join(", "))
     }
 }
 
-/// Whether one more move may be played; the first that may not is found.
+/// Whether one more move may be played; reports the first one that may not.
 pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
     if reader.nesting.has_too_many_plays() {
         return false;
@@ -132,12 +133,12 @@ pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
         (false, _) => format!("at most {PLAYS_MAX} in the movement of a cue"),
         (_, false) => format!("at most {PLAYS_IN_ALL_MAX} in all cues"),
     };
-    let hint = Some("moves that play several others grow fast: `repeat` a move instead".to_owned());
-    reader.add(Code::TooMuch, at.place(), "too many moves are played within one another", most, hint);
+    let hint = Some("moves that play several others multiply quickly: use `repeat` instead".to_owned());
+    reader.add(Code::TooMuch, at.place(), "too many nested moves", most, hint);
     false
 }
 
-/// The values that are given to parameters, as they are where they are given.
+/// Returns the arguments for the parameters, as defined at the call.
 pub(super) fn arguments(
     reader: &mut Reader,
     used: &Used<'_>,
@@ -156,12 +157,12 @@ pub(super) fn arguments(
                 };
                 values.push(((*parameter).to_owned(), value));
             }
-            // There is a finding about the parameters as a whole.
+            // The parameters as a whole already have a finding.
             None if parameters.is_some_and(|at| !matches!(at.node, Node::Map(_))) => {}
             None => {
                 let known = || declared(parameters).map(|(known, _)| known.as_str());
                 let hint = reader.did_you_mean(parameter, known());
-                // What is misspelt is not missing as well.
+                // A misspelt parameter is not reported as missing, too.
                 let is_meant = |name: &&str| hint.as_ref() == Some(&did_you_mean_this(name));
                 meant.extend(known().find(is_meant).map(|name| (name.to_owned(), None)));
                 let message = format!("{} has no parameter `{}`", used.what(), shortened(parameter));
@@ -173,7 +174,7 @@ pub(super) fn arguments(
     values
 }
 
-/// The names of parameters with their defaults.
+/// Returns the declared parameters with their defaults.
 fn declared<'a>(parameters: Option<&'a At<'a>>) -> impl Iterator<Item = &'a (String, Node)> {
     let entries: &[(String, Node)] = match parameters.map(|at| at.node) {
         Some(Node::Map(entries)) => entries,
@@ -182,7 +183,7 @@ fn declared<'a>(parameters: Option<&'a At<'a>>) -> impl Iterator<Item = &'a (Str
     entries.iter()
 }
 
-/// What a value is, as far as its form tells.
+/// The kind of a value, as far as its form shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Number,
@@ -197,7 +198,7 @@ impl Kind {
             Node::Number(_) => Some(Self::Number),
             Node::Bool(_) => Some(Self::Truth),
             Node::Text(text) if parse_duration(text).is_some() => Some(Self::Time),
-            // What it is the name of is known only where it is used.
+            // The kind of thing that a word names is known only where it is used.
             Node::Text(text) if is_word(text) => Some(Self::Word),
             _ => None,
         }
@@ -218,14 +219,14 @@ fn is_word(text: &str) -> bool {
     text.starts_with(char::is_alphabetic) && !expression::is_one(text)
 }
 
-/// Whether the ends of a value that is spread over the robots are of the kind of the parameter's default. Each that is not is told.
+/// Whether the ends of a spread value have the kind of the parameter's default. Reports each one that does not.
 fn ends_suit(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node) -> bool {
     let Node::Map(entries) = at.node else { return true };
     let ends = entries.iter().filter(|(key, _)| is_spread(at.node) && (key == "from" || key == "to"));
     ends.fold(true, |all, (key, end)| suits(reader, &at.entry(key, 0, end), parameter, default, end) && all)
 }
 
-/// Whether a value is of the kind of the parameter's default, where both are known by their form.
+/// Whether a value has the kind of the parameter's default, if both kinds are known by their form.
 fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, value: &Node) -> bool {
     let (Some(wanted), Some(found)) = (Kind::of(default), Kind::of(value)) else { return true };
     if wanted == found || wanted == Kind::Word {
@@ -233,28 +234,28 @@ fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, valu
     }
     let hint = match (wanted, value) {
         (Kind::Time, Node::Number(value)) => Some(format!("add the unit: `{value}s` or `{value}ms`")),
-        (Kind::Number, Node::Text(_)) if found == Kind::Time => Some("write the number alone".to_owned()),
+        (Kind::Number, Node::Text(_)) if found == Kind::Time => Some("write only the number".to_owned()),
         (_, Node::Text(word)) if reader.scope.get(word).is_some() => {
-            Some(format!("the variable is written `${}`", shortened(word)))
+            Some(format!("write the variable as `${}`", shortened(word)))
         }
         _ => None,
     };
     let message = format!(
-        "the parameter `{}` is {}, and this is {}",
+        "the parameter `{}` needs {}, but this is {}",
         shortened(parameter),
         wanted.told(),
         value.kind()
     );
     let expected = match default {
-        Node::Text(default) => format!("{}, as its default {default}", wanted.told()),
-        Node::Number(default) => format!("{}, as its default {default}", wanted.told()),
+        Node::Text(default) => format!("{}, like its default {default}", wanted.told()),
+        Node::Number(default) => format!("{}, like its default {default}", wanted.told()),
         _ => wanted.told().to_owned(),
     };
     reader.add(Code::WrongKind, at.place(), message, expected, hint);
     false
 }
 
-/// The value of each parameter: the one that is given, or its default.
+/// Returns the value of each parameter: its argument or its default.
 pub(super) fn with_defaults(
     reader: &mut Reader,
     used: &Used<'_>,
@@ -280,13 +281,13 @@ pub(super) fn with_defaults(
             }
             _ => scalar(reader, default),
         };
-        // One fault, one finding: what uses the parameter shall not find it missing again.
+        // One fault, one finding: uses of the parameter must not report it as missing again.
         values.push(((*parameter).to_owned(), value.unwrap_or(Node::Null)));
     }
     values
 }
 
-/// A move without a value is a fault only if some robot does it.
+/// A missing parameter of a move is a fault only if a robot plays the move.
 fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
     let (place, parameter) = (used.place.clone(), parameter.to_owned());
     if used.kind == "move" {
@@ -295,10 +296,10 @@ fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
     }
     let message = format!("{} needs a value for `{parameter}`", used.what());
     let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
-    reader.add(Code::Variable, place, message, "a value for every parameter without default", hint);
+    reader.add(Code::Variable, place, message, "a value for every parameter without a default", hint);
 }
 
-/// Whether everything in a move or a sequence has a value when nothing is given.
+/// Whether everything in a move or a sequence has a value without arguments.
 pub(super) fn is_complete(node: &Node) -> bool {
     let Node::Map(entries) = node else { return false };
     let parameters = entries.iter().find(|(key, _)| key == "parameters").map(|(_, node)| node);

@@ -1,4 +1,4 @@
-//! The key `paths`: names with ways through space, along which groups are carried.
+//! The key `paths`: names with routes through space, along which groups are carried.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -15,15 +15,15 @@ use crate::shown::shortened;
 use downbeat_reader::keys;
 use downbeat_reader::keys::{Keys, Kind};
 
-/// Most points of a path.
+/// Maximum number of points of a path.
 const POINTS_MAX: usize = 1_000;
-/// Points that a circle is drawn through: the path leaves it by less than a millionth of its radius.
+/// Number of points of a circle: the path deviates from it by less than a millionth of its radius.
 const CIRCLE: u32 = 64;
 
 keys! {
-    /// A smooth way through space in metres: `points` or a `circle`. Only differences of its places count.
+    /// A smooth route through space in metres: `points` or a `circle`. Only the differences of its places matter.
     pub(super) struct PathKeys as "path" {
-        /// It goes through these points.
+        /// It passes through these points.
         points: Kind::List(&kinds::PLACE, 2..=1000),
         /// Counterclockwise, and from the x axis.
         circle: RoundKeys::KIND,
@@ -44,11 +44,11 @@ keys! {
     }
 }
 
-/// Points as they are written, and whether the path leads from the last to the first.
+/// Points as written, and whether the path returns from the last to the first.
 struct Drawn {
     points: Vec<Point>,
     closed: bool,
-    /// Where each point stands; none if they are no list.
+    /// Place of each point; empty if they are not a list.
     places: Vec<Place>,
 }
 
@@ -69,7 +69,7 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
         (Some(list), None) => points(reader, &list, closed?),
         (None, Some(circle)) => {
             if let Some(at) = keys.closed {
-                let expected = "`closed` with `points`";
+                let expected = "`closed` only with `points`";
                 reader.add(Code::UnknownKey, at.key_place(), "a circle is closed", expected, None);
             }
             round(reader, &circle)
@@ -78,7 +78,7 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
             if both.is_some() || !PathKeys::NAMES.iter().any(|key| reader.is_miswritten(at, key)) {
                 let code = if both.is_some() { Code::UnknownKey } else { Code::MissingKey };
                 let count = if both.is_some() { "two shapes" } else { "no shape" };
-                let hint = Some("as in `points: [[0, 0, 0], [2, 1, 0], [4, 0, 1]]`".to_owned());
+                let hint = Some("add a shape, as in `points: [[0, 0, 0], [2, 1, 0], [4, 0, 1]]`".to_owned());
                 let expected = "exactly one of `points` and `circle`";
                 reader.add(code, at.place(), format!("{what} has {count}"), expected, hint);
             }
@@ -96,14 +96,14 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
             let point = turns.point % placed.len();
             let place = drawn.places.get(point).map_or_else(|| at.place(), Place::clone);
             let message = format!("{what} bends too sharply at its point {}", point + 1);
-            let hint = Some("add a point beside it, so that the bend is wider".to_owned());
-            reader.add(Code::WrongType, place, message, "a way that can be gone without a stop", hint);
+            let hint = Some("add a point next to it to make the bend wider".to_owned());
+            reader.add(Code::WrongType, place, message, "a path that can be followed without a stop", hint);
             None
         }
     }
 }
 
-/// Whether neighbours among the points are in one place, which is told.
+/// Whether any neighbouring points coincide, which is reported.
 fn are_same(reader: &mut Reader, at: &At<'_>, drawn: &Drawn, placed: &[Point]) -> bool {
     let count = placed.len();
     let next = |index: usize| (index + 1) % count;
@@ -114,7 +114,7 @@ fn are_same(reader: &mut Reader, at: &At<'_>, drawn: &Drawn, placed: &[Point]) -
         reader.add(
             Code::WrongType,
             at.place(),
-            "a circle that is a point",
+            "the circle has no extent",
             "a larger `radius` or `scale`",
             None,
         );
@@ -122,8 +122,8 @@ fn are_same(reader: &mut Reader, at: &At<'_>, drawn: &Drawn, placed: &[Point]) -
     }
     for &index in &same {
         let message = format!("points {} and {} of the path are the same", index + 1, next(index) + 1);
-        let hint = (next(index) == 0).then(|| "`closed` leads back to the first point by itself".to_owned());
-        reader.add(Code::WrongType, drawn.places[index].clone(), message, "another point, or none", hint);
+        let hint = (next(index) == 0).then(|| "`closed` already leads back to the first point".to_owned());
+        reader.add(Code::WrongType, drawn.places[index].clone(), message, "a different point, or none", hint);
     }
     !same.is_empty()
 }
@@ -135,7 +135,7 @@ fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
         let code = if all.len() > POINTS_MAX { Code::TooMuch } else { Code::WrongType };
         let message = format!("a path through {}", crate::render::counted(all.len(), "point"));
         let expected = if closed {
-            format!("{least} to {POINTS_MAX} points of a closed path")
+            format!("{least} to {POINTS_MAX} points in a closed path")
         } else {
             format!("{least} to {POINTS_MAX} points")
         };
@@ -147,7 +147,7 @@ fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
     Some(Drawn { points, closed, places: all.iter().map(At::place).collect() })
 }
 
-/// `{radius: 2}`: counterclockwise, and from the x axis.
+/// `{radius: 2}`: counterclockwise from the x axis.
 fn round(reader: &mut Reader, at: &At<'_>) -> Option<Drawn> {
     let RoundKeys { radius } = reader.keys(at, "`circle`")?;
     let radius = radius.and_then(|at| length(reader, &at))?;

@@ -14,7 +14,8 @@ use crate::node::Node;
 use crate::shown::shortened;
 use downbeat_reader::keys;
 
-const EXPECTED: &str = "a list of moves such as {move: bow}; a list within it for those that begin together";
+const EXPECTED: &str =
+    "a list of moves such as {move: bow}, with a nested list for moves that begin together";
 
 keys! {
     /// A move that a move plays.
@@ -30,16 +31,16 @@ keys! {
         repeat: kinds::REPEAT,
         /// It is stretched to this length.
         duration: kinds::TIME,
-        /// When it begins, from the beginning of the whole move.
-        #[default("the end of the entry before it")]
+        /// Its start, from the beginning of the whole move.
+        #[default("the end of the previous entry")]
         at: kinds::TIME,
-        /// How much later than that it begins.
+        /// Additional delay of its start.
         delay: kinds::TIME,
     }
 }
 
-/// The tracks of a move that plays others. Each entry begins when the one before it has ended, unless it says `at`; those of
-/// an inner list begin together.
+/// Reads the tracks of a move that plays others. Each entry begins when the previous one has ended, unless it has an `at`; entries of an
+/// inner list begin together.
 pub(super) fn read(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, whose: &str) -> Vec<Track> {
     let items = reader.list(at, EXPECTED);
     if items.is_empty() && matches!(at.node, Node::List(_)) {
@@ -64,7 +65,7 @@ pub(super) fn read(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, whos
         done = end;
         if done.rounded_down() > longest() {
             let message = format!("{whose} lasts {} up to here", done.rounded_down());
-            let hint = Some("cut it into several".to_owned());
+            let hint = Some("split it into several".to_owned());
             reader.add(Code::TooMuch, item.place(), message, format!("at most {}", longest()), hint);
             return Vec::new();
         }
@@ -72,7 +73,7 @@ pub(super) fn read(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, whos
     by_device(reader, played, whose)
 }
 
-/// What an entry plays, and when it has ended; both from the beginning of the move.
+/// Returns the tracks of an entry and its end, both relative to the beginning of the move.
 fn entry(
     reader: &mut Reader,
     library: &Library<'_>,
@@ -123,7 +124,7 @@ fn later(start: Beginning, by: Exact) -> Beginning {
     Beginning(start.0.map(|start| start.plus(by)))
 }
 
-/// From one length to another, with everything in it.
+/// Stretches the tracks from one length to another, with everything in them.
 fn stretch(reader: &Reader, tracks: &mut [Track], from: Exact, to: Exact) {
     let Some(factor) = to.divided_by(from) else { return };
     let start = reader.music.start;
@@ -141,7 +142,7 @@ fn stretch(reader: &Reader, tracks: &mut [Track], from: Exact, to: Exact) {
     }
 }
 
-/// One track for each device, of the movements that are played on it.
+/// Joins the movements of each device into one track.
 fn by_device(reader: &mut Reader, played: Vec<Track>, whose: &str) -> Vec<Track> {
     let mut by_device: Vec<Vec<Track>> = Vec::new();
     let mut index_of = std::collections::HashMap::new();
@@ -200,7 +201,7 @@ fn joined(reader: &mut Reader, mut tracks: Vec<Track>, whose: &str) -> Option<Tr
     Some(Track { motion, length, pieces, tolerance, given, turns: 1, ..first })
 }
 
-/// Whether a movement can follow those before it on its device.
+/// Whether a movement can follow the previous ones on its device.
 fn follows(reader: &mut Reader, before: &[Track], track: &Track, whose: &str) -> bool {
     let Some(last) = before.iter().max_by_key(|track| track.end()) else { return true };
     let device = shortened(&track.device);
@@ -216,7 +217,7 @@ fn follows(reader: &mut Reader, before: &[Track], track: &Track, whose: &str) ->
             Code::Overlap,
             message,
             "one movement of a device at a time",
-            "let one begin later, with `at` or `delay`",
+            "start one of them later, with `at` or `delay`",
         )
     } else if std::mem::discriminant(&last.motion) != std::mem::discriminant(&track.motion) {
         let message = format!("{whose} moves `{device}` by one value and by several");
@@ -239,7 +240,7 @@ fn follows(reader: &mut Reader, before: &[Track], track: &Track, whose: &str) ->
     false
 }
 
-/// How many items a track counts.
+/// Number of items of a track.
 fn items_of(track: &Track) -> u32 {
     let last = match &track.motion {
         Motion::Curve(curve) => {
@@ -250,7 +251,7 @@ fn items_of(track: &Track) -> u32 {
     last.map_or(1, |last| last.saturating_add(1))
 }
 
-/// The pieces of a track, whose items are counted from `first` on in a longer one.
+/// The pieces of a track, with item indices starting at `first` of a longer track.
 fn pieces_of(track: &Track, first: u32) -> Vec<Piece> {
     if track.pieces.is_empty() {
         return vec![Piece { first, items: track.items, list: track.list.clone() }];

@@ -1,4 +1,4 @@
-//! What a scenario requires of its starts, its ends and its distances: bounds that are judged, never enforced while it plays.
+//! The requirements of a scenario for starts, ends and distances: bounds that are checked, but never enforced while it plays.
 
 use super::kinds;
 use crate::duration;
@@ -10,11 +10,11 @@ use crate::shown::shortened;
 use downbeat_reader::{keys, words};
 
 keys! {
-    /// What `check` and `dry-run` judge: a requirement that is not met ends them with exit code 1.
+    /// Requirements that `check` and `dry-run` check. If one is not met, they end with exit code 1.
     pub(super) struct RequireKeys as "require" {
-        /// The true spread of starts, which half of the trials may exceed.
+        /// The true spread of starts; half of the trials may exceed it.
         spread_p50: kinds::CEILING,
-        /// The true spread of starts, which one trial in a hundred may exceed.
+        /// The true spread of starts; one trial in a hundred may exceed it.
         spread_p99: kinds::CEILING,
         /// The largest true spread of starts.
         spread_max: kinds::CEILING,
@@ -24,23 +24,23 @@ keys! {
         finishes: kinds::LEAST_SHARE,
         /// The closest approach of any two bodies, from surface to surface.
         closest: kinds::LEAST_DISTANCE,
-        /// `run` and `preflight` refuse robots that do not declare `pending_until`, because they could start a script that was
-        /// not decided.
+        /// `run` and `preflight` reject robots that do not declare `pending_until`, because they could start a script that was not
+        /// decided.
         all_or_none: words!(STRICT),
     }
 }
 
-const SPREAD: &str = "a longest time, such as `below 5ms` or `at most 5ms`";
-const SHARE: &str = "a least share of the trials, such as `above 99.9%` or `at least 100%`";
-const DISTANCE: &str = "a least distance with its unit, such as `above 0.3m` or `at least 30cm`";
+const SPREAD: &str = "a maximum time, such as `below 5ms` or `at most 5ms`";
+const SHARE: &str = "a minimum share of the trials, such as `above 99.9%` or `at least 100%`";
+const DISTANCE: &str = "a minimum distance with its unit, such as `above 0.3m` or `at least 30cm`";
 
-/// Metres in each unit of a distance.
+/// Metres per unit of distance.
 const METRES: [(&str, f64); 3] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)];
 const STRICT: [(&str, AllOrNone); 1] = [("strict", AllOrNone::Strict)];
-/// Billionths in one percent.
+/// Billionths per percent.
 const OF_PERCENT: u32 = 10_000_000;
 
-/// The bounds, and where that of `closest` stands.
+/// Reads the bounds, and the place of `closest`.
 pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Place>) {
     let Some(keys) = reader.keys(at, "`require`") else { return Default::default() };
     let RequireKeys { spread_p50, spread_p99, spread_max, starts, finishes, closest, all_or_none } = keys;
@@ -69,7 +69,7 @@ enum Word {
 const WORDS: [(&str, Word); 4] =
     [("below", Word::Below), ("at most", Word::AtMost), ("above", Word::Above), ("at least", Word::AtLeast)];
 
-/// A text cut into its words and what follows, which is not empty.
+/// Splits a text into its words and the rest, which is not empty.
 fn cut(text: &str) -> Option<(Word, &str)> {
     let text = text.trim();
     let rest_of = |word: &str| {
@@ -81,12 +81,12 @@ fn cut(text: &str) -> Option<(Word, &str)> {
     WORDS.iter().find_map(|(word, bound)| Some((*bound, rest_of(word)?)))
 }
 
-/// As it is written.
+/// Returns the word as written.
 fn word_of(word: Word) -> &'static str {
     WORDS.iter().find(|(_, of)| *of == word).map_or("", |(text, _)| *text)
 }
 
-/// The same, where it is one of the words that fit; everything else is found.
+/// Splits a text if its word is one of the fitting ones; reports everything else.
 fn bound<'t>(
     reader: &mut Reader,
     at: &At<'_>,
@@ -99,7 +99,7 @@ fn bound<'t>(
             // `below` and `above` come first in their pairs.
             let other = word_of(fitting[usize::from(matches!(word, Word::AtMost | Word::AtLeast))]);
             (
-                format!("`{}` does not fit here", word_of(word)),
+                format!("`{}` is not supported here", word_of(word)),
                 Some(format!("write `{other} {}`", shortened(rest))),
             )
         }
@@ -109,7 +109,7 @@ fn bound<'t>(
             // `below` and `above` come first in their pairs.
             let word = word_of(fitting[usize::from(text.contains('='))]);
             let hint = hint.then(|| format!("write `{word} {}`", shortened(value)));
-            (format!("`{}` does not say on which side of it the figure has to be", shortened(text)), hint)
+            (format!("missing comparison before `{}`", shortened(text)), hint)
         }
     };
     reader.add(Code::WrongType, at.place(), wrong.0, expected, wrong.1);
@@ -124,19 +124,19 @@ fn ceiling(reader: &mut Reader, at: &At<'_>) -> Option<Ceiling> {
         // The place is that of the whole bound.
         let whole = |hint: String| hint.replacen('`', &format!("`{} ", word_of(word)), 1);
         let hint = duration::hint(rest).map(whole).or_else(|| rest.parse::<f64>().is_ok().then(with_unit));
-        let found = format!("the time `{}` cannot be read", shortened(rest));
+        let found = format!("invalid time `{}`", shortened(rest));
         reader.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
         return None;
     };
     if span <= urrcp::Span::ZERO {
-        let found = format!("`{}` asks for less than robots can do", shortened(&text));
+        let found = format!("`{}` is out of range", shortened(&text));
         reader.add(Code::WrongType, at.place(), found, "a time above 0", None);
         return None;
     }
     Some(if word == Word::Below { Ceiling::Below(span) } else { Ceiling::AtMost(span) })
 }
 
-/// Why a value cannot be a bound: what is wrong, and how to write it.
+/// The reason why a value cannot be a bound, and a hint.
 type Unfit = (String, Option<String>);
 
 fn floor<T: Copy>(
@@ -160,13 +160,13 @@ fn floor<T: Copy>(
     }
 }
 
-/// What a bound with a comma may have meant.
+/// Suggests a decimal point for a bound with a comma.
 fn with_point(text: &str, word: Word) -> Option<String> {
     text.contains(',')
         .then(|| format!("write a decimal point: `{} {}`", word_of(word), text.replace(',', ".")))
 }
 
-/// `99.9%` or `99.9 %`, to seven decimals: the unit is part of it, so that 0.99 and 99 cannot be confused.
+/// Parses `99.9%` or `99.9 %`, with up to seven decimals. The unit is mandatory, so that 0.99 and 99 cannot be confused.
 fn share(text: &str, word: Word) -> Result<Share, Unfit> {
     let Some(number) = text.strip_suffix('%') else {
         let is_number = text.parse::<f64>().is_ok();
@@ -179,12 +179,12 @@ fn share(text: &str, word: Word) -> Result<Share, Unfit> {
     };
     if billionths == 100 * OF_PERCENT && word == Word::Above {
         let hint = Some("write `at least 100%`".to_owned());
-        return Err(("no share is above 100%".to_owned(), hint));
+        return Err(("a share cannot be above 100%".to_owned(), hint));
     }
     Ok(Share::from_billionths(billionths))
 }
 
-/// A percentage from 0 to 100 in billionths of the whole, exactly.
+/// Parses a percentage from 0 to 100 exactly, in billionths of the whole.
 fn billionths(number: &str) -> Option<u32> {
     let (whole, fraction) = number.split_once('.').unwrap_or((number, "0"));
     let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
@@ -206,9 +206,7 @@ fn metres(text: &str, word: Word) -> Result<f64, Unfit> {
     };
     match number.parse::<f64>() {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value * metres),
-        Ok(_) => Err((format!("`{}` is no distance", shortened(text)), None)),
-        Err(_) => {
-            Err((format!("`{}` cannot be read as a distance", shortened(text)), with_point(text, word)))
-        }
+        Ok(_) => Err((format!("`{}` is not a distance of at least 0", shortened(text)), None)),
+        Err(_) => Err((format!("invalid distance `{}`", shortened(text)), with_point(text, word))),
     }
 }

@@ -1,7 +1,7 @@
-//! Sequences: cues that are played again and again under other names, with other parameters, by other robots.
+//! Sequences: cues that are played repeatedly under other names, with other parameters, by other robots.
 //!
-//! A cue that plays a sequence becomes a cue of its own, without robots, which begins no later than the cues of the sequence
-//! and ends no earlier. The names of these begin with its name and a dot.
+//! A cue that plays a sequence becomes a separate cue without robots. It begins no later than the cues of the sequence and ends no
+//! earlier. Their names begin with its name and a dot.
 
 use urrcp::Span;
 
@@ -20,14 +20,14 @@ use crate::shown::shortened;
 use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema};
 
-/// What a cue that plays a sequence may say.
+/// The keys of a cue that plays a sequence.
 const CALL_KEYS: [&str; 10] =
     ["cue", "at", "after", "with", "before", "end_by", "sequence", "parameters", "robots", "note"];
 
 keys! {
     /// Cues that are played as a whole, with parameters.
     pub(super) struct SequenceKeys as "sequence" {
-        /// What it does, in words.
+        /// Description in words.
         doc: kinds::TEXT,
         /// Names with their defaults; `~` for none.
         parameters: Kind::Entries(&schema!({"type": ["number", "string", "boolean", "null"]})),
@@ -36,7 +36,7 @@ keys! {
     }
 }
 
-/// A cue as it is written; or, of one that plays a sequence, that one and those of the sequence.
+/// Reads a cue. If it plays a sequence, the result also contains the cues of the sequence.
 pub(super) fn cues(
     reader: &mut Reader,
     library: &Library<'_>,
@@ -69,12 +69,13 @@ pub(super) fn cues(
     std::iter::once(own).chain(inner).collect()
 }
 
-/// Whether a key is one of the cue itself; those that no cue with a sequence takes are found.
+/// Whether a key belongs to the cue itself; reports keys that a cue with a sequence does not accept.
 fn is_own(reader: &mut Reader, at: &At<'_>, key: &str) -> bool {
     let is_of_call = CALL_KEYS.contains(&key);
     if !is_of_call && CueKeys::NAMES.contains(&key) {
-        let message = format!("a cue that plays a sequence takes no `{}`", shortened(key));
-        let hint = Some("write it into the cues of the sequence, with a parameter if it differs".to_owned());
+        let message = format!("`{}` is not supported in a cue that plays a sequence", shortened(key));
+        let hint =
+            Some("write it in the cues of the sequence, with a parameter if the values differ".to_owned());
         let place = at.entry(key, 0, &Node::Null).key_place();
         reader.add(Code::UnknownKey, place, message, format!("one of {}", names(CALL_KEYS)), hint);
         return false;
@@ -82,10 +83,10 @@ fn is_own(reader: &mut Reader, at: &At<'_>, key: &str) -> bool {
     !is_of_call || !["sequence", "parameters", "robots"].contains(&key)
 }
 
-/// A cue of a sequence, or one of a sequence within it.
+/// A cue of a sequence, or of a sequence nested in it.
 struct Inner {
     cue: Cue,
-    /// Whether it is bound to the cue that plays its sequence already.
+    /// Whether it is already bound to the cue that plays its sequence.
     is_bound: bool,
 }
 
@@ -115,7 +116,7 @@ fn body(
     let keys = reader.keys(&body, &used.what());
     let Some(SequenceKeys { doc, parameters, cues }) = keys else { return Vec::new() };
     if let Some(at) = doc {
-        reader.text(&at, "what the sequence does, in words");
+        reader.text(&at, "a description of the sequence");
     }
     let Some(at) = cues else { return Vec::new() };
     let read = |reader: &mut Reader| {
@@ -139,7 +140,7 @@ fn body(
     inner
 }
 
-/// Whether one more cue may be made; the first that may not is found.
+/// Whether one more cue may be created; reports the first one that may not.
 fn has_room(reader: &mut Reader, at: &At<'_>) -> bool {
     if reader.nesting.cues.is_overdrawn() {
         return false;
@@ -147,15 +148,15 @@ fn has_room(reader: &mut Reader, at: &At<'_>) -> bool {
     let has_room = reader.nesting.cues.take(1);
     if !has_room {
         let most = reader.nesting.cues.most();
-        let message = format!("with this cue the sequences make more than {most} cues");
-        let hint = Some("sequences that play several others grow fast: play fewer of them".to_owned());
+        let message = format!("with this cue, the sequences contain more than {most} cues");
+        let hint = Some("sequences that play several others multiply quickly: play fewer of them".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {most} in all"), hint);
     }
     has_room
 }
 
 impl Inner {
-    /// The cue as one of the act, for the cue of this name that plays the sequence.
+    /// Turns the cue into one of the act. `whole` is the name of the cue that plays the sequence.
     fn of(self, whole: &str, place: &Place) -> Cue {
         let Self { mut cue, is_bound } = self;
         let named = |name: &str| format!("{whole}.{name}");
@@ -180,7 +181,7 @@ impl Inner {
     }
 }
 
-/// Reads a sequence that no cue plays, as far as its parameters have values.
+/// Checks a sequence that no cue plays, as far as its parameters have values.
 pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, defaults: &Defaults<'_>, name: &str) {
     let Some(part) = library.sequences.get(name).copied() else { return };
     let root = At::document(&Node::Null, part.file);

@@ -1,4 +1,4 @@
-//! A track: the movement of one device, in any of the forms in which it may be written.
+//! A track: the movement of one device, in any of its written forms.
 
 use urrcp::{ControlType, Span};
 
@@ -21,15 +21,15 @@ use downbeat_reader::{keys, schema, words};
 keys! {
     /// The movement of a device, in one of seven forms.
     pub(super) struct TrackKeys {
-        /// Control type: position, speed, acceleration or custom_N. Default: the first that the device has.
+        /// Control type: position, speed, acceleration or custom_N. Default: the first one of the device.
         control: schema!({"type": "string", "pattern": "^(position|speed|acceleration|custom_\\d+)$"}),
-        /// Largest error that is allowed, in the device's unit; lets keyframes be left out.
+        /// Largest permitted error, in the device's unit; permits omitting keyframes.
         tolerance: kinds::NUMBER,
-        /// The largest number of steps, which have the smallest error.
+        /// The maximum number of steps, placed with the smallest error.
         max_steps: Kind::AnyOf(&[&schema!({"type": "integer", "minimum": 2}), &kinds::EXPRESSION]),
         /// Values at times.
         keyframes: Kind::List(&KeyframeKeys::KIND, 0..=usize::MAX),
-        /// A smooth way through points, at rest at both ends.
+        /// A smooth curve through points, at rest at both ends.
         spline: Kind::List(&PointKeys::KIND, 2..=usize::MAX),
         /// Pieces, one after another.
         polynomial: Kind::AnyOf(&[&PieceKeys::KIND, &Kind::List(&PieceKeys::KIND, 0..=usize::MAX)]),
@@ -41,13 +41,13 @@ keys! {
         samples: SamplesKeys::KIND,
         /// An expression of the time `t` since the track began: `$r * cos(2 * pi * t / 8s)`.
         formula: kinds::NAME,
-        /// How long the formula lasts.
+        /// Duration of the formula.
         r#for: kinds::TIME,
     }
 }
 
 keys! {
-    /// A value at a time, and the way there.
+    /// A value at a time, and the transition to it.
     pub(super) struct KeyframeKeys as "keyframe" {
         /// When, from the cue's start.
         #[required]
@@ -55,7 +55,7 @@ keys! {
         /// The value, in the device's unit; a list of values for custom_N.
         #[required]
         to: Kind::AnyOf(&[&kinds::NUMBER, &Kind::List(&kinds::NUMBER, 0..=usize::MAX)]),
-        /// The way from the keyframe before: linear; smooth, minimum jerk 10s^3-15s^4+6s^5; cubic 3s^2-2s^3; step, the old value
+        /// The transition from the previous keyframe: linear; smooth, minimum jerk 10s^3-15s^4+6s^5; cubic 3s^2-2s^3; step, the old value
         /// until the keyframe's time.
         ease: words!(Easing::WORDS),
     }
@@ -88,7 +88,7 @@ keys! {
 keys! {
     /// A polynomial for some time.
     pub(super) struct PieceKeys as "piece" {
-        /// How long.
+        /// Duration.
         #[required]
         r#for: kinds::TIME,
         /// c0, c1, c2 ... of c0 + c1 t + c2 t^2, t in seconds from the piece's start.
@@ -100,7 +100,7 @@ keys! {
 keys! {
     /// center + amplitude sin(2 pi (t / period + phase / 360))
     pub(super) struct WaveKeys {
-        /// Half of the way, in the device's unit.
+        /// Half of the peak-to-peak distance, in the device's unit.
         #[required]
         amplitude: kinds::NUMBER,
         /// Hertz.
@@ -111,7 +111,7 @@ keys! {
         phase: kinds::NUMBER,
         /// The value about which it swings.
         center: kinds::NUMBER,
-        /// How long.
+        /// Duration.
         #[required]
         r#for: kinds::TIME,
     }
@@ -120,22 +120,22 @@ keys! {
 keys! {
     /// from + speed t + acceleration t^2 / 2
     pub(super) struct TravelKeys {
-        /// Where it begins.
+        /// Start value.
         #[required]
         from: kinds::NUMBER,
-        /// Units a second.
+        /// Units per second.
         speed: kinds::NUMBER,
-        /// Units a second squared.
+        /// Units per second squared.
         acceleration: kinds::NUMBER,
-        /// How long.
+        /// Duration.
         #[required]
         r#for: kinds::TIME,
     }
 }
 
-/// After this many cycles a wave gets a knot.
+/// Number of cycles between the knots of a wave.
 const WAVE_CYCLES: f64 = 8.0;
-/// What the file does not number.
+/// An item that has no number in the file.
 const NO_ITEM: u32 = u32::MAX;
 
 pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_>) -> Vec<Track> {
@@ -146,7 +146,7 @@ pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_
     entries.iter().filter_map(|(device, at)| track(reader, library, device, at)).collect()
 }
 
-/// A movement with its length before it is laid on the clock.
+/// A movement with its exact length, before rounding to the clock.
 pub(super) struct Written {
     motion: Motion,
     length: Exact,
@@ -187,8 +187,8 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         changed: None,
     };
     if is_of_devices(reader, at) {
-        let message = format!("`{}` has devices of its own", shortened(device));
-        let hint = Some("name the robots under `robots`, and only their devices below `tracks`".to_owned());
+        let message = format!("`{}` contains devices instead of a movement", shortened(device));
+        let hint = Some("list the robots under `robots`, and only their devices under `tracks`".to_owned());
         reader.add(Code::WrongType, at.key_place(), message, "a device with its movement", hint);
         return None;
     }
@@ -215,8 +215,8 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         return None;
     };
     if let (None, Some(length)) = (formula, length) {
-        let message = "`for` at a track without a formula";
-        reader.add(Code::UnknownKey, length.key_place(), message, "a `formula` that lasts so long", None);
+        let message = "`for` needs a `formula` to set the duration of";
+        reader.add(Code::UnknownKey, length.key_place(), message, "a `formula` in this track", None);
     }
     let motion = match (frames, points, pieces, wave, travel, samples, formula) {
         (.., Some(formula)) => formulas::moved(reader, at, &formula, length),
@@ -245,7 +245,7 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
     })
 }
 
-/// Whether the tracks of a robot stand where those of a device belong.
+/// Whether this map contains the tracks of a robot instead of those of a device.
 fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
     let Node::Map(entries) = at.node else { return false };
     entries.iter().any(|(key, node)| {
@@ -255,7 +255,7 @@ fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
     })
 }
 
-/// Whether this is a list of keyframes in another form, which is one fault.
+/// Whether this is a list of keyframes in another notation, which is reported as a single fault.
 fn told_as_keyframes(reader: &mut Reader, at: &At<'_>) -> bool {
     let Some(OtherForm { found, hints }) = as_keyframes(at) else { return false };
     reader.add_styled(at.place(), format!("found {found}"), KEYFRAMES, hints.map(Some));
@@ -309,7 +309,7 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
             length = time;
             depends.extend(value_of(&at_item).and_then(|to| Some((item(index), given(reader, &to)?))));
             let before = knots.last().map(|last| last.at);
-            // What is out of order is one fault.
+            // Wrong order is a single fault.
             if in_order(reader, at, (Items::Keyframes, index), before, knot.at) {
                 knots.push(knot);
             }
@@ -318,7 +318,7 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
     Written::new(Curve::new(knots, Vec::new()), length).with(depends)
 }
 
-/// A long run of keyframes, whose times count from the cue's start wherever that is.
+/// Reads a long run of keyframes, whose times are relative to the cue's start.
 fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
     let length = rows.iter().last().map_or(Exact::ZERO, |row| row.at.into());
     let mut before = None;
@@ -356,16 +356,16 @@ fn in_order(
 ) -> bool {
     if let Some(before) = before.filter(|before| at <= *before) {
         let place = list.place().below(Part::Index(index)).of_key("at");
-        let message = format!("the {} at {at} follows the one at {before}", items.one());
+        let message = format!("the {} at {at} is not later than the previous one at {before}", items.one());
         let hint =
-            Some(format!("{}s of one track are in order, each later than the one before", items.one()));
+            Some(format!("sort the {}s of a track by time, each later than the previous one", items.one()));
         reader.add(Code::TimeOrder, place, message, format!("a time after {before}"), hint);
         return false;
     }
     true
 }
 
-/// The value of a keyframe or a point.
+/// Returns the value of a keyframe or a point.
 fn value_of<'a>(at: &'a At<'a>) -> Option<At<'a>> {
     let Node::Map(entries) = at.node else { return None };
     entries.iter().find(|(key, _)| key == "to").map(|(key, node)| at.entry(key, 0, node))
@@ -417,7 +417,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
     Written { motion: Motion::Vectors(vectors), length, given: Vec::new() }
 }
 
-/// Points in order of time, through which a curve goes, and the time of the last.
+/// Reads the points of a curve, in order of time, and the time of the last one.
 fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact, Givens) {
     let mut length = Exact::ZERO;
     let mut depends = Vec::new();
@@ -430,7 +430,7 @@ fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact, 
         let (Some(exact), Some(to)) = (exact, to) else { continue };
         let time = reader.music.start.lay(exact);
         let before = knots.last().map(|last| last.at);
-        // Out of order is found; the curve is made of what is in order.
+        // Points out of order are reported and left out of the curve.
         if in_order(reader, at, (Items::Points, index), before, time) {
             knots.push(Knot { at: time, to, shape: Shape::Sampled(Between::Linear), item: item(index) });
             length = exact;
@@ -455,7 +455,7 @@ fn splined(reader: &mut Reader, at: &At<'_>) -> Written {
     Written::new(Curve::new(knots, functions), length).with(depends)
 }
 
-/// Pieces one after another, each with its coefficients in seconds from its own start.
+/// Reads consecutive pieces. Their coefficients refer to seconds since the start of the piece.
 fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
     let expected = "a list of pieces such as {for: 2s, coefficients: [0, 10, -2]}";
     let pieces = match at.node {
@@ -488,7 +488,7 @@ fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
     Written::new(Curve::new(knots, functions), done)
 }
 
-/// The coefficients for a time that runs from 0 to 1 instead of to `seconds`.
+/// Scales the coefficients to a time from 0 to 1 instead of from 0 to `seconds`.
 fn in_s(coefficients: &[f64], seconds: f64) -> Function {
     let mut power = 1.0;
     let scaled = coefficients.iter().map(|c| {
@@ -526,12 +526,13 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     let place = at.place();
     let hint = Some(match place.path.last() {
         Some(Part::Key(key, _)) if key == "period" => {
-            "say how long a cycle lasts, as in `period: 2s`; a value that stays is a keyframe".to_owned()
+            "write the duration of a cycle, as in `period: 2s`; use a keyframe for a constant value"
+                .to_owned()
         }
-        Some(Part::Key(key, _)) => format!("say how long it lasts, as in `{}: 8s`", shortened(key)),
-        _ => "say how long it lasts, as in `8s`".to_owned(),
+        Some(Part::Key(key, _)) => format!("add the duration, as in `{}: 8s`", shortened(key)),
+        _ => "write a duration such as `8s`".to_owned(),
     });
-    reader.add(Code::BadMotion, place, "a movement of no length", "a time above 0", hint);
+    reader.add(Code::BadMotion, place, "a movement of length 0", "a time above 0", hint);
     None
 }
 
@@ -546,7 +547,7 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
         (Some(at), None) => reader.positive(&at, "a frequency above 0, in hertz").map(Hertz::Frequency),
         (None, Some(at)) => positive_time(reader, &at).map(Hertz::Period),
         _ => {
-            let message = "a wave with both or neither of frequency and period";
+            let message = "the wave has both or neither of `frequency` and `period`";
             reader.add(Code::MissingKey, at.place(), message, "one of `frequency` and `period`", None);
             None
         }
@@ -567,7 +568,7 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     Some(Written::new(wave(amplitude, center, phase / 360.0, cycles, length), exact).with(depends))
 }
 
-/// How fast a wave is.
+/// The rate of a wave.
 enum Hertz {
     Frequency(f64),
     Period(Exact),
@@ -582,7 +583,7 @@ impl Hertz {
     }
 }
 
-/// Knots after a fixed number of whole cycles, alike, so that a long wave is fitted once for all of them.
+/// Places equal knots after a fixed number of whole cycles, so that a long wave is fitted only once.
 fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> Curve {
     let shape = |index| Shape::Function { index, gain: amplitude, offset: center, reversed: false };
     let value = |function: &Function, s: f64| center + amplitude * function.at(s);
@@ -624,8 +625,8 @@ fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     let mut number =
         |at: Option<At<'_>>, expected: &str| at.map_or(Some(0.0), |at| reader.number(&at, expected));
     let from = number(from, "a value in the device's unit");
-    let speed = number(speed, "a speed in units a second");
-    let acceleration = number(acceleration, "an acceleration in units a second squared");
+    let speed = number(speed, "a speed in units per second");
+    let acceleration = number(acceleration, "an acceleration in units per second squared");
     let exact = length.and_then(|at| positive_time(reader, &at))?;
     let length = reader.music.start.lay(exact);
     let function = in_s(&[from?, speed?, acceleration? / 2.0], length.as_millis_f64() / 1_000.0);

@@ -1,12 +1,12 @@
-//! Several values at once, for custom_N, at times: all of a track's in one piece, as there may be a million of them.
+//! Several values at once over time, for custom_N. All values of a track are stored in one piece, because there may be a million.
 
 use urrcp::Span;
 
-/// Keyframes of several values each, in order of time.
+/// Keyframes with several values each, in order of time.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Vectors {
     keys: Vec<Key>,
-    /// Those of each keyframe one after another.
+    /// The values of all keyframes, one after another.
     values: Vec<f64>,
 }
 
@@ -14,7 +14,7 @@ pub(crate) struct Vectors {
 struct Key {
     at: Span,
     item: u32,
-    /// Where its values end.
+    /// End index of its values.
     end: u32,
 }
 
@@ -23,7 +23,7 @@ struct Key {
 pub(crate) struct Vector<'a> {
     pub(crate) at: Span,
     pub(crate) values: &'a [f64],
-    /// Which item of the list in the file it comes from.
+    /// Index of its item in the file.
     pub(crate) item: u32,
 }
 
@@ -38,8 +38,8 @@ impl Vectors {
         self.keys.push(Key { at: vector.at, item: vector.item, end: self.values.len() as u32 });
     }
 
-    /// Several lists one after another, each with the time from which its own times count and the number of its first item.
-    /// Of two keyframes at one time the later one counts.
+    /// Joins several lists, each with the start of its times and the index of its first item. If two keyframes have the same time, the
+    /// later one applies.
     pub(crate) fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
         let mut joined = Self::default();
         for (vectors, begin, first) in parts {
@@ -84,12 +84,12 @@ impl Vectors {
         self.get(self.len().checked_sub(1)?)
     }
 
-    /// Every value of every keyframe.
+    /// All values of all keyframes.
     pub(crate) fn values(&self) -> &[f64] {
         &self.values
     }
 
-    /// At other times, which the function makes of each.
+    /// Maps the times of all keyframes.
     pub(crate) fn moved(mut self, to: impl Fn(Span) -> Span) -> Self {
         self.keys.iter_mut().for_each(|key| key.at = to(key.at));
         self

@@ -1,4 +1,4 @@
-//! When a cue takes place: at a time, or relative to other cues.
+//! The time of a cue: fixed, or relative to other cues.
 
 use urrcp::Span;
 
@@ -36,7 +36,7 @@ pub(crate) enum Anchor {
     EndOf(String),
 }
 
-/// The keys of a cue that say when.
+/// The timing keys of a cue.
 #[derive(Clone, Copy)]
 pub(super) struct When<'a> {
     pub(super) at: Option<At<'a>>,
@@ -46,12 +46,12 @@ pub(super) struct When<'a> {
     pub(super) end_by: Option<At<'a>>,
 }
 
-/// When a cue takes place.
+/// The timing of a cue.
 pub(super) struct Timing {
     pub(super) relations: Vec<Relation>,
-    /// The start, where it is one fixed time.
+    /// The start, if it is a single fixed time.
     pub(super) start: Beginning,
-    /// How much later each robot begins, where `at` says so.
+    /// Delay of each robot, if `at` sets it.
     pub(super) late: Option<Late>,
 }
 
@@ -92,7 +92,7 @@ impl When<'_> {
     }
 }
 
-/// The same as [`instants`]; where it differs from robot to robot, the earliest, and how much later each of them begins.
+/// Same as [`instants`]. If the times differ between robots, returns the earliest one, and the delay of each robot in `late`.
 fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<(Exact, Option<Exact>)> {
     let count = reader.group.count();
     if count == 0 {
@@ -106,7 +106,7 @@ fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<
             return Some(found);
         }
         if found.1 != Some(found.0) {
-            let message = "a range that differs from robot to robot";
+            let message = "a range that differs between robots is not supported";
             let hint = Some("write one time for each robot, or the same range for all".to_owned());
             reader.add(Code::WrongType, at.place(), message, "one time, such as `2s + 500ms * $index`", hint);
             return None;
@@ -123,7 +123,7 @@ fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<
     Some((first, Some(first)))
 }
 
-/// A time from where times count from, to the nearest nanosecond of the act's time where that is known.
+/// Converts a time after `origin`, rounded to the nearest nanosecond of the act's time if `origin` is known.
 fn laid(origin: Beginning, time: Exact) -> Span {
     match origin.0 {
         Some(start) => start.plus(time).rounded() - start.rounded(),
@@ -131,7 +131,7 @@ fn laid(origin: Beginning, time: Exact) -> Span {
     }
 }
 
-/// A cue, and which end of it where that is said.
+/// A cue, with the referenced end if one is given.
 struct Target {
     cue: String,
     end: Option<bool>,
@@ -170,7 +170,7 @@ fn each(
     }
 }
 
-/// `[start of|end of] CUE [+ GAP]`, where a cue may bear any name. With the other sign the gap is negative.
+/// `[start of|end of] CUE [+ GAP]`; the cue may have any name. With the other sign, the gap is negative.
 fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(Target, Option<Gap>)> {
     let last = text.rmatch_indices([' ']).find_map(|(space, _)| {
         let (name, rest) = (&text[..space], &text[space + 1..]);
@@ -185,7 +185,7 @@ fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(T
     if let (Some((cue, sum)), Some((least, None))) = (gap_before(name), gap) {
         let whole = sum + if sign == '-' { -least } else { least };
         let (by, size) = if whole < Span::ZERO { ('-', -whole) } else { ('+', whole) };
-        let message = format!("`{}` has two times", shortened(text));
+        let message = format!("`{}` contains two times", shortened(text));
         let hint = Some(format!("write `{} {by} {}`", shortened(cue), written(size)));
         reader.add(Code::BadDuration, at.place(), message, "one time after the name of a cue", hint);
         return None;
@@ -198,7 +198,7 @@ fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(T
     Some((Target { cue: name.to_owned(), end }, gap))
 }
 
-/// `a + 1s`: the cue and the time ahead of another time. A cue may be called `part - 1`.
+/// Parses `a + 1s`: the cue and the time before another time. A cue may be named `part - 1`.
 fn gap_before(text: &str) -> Option<(&str, Span)> {
     let (name, gap) = text.rsplit_once(' ')?;
     let (name, sign) = name.rsplit_once(' ')?;
@@ -216,7 +216,7 @@ fn looks_like_time(text: &str) -> bool {
     text.starts_with(|c: char| c.is_ascii_digit() || c == '$' || c == '.')
 }
 
-/// A gap that may be negative, `-2s` or `-2s..3s`; of the other sign its negative.
+/// Reads a gap that may be negative, `-2s` or `-2s..3s`; negated if the sign is the other one.
 fn lag(reader: &mut Reader, at: &At<'_>, text: &str, negated: bool) -> Option<Gap> {
     let turned = |span: Span| if negated { -span } else { span };
     let Some((least, largest)) = text.split_once("..") else {
@@ -238,7 +238,7 @@ fn signed(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
     }
 }
 
-/// `500ms` as a least gap, `0s..1s` as bounds.
+/// Reads `500ms` as a minimum gap, or `0s..1s` as bounds.
 pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap> {
     if bare_range(reader, at, text) {
         return None;
@@ -255,7 +255,7 @@ pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap>
 /// Reports a range without units. Returns whether `text` is such a range.
 fn bare_range(reader: &mut Reader, at: &At<'_>, text: &str) -> bool {
     let Some(hint) = duration::bare_range(text) else { return false };
-    let message = format!("the range `{}` cannot be read", shortened(text));
+    let message = format!("invalid range `{}`", shortened(text));
     reader.add(
         Code::BadDuration,
         at.place(),
@@ -266,19 +266,18 @@ fn bare_range(reader: &mut Reader, at: &At<'_>, text: &str) -> bool {
     true
 }
 
-/// A hint for a start that only an act can have: a time of day, or a word for the operator.
+/// Returns a hint for a start that only an act can have: a time of day, or a word for the operator.
 fn begin_of_act(text: &str) -> Option<String> {
     if ["operator", "go", "manual", "click", "trigger"].contains(&text) {
-        return Some(
-            "an act waits, a cue does not: write `wait: operator` next to the `cues` of an act".to_owned(),
-        );
+        return Some("only an act can wait: write `wait: operator` next to the `cues` of an act".to_owned());
     }
     let parts: Vec<&str> = text.split(':').collect();
     let [a, b] = parts.as_slice() else { return None };
     let (first, second) = (a.parse::<u8>().ok()?, b.parse::<u8>().ok().filter(|second| *second < 60)?);
     let (hours, minutes) = (first / 60, first % 60);
-    let times =
-        format!("a cue counts from the start of its act: write `{hours:02}:{minutes:02}:{second:02}`");
+    let times = format!(
+        "times of a cue are counted from the start of its act: write `{hours:02}:{minutes:02}:{second:02}`"
+    );
     match parse_time(text) {
         Some(_) => {
             Some(format!("{times}, or `{first:02}:{second:02}:00` for hours; {}", slips::instant(text)))
@@ -287,7 +286,7 @@ fn begin_of_act(text: &str) -> Option<String> {
     }
 }
 
-/// Two times as bounds, each with what is shown of it.
+/// Checks that two times are ordered bounds; each comes with its displayed form.
 fn in_order<T: PartialOrd>(
     reader: &mut Reader,
     at: &At<'_>,
@@ -302,7 +301,7 @@ fn in_order<T: PartialOrd>(
     None
 }
 
-/// One time, or a range of them; each a length from the act's start or a position in the music.
+/// Reads one time or a range of times; each is a length from the act's start or a position in the music.
 fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> {
     let Some(text) = reader.scalar(at).and_then(|node| match node.as_ref() {
         Node::Text(text) => Some(text.clone()),
@@ -326,15 +325,18 @@ fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> 
 pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Exact> {
     let position = reader.music.position(text);
     if position.is_some() && reader.nesting.is_in_sequence() {
-        let message = format!("the position `{}` stands in a sequence", shortened(text));
-        let hint = Some("in a sequence, times count from its beginning: `at: 2 bars`".to_owned());
+        let message = format!("the position `{}` is not supported in a sequence", shortened(text));
+        let hint = Some("in a sequence, times are counted from its beginning: `at: 2 bars`".to_owned());
         reader.add(Code::Music, at.place(), message, "a time from the beginning of the sequence", hint);
         return None;
     }
     if let Some((beats, meant)) = reader.music.beyond_bar(text) {
-        let message =
-            format!("`{}` is beyond its bar, which has {}", shortened(text), counted(beats.into(), "beat"));
-        let expected = format!("a beat from 1 on, below {}", beats.saturating_add(1));
+        let message = format!(
+            "`{}` is beyond the end of its bar, which has {}",
+            shortened(text),
+            counted(beats.into(), "beat")
+        );
+        let expected = format!("a beat of at least 1 and below {}", beats.saturating_add(1));
         reader.add(Code::Music, at.place(), message, expected, Some(format!("write `{meant}`")));
         return None;
     }
@@ -346,7 +348,7 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Ex
             None
         }
         None if text.starts_with("bar") => {
-            let message = format!("the position `{}` cannot be read", shortened(text));
+            let message = format!("invalid position `{}`", shortened(text));
             let expected = "a position such as `bar 3 beat 2`";
             let hint = duration::position(text).filter(|_| !text.contains(" 0"));
             let hint = hint.or_else(|| Some("bars and beats are whole numbers, counted from 1".to_owned()));
@@ -354,12 +356,12 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Ex
             None
         }
         None => {
-            // From the act's start, whenever the cue itself begins.
+            // Relative to the act's start, regardless of the cue's start.
             let start = std::mem::replace(&mut reader.music.start, reader.origin);
             let time = match (duration::parse_duration(text), begin_of_act(text)) {
                 (Some(span), _) => Some(span.into()),
                 (None, Some(hint)) => {
-                    let message = format!("the time `{}` cannot be read", shortened(text));
+                    let message = format!("invalid time `{}`", shortened(text));
                     reader.add(Code::BadDuration, at.place(), message, duration::EXPECTED, Some(hint));
                     None
                 }

@@ -1,5 +1,5 @@
-//! What is generated from the declarations of keys: the schemas, the tables of keys in the documentation, and a dictionary for the
-//! fuzzer. With `DOWNBEAT_BLESS=1` the files are written again.
+//! Files generated from the declarations of keys: the schemas, the tables of keys in the documentation, and a dictionary for the fuzzer.
+//! `DOWNBEAT_BLESS=1` rewrites the files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -12,7 +12,7 @@ use crate::keys::{Declaration, Key, Kind};
 use crate::{fleet, scenario};
 use downbeat_fleet::world::world_keys;
 
-/// A document in JSON whose objects keep their order.
+/// A JSON document whose objects keep their order.
 enum Json {
     Object(Vec<(String, Json)>),
     Array(Vec<Json>),
@@ -28,7 +28,7 @@ impl Json {
         Self::Array(texts.into_iter().map(Self::text).collect())
     }
 
-    /// From the part of a schema in a declaration.
+    /// Parses the part of a schema that a declaration contains.
     fn parse(text: &str) -> Self {
         let value = serde_json::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"));
         Self::of(value)
@@ -75,14 +75,14 @@ impl Json {
     }
 }
 
-/// The lines of a comment up to the first empty one, as one line.
+/// Joins the lines of a comment up to the first empty one.
 fn summary(doc: &[&str]) -> String {
     let lines: Vec<&str> = doc.iter().map(|line| line.trim()).skip_while(|line| line.is_empty()).collect();
     let end = lines.iter().position(|line| line.is_empty()).unwrap_or(lines.len());
     lines[..end].join(" ")
 }
 
-/// A schema, and what it defines.
+/// A schema with its definitions.
 #[derive(Default)]
 struct Definitions {
     found: Vec<(String, Json)>,
@@ -146,7 +146,8 @@ impl Definitions {
         }
     }
 
-    /// A map whose values are all of one kind, if there is one, and may have other keys, if there is a kind for their values.
+    /// Describes a map. `values` is the kind of all its values, if they share one; `others` is the kind of the values of further keys, if
+    /// these are allowed.
     fn of_map(
         &mut self,
         map: &'static Declaration,
@@ -174,7 +175,7 @@ impl Definitions {
     }
 }
 
-/// An object with a description, if there is one.
+/// Adds a description to an object, if there is one.
 fn described(schema: Json, text: &str) -> Vec<(String, Json)> {
     let Json::Object(mut entries) = schema else { panic!("a schema is an object") };
     if !text.is_empty() {
@@ -197,7 +198,7 @@ fn schema_text(root: &'static Declaration, id: &str, title: &str) -> String {
     text
 }
 
-/// The words that a kind consists of.
+/// Collects the words of a kind.
 fn words_of(kind: &'static Kind, words: &mut BTreeSet<&'static str>) {
     match kind {
         Kind::Words(all) => words.extend(*all),
@@ -212,7 +213,7 @@ fn words_of(kind: &'static Kind, words: &mut BTreeSet<&'static str>) {
     }
 }
 
-/// The keys and words of scenarios and of what they include, as the fuzzer reads them.
+/// Returns the keys and words of scenarios and their included files, in the format of the fuzzer.
 fn dictionary() -> String {
     let mut maps = Vec::new();
     [scenario::scenario_keys(), scenario::included_keys()]
@@ -228,13 +229,13 @@ fn dictionary() -> String {
     keys.chain(words.iter().map(|word| format!("\"{word}\"\n"))).collect()
 }
 
-/// A line of a comment after another, with an empty line between paragraphs, as one line.
+/// Joins all lines of a comment, with its paragraphs, into one line.
 fn whole(doc: &[&str]) -> String {
     let lines: Vec<&str> = doc.iter().map(|line| line.trim()).filter(|line| !line.is_empty()).collect();
     lines.join(" ")
 }
 
-/// The rows of a table of keys; those of maps within a value follow the key, as in `form.to`.
+/// Writes the rows of a table of keys. Keys of maps within a value follow that value's key, as in `form.to`.
 fn rows(map: &Declaration, prefix: &str, table: &mut String) {
     for key in map.keys {
         let mut text = whole(key.doc);
@@ -260,7 +261,7 @@ fn rows(map: &Declaration, prefix: &str, table: &mut String) {
     }
 }
 
-/// The map that stands only in values of this kind.
+/// Returns the map that occurs only in values of this kind.
 fn inner(kind: &Kind) -> Option<&'static Declaration> {
     match kind {
         Kind::Keys(of) => {
@@ -274,7 +275,7 @@ fn inner(kind: &Kind) -> Option<&'static Declaration> {
     }
 }
 
-/// A document with the tables of the keys of these maps between their marks.
+/// Inserts the tables of the keys of these maps between their marks in a document.
 fn with_tables(document: &str, maps: &[(&str, &Declaration)]) -> String {
     let mut document = document.to_owned();
     for (name, map) in maps {
@@ -288,7 +289,7 @@ fn with_tables(document: &str, maps: &[(&str, &Declaration)]) -> String {
     document
 }
 
-/// Compares a file of the repository with what is generated, or writes it.
+/// Compares a file of the repository with the generated text, or writes it.
 #[track_caller]
 fn check(path: &str, generated: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path);

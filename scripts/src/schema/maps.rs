@@ -1,4 +1,4 @@
-//! Every map that a file may contain, as its keys are declared.
+//! Every map that a file may contain, with its declared keys.
 
 use std::collections::BTreeSet;
 
@@ -7,7 +7,7 @@ use crate::scenario::{included_keys, scenario_keys};
 use downbeat_fleet::fleet::{fleet_keys, latency_keys};
 use downbeat_fleet::world::world_keys;
 
-/// Every map whose keys are declared, each once, in the order in which they are found from the files that people write.
+/// Returns every map with declared keys once, in the order in which they are found, starting from the user-written files.
 #[must_use]
 pub fn all_maps() -> Vec<&'static Declaration> {
     let roots = [scenario_keys(), included_keys(), fleet_keys(), latency_keys(), world_keys()];
@@ -16,7 +16,7 @@ pub fn all_maps() -> Vec<&'static Declaration> {
     maps
 }
 
-/// Adds a map and those below it.
+/// Adds a map and the maps below it.
 pub(super) fn collect(map: &'static Declaration, maps: &mut Vec<&'static Declaration>) {
     if !maps.iter().any(|known| std::ptr::eq(*known, map)) {
         maps.push(map);
@@ -24,7 +24,7 @@ pub(super) fn collect(map: &'static Declaration, maps: &mut Vec<&'static Declara
     }
 }
 
-/// `named` are the kinds that led here: times are made of spreads, and these of times.
+/// `named` contains the enclosing kinds, because times contain spreads, which contain times.
 fn collect_from(
     kind: &'static Kind,
     maps: &mut Vec<&'static Declaration>,

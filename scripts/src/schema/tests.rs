@@ -1,5 +1,5 @@
-//! The schemas list the keys and words that the reader knows, each at its place, and the other way round. What the reader knows
-//! is recorded while it reads documents in which every map stands once, and every key that takes words.
+//! The schemas list the keys and words that the reader knows, each at its place, and vice versa. The reader's keys and words are recorded
+//! while it reads documents that contain every map and every key with words once.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,7 +10,7 @@ use crate::finding::Part;
 use crate::{Files, Finding, Fleet, Project, Source, compile, read_fleet_within, read_world};
 use downbeat_reader::known::{self, Known};
 
-/// Documents in which every map of a scenario stands. They need not be sound.
+/// Documents that together contain every map of a scenario. They need not be valid.
 const SCENARIOS: [&str; 5] = [
     "
 scenario: all keys
@@ -125,7 +125,7 @@ cues:
 ",
 ];
 
-/// A fleet in which every map stands; the descriptions are those of other tests.
+/// A fleet that contains every map; the descriptions are those of other tests.
 const FLEET: &str = "
 ntp: pool.ntp.org
 handshake: full
@@ -163,13 +163,13 @@ robots:
 groups: {all: [rover]}
 ";
 
-/// Objects of a schema whose keys are names of the user's, but for these: no list of keys is compared there.
+/// Objects of a schema with user-defined keys besides the listed ones: their keys are not compared.
 const FREE_KEYS: [&str; 1] = ["/$defs/on_failure/anyOf/1"];
 
-/// A part of a schema, with its place there as people look for it.
+/// A part of a schema, with its JSON pointer.
 type SchemaPart<'s> = (String, &'s Value);
 
-/// The forms that a value may have: references are followed, alternatives are several.
+/// Returns the possible forms of a value: follows references, and returns several forms for alternatives.
 fn forms<'s>(root: &'s Value, (pointer, schema): SchemaPart<'s>) -> Vec<SchemaPart<'s>> {
     if let Some(reference) = schema["$ref"].as_str() {
         let pointer = reference.trim_start_matches('#').to_owned();
@@ -187,7 +187,7 @@ fn forms<'s>(root: &'s Value, (pointer, schema): SchemaPart<'s>) -> Vec<SchemaPa
     all
 }
 
-/// What a schema says of the values one step below.
+/// Returns the schema parts of the values one step below.
 fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &Part) -> Vec<SchemaPart<'s>> {
     let inner = |(pointer, schema): &SchemaPart<'s>| {
         let (at, inner) = match step {
@@ -202,10 +202,10 @@ fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &Part) -> Vec<Sche
     above.iter().filter_map(inner).flat_map(|part| forms(root, part)).collect()
 }
 
-/// What a schema lists, by the place of the list there.
+/// Lists of keys or words in a schema, by JSON pointer.
 type Lists = BTreeMap<String, BTreeSet<String>>;
 
-/// Every list of keys and words in a schema.
+/// Collects every list of keys and words in a schema.
 fn listed(pointer: &str, schema: &Value, lists: &mut Lists) {
     match schema {
         Value::Object(map) => {
@@ -230,7 +230,7 @@ fn text(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
 
-/// What the reader compared with documents, by the place in the schema that describes them.
+/// Returns the keys and words that the reader compared with documents, by the place in the schema that describes them.
 fn known(root: &Value, recorded: Vec<Known>) -> Lists {
     let mut lists = Lists::new();
     for known in recorded {
@@ -238,7 +238,7 @@ fn known(root: &Value, recorded: Vec<Known>) -> Lists {
             Known::Keys(place, keys) => ("properties", place, keys),
             Known::Words(place, words) => ("enum", place, words),
         };
-        // The schema describes no included files.
+        // The schema does not describe included files.
         if place.file != 0 {
             continue;
         }
@@ -246,7 +246,7 @@ fn known(root: &Value, recorded: Vec<Known>) -> Lists {
         for step in &place.path {
             parts = below(root, &parts, step);
         }
-        // Of several forms with lists the one that was read.
+        // Among several forms with lists, selects the one that was read.
         let same = |schema: &Value| match &schema[kind] {
             Value::Object(keys) => known.iter().all(|key| keys.contains_key(*key)),
             _ => true,
@@ -314,7 +314,7 @@ fn the_schema_of_fleets_lists_what_is_read() {
     check(Schema::Fleet, known);
 }
 
-/// A world in which every map stands. It need not be sound.
+/// A world that contains every map. It need not be valid.
 const WORLD: &str = "
 world: all keys
 links:

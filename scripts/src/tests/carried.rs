@@ -1,4 +1,4 @@
-//! Groups that go along a path, judged by positions sampled from the steps of the plan.
+//! Groups that move along a path, checked by positions sampled from the steps of the plan.
 
 use super::groups::{apart, compiled, places, sound, steps};
 use crate::Code;
@@ -19,7 +19,7 @@ fn a_group_that_is_carried_keeps_its_shape_and_comes_back() {
     while at <= 40_000.0 {
         let now = places(&steps, at);
         for (index, place) in now.iter().enumerate() {
-            // Both are off by what their steps may be.
+            // Both deviate by the permitted error of their steps.
             let gone = |index: usize| -> [f64; 3] {
                 std::array::from_fn(|axis| now[index][axis] - begin[index][axis])
             };
@@ -39,7 +39,7 @@ fn a_circle_is_gone_along_at_its_radius() {
     let act =
         sound(1, &scenario("circle: {radius: 2}, rotate: -90", "  - {robots: d0, along: way, over: 10s}\n"));
     let steps = steps(&act, 1);
-    // From its lowest point: the middle is two metres along y.
+    // From its lowest point; the middle is two metres along y.
     for index in 0..=500 {
         let [x, y, z] = places(&steps, f64::from(index) * 20.0)[0];
         assert!(((x).hypot(y - 2.0) - 2.0).abs() < 0.006 && z.abs() < 1e-9, "{x} {y}");
@@ -56,7 +56,7 @@ fn a_group_that_turns_with_its_path_is_turned_about_its_middle() {
         let now = places(&steps, f64::from(index) * 20.0);
         assert!((apart(&now[0], &now[1]) - 0.7).abs() < 0.01);
     }
-    // The row along x at first, along y where the path leads along y: the heading at both ends is that of the spline.
+    // The row is along x at first, and along y where the path leads along y. The heading at both ends is that of the spline.
     let (first, last) = (places(&steps, 0.0), places(&steps, 20_000.0));
     let heading =
         |places: &[[f64; 3]]| (places[1][1] - places[0][1]).atan2(places[1][0] - places[0][0]).to_degrees();
@@ -76,7 +76,7 @@ fn robots_that_follow_go_through_the_places_of_those_before_them() {
     let steps = steps(&act, 4);
     let all: Vec<Vec<[f64; 3]>> = (0..=4_000).map(|index| places(&steps, f64::from(index) * 5.0)).collect();
     let trail = |robot: usize| all.iter().map(move |places| places[robot]).collect::<Vec<_>>();
-    // All go along one line, of which the last robot goes along the beginning and the first along the end.
+    // All move along one line; the last robot covers its beginning and the first robot its end.
     let line = [trail(0), trail(3)].concat();
     for (robot, behind) in [(2, 0.7), (1, 1.4), (0, 2.1)] {
         for places in all.iter().step_by(50) {
@@ -119,7 +119,7 @@ cues:
         (Code::UnknownKey, "a circle is closed"),
         (Code::UnknownPath, "no path `opne`"),
         (Code::WrongType, "2 laps of `open`"),
-        (Code::WrongType, "`up` leads straight up or down"),
+        (Code::WrongType, "`up` has no heading where it leads straight up or down"),
     ] {
         assert!(
             found.iter().any(|(own, _, message)| *own == code && message.contains(wanted)),

@@ -1,4 +1,4 @@
-//! Latencies that are compensated: commands come earlier than motions, and motions relate to each other as written.
+//! Compensated latencies: commands precede motions, and motions relate to each other as written.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ acts:
       - {cue: last, at: 40ms, robots: [a], tracks: {d: [{at: 0s, to: 45}, {at: 1s, to: 0}]}}
 ";
 
-/// Compiled for robots `a`, `b` and `c` with these latencies.
+/// Compiles for robots `a`, `b` and `c` with these latencies.
 fn compiled(latencies: [Option<i64>; 3]) -> Choreography {
     let delayed = |(name, nanos): (&str, Option<i64>)| {
         let mut robot = robot();
@@ -64,13 +64,13 @@ fn the_slowest_device_is_commanded_first_and_all_move_together() {
     assert_eq!(starts(&acts[0]), [ms(0), ms(40), ms(60)]);
     assert_eq!(motions(&acts[0]), [ms(60); 3]);
     assert_eq!((acts[0].cues[0].start, acts[0].cues[1].start), (ms(60), ms(1_060)));
-    // Its only cue is 40 ms after the start, so the 20 ms that are missing suffice.
+    // Its only cue is 40 ms after the start, so the missing 20 ms suffice.
     assert_eq!((acts[1].lead_in, starts(&acts[1])), (ms(20), vec![ms(0)]));
 }
 
 #[test]
 fn an_act_waits_for_motions_that_outlast_their_commands() {
-    // `b` ends the first act 300 ms after the others, and moves for 90 ms more.
+    // `b` ends the first act 300 ms after the others, and moves for another 90 ms.
     let acts = compiled([None, Some(90_000_000), None]).acts;
     assert_eq!(acts[1].lead_in, Span::from_millis(90));
     let ends = acts[0].plan.duration();

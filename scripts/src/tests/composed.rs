@@ -1,5 +1,5 @@
-//! Moves made of moves, sequences, and files with parameters: each means what it means written out, and what is wrong is found
-//! where it stands, with the uses that led there.
+//! Moves made of moves, sequences, and files with parameters: each is equivalent to its written-out form, and faults are found at their
+//! places, with the uses that lead there.
 
 use std::collections::BTreeMap;
 
@@ -42,8 +42,8 @@ fn compiled(text: &str) -> Compiled {
     compiled_with(text, &[])
 }
 
-/// What the robots do, whatever the cues are called: robot, device, time in microseconds, value. Values that are set twice are
-/// there once.
+/// Returns the steps of the robots, regardless of the names of cues: robot, device, time in microseconds, value. Values that are set
+/// twice are listed once.
 fn steps(choreography: &Choreography) -> Vec<String> {
     let mut all = Vec::new();
     for robot in choreography.acts.iter().flat_map(|act| &act.plan.robots) {
@@ -201,8 +201,7 @@ moves:
   inner: {tracks: {a: [{at: 0s, to: $height}]}}
   outer: {parameters: {height: 9}, play: [{move: inner}]}
 cues: [{at: 0s, robots: left, move: outer}]\n";
-    let message =
-        "no variable `height` is known here (in the move `inner`, used by the move `outer` in line 4)";
+    let message = "unknown variable `height` (in the move `inner`, used by the move `outer` in line 4)";
     check_found(&compiled(hidden), &[(Code::Variable, "s.yaml", 3, message)]);
 }
 
@@ -239,7 +238,7 @@ moves:
   two: {play: [{move: three}]}
   three: {play: [{move: one}]}
 cues: [{at: 0s, robots: left, move: one}]\n";
-    let message = "the move `one` uses itself, by way of the move `two`, the move `three` \
+    let message = "the move `one` uses itself via the move `two`, the move `three` \
                    (in the move `three`, used by the move `two` in line 4, used by the move `one` in line 3)";
     check_found(&compiled(text), &[(Code::PlaysItself, "s.yaml", 5, message)]);
     let text = "scenario: s\nmoves: {one: {play: [{move: one}]}}\ncues: [{cue: mark}]\n";
@@ -356,9 +355,9 @@ cues:
     let places: Vec<_> = found.findings.iter().map(|f| (f.code, f.line, f.message.as_str())).collect();
     let use_ = "(in the sequence `greet`, used in line 15)";
     for expected in [
-        (Code::UnknownKey, 16, "a cue that plays a sequence takes no `scale`".to_owned()),
+        (Code::UnknownKey, 16, "`scale` is not supported in a cue that plays a sequence".to_owned()),
         (Code::UnknownKey, 16, "the sequence `greet` has no parameter `whom`".to_owned()),
-        (Code::WrongKind, 16, "the parameter `pause` is a time, and this is the number 3".to_owned()),
+        (Code::WrongKind, 16, "the parameter `pause` needs a time, but this is the number 3".to_owned()),
         (Code::UnknownSequence, 17, "no sequence `great`".to_owned()),
     ] {
         assert!(
@@ -368,7 +367,7 @@ cues:
     }
     let text = text.replace("scale: 2, parameters: {whom: left, pause: 3}", "parameters: {who: left}");
     let found = compiled(&text.replace("  - {cue: none, sequence: great}\n", ""));
-    // However often the sequence is used.
+    // Regardless of the number of uses of the sequence.
     let cue = format!("no cue `bov` {use_}");
     let value = "keyframe 2 of the move `up`: 400 lies outside the limits for position of `a` on `left`";
     let messages: Vec<_> = found.findings.iter().map(|f| (f.line, f.message.as_str())).collect();
@@ -398,7 +397,7 @@ cues: [{cue: all, sequence: a}]\n";
 fn positions_in_the_music_have_no_place_in_a_sequence() {
     let text =
         "scenario: s\ntempo: 120\nsequences: {a: {cues: [{cue: x, at: bar 2}]}}\ncues: [{sequence: a}]\n";
-    let message = "the position `bar 2` stands in a sequence (in the sequence `a`, used in line 4)";
+    let message = "the position `bar 2` is not supported in a sequence (in the sequence `a`, used in line 4)";
     check_found(&compiled(text), &[(Code::Music, "s.yaml", 3, message)]);
 }
 
@@ -468,7 +467,7 @@ cues: [{cue: mark}]\n";
         &found,
         &[
             (Code::UnknownKey, "s.yaml", 3, "the file `arm.yaml` has no parameter `reech`"),
-            (Code::WrongKind, "s.yaml", 4, "the parameter `time` is a time, and this is the number 3"),
+            (Code::WrongKind, "s.yaml", 4, "the parameter `time` needs a time, but this is the number 3"),
             (Code::Variable, "s.yaml", 5, "the file `arm.yaml` needs a value for `side`"),
         ],
     );

@@ -1,8 +1,8 @@
-//! Jumps between acts, on each way that leads into one.
+//! Jumps between acts, after each transition into an act.
 
 use crate::{Address, Code, Finding, Fleet, FleetRobot, NoFiles, Severity, Source, compile};
 
-/// An arm, with a largest speed or without one, and with a lamp.
+/// An arm with a lamp, with or without a largest speed.
 fn fleet(interpolation: &str, speed: bool) -> Fleet {
     let speed = if speed { r#""speed": {"min_value": -60, "max_value": 60, "granularity": 1},"# } else { "" };
     let block = format!(
@@ -19,7 +19,7 @@ fn fleet(interpolation: &str, speed: bool) -> Fleet {
     }
 }
 
-/// Acts with their further keys, each from one position to another in ten seconds.
+/// Compiles acts with additional keys, each from one position to another in ten seconds.
 fn jumps(fleet: &Fleet, acts: &[(&str, &str, u32, u32)]) -> Vec<Finding> {
     let act = |(name, keys, from, to): &(&str, &str, u32, u32)| {
         let track = format!("[{{at: 0s, to: {from}}}, {{at: 10s, to: {to}, ease: smooth}}]");

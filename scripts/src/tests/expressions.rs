@@ -1,4 +1,4 @@
-//! Expressions in scenarios: a scenario with them compiles to what the same one with the numbers written out compiles to.
+//! Expressions in scenarios: a scenario with expressions compiles to the same result as one with the numbers written out.
 
 use std::collections::BTreeMap;
 
@@ -31,7 +31,7 @@ fn of_four(text: &str) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text: format!("scenario: s\n{text}") }, &fleet(), &NoFiles)
 }
 
-/// The scripts of every robot.
+/// Returns the scripts of every robot.
 #[track_caller]
 fn scripts(text: &str) -> Vec<String> {
     let compiled = of_four(text);
@@ -49,7 +49,7 @@ fn same(with: &str, without: &str) {
     }
 }
 
-/// What is found, as `line:column-width message`.
+/// Returns the findings as `line:column-width message`.
 fn found(text: &str) -> Vec<String> {
     let one = |finding: &crate::Finding| {
         format!("{}:{}-{} {}", finding.line, finding.column, finding.width, finding.message)
@@ -133,21 +133,21 @@ fn formulas_with_the_index_are_waves() {
         steps.map(|step| (step.offset.span().as_nanos(), step.setpoint.value)).collect()
     };
     let (formula, wave) = (steps(by_formula), steps(&by_wave));
-    // The bounds of the curvature differ a little.
+    // The bounds of the curvature differ slightly.
     assert!(formula.len().abs_diff(wave.len()) <= 8, "{} and {}", formula.len(), wave.len());
 }
 
 #[test]
 fn what_is_wrong_with_one_robot_is_told_once_at_its_character() {
     let text = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 10 / ($index - 2)}]}}]\n";
-    assert_eq!(found(text), ["2:51-1 a division by zero"]);
+    assert_eq!(found(text), ["2:51-1 division by zero"]);
     let text = "variables: {h: 2}\ncues: [{robots: all, tracks: {d: [{at: 0s, to: \"2 * $j\"}]}}]\n";
-    assert_eq!(found(text), ["3:53-2 no variable `j` is known here"]);
+    assert_eq!(found(text), ["3:53-2 unknown variable `j`"]);
     let text = "cues: [{end_by: $index * 1s, robots: all, tracks: {d: [{at: 0s, to: 0}]}}]\n";
-    assert_eq!(found(text), ["2:17-6 `$index` differs from robot to robot, and this is for all of them"]);
+    assert_eq!(found(text), ["2:17-6 `$index` differs between robots and is not supported here"]);
     let text = "cues: [{robots: all, tracks: {d: [{at: 0s, to: max(1, $index, 3)}, {at: 1s, to: 2}]}}]\n";
     assert_eq!(found(text).len(), 1, "{:?}", found(text));
-    assert!(found(text)[0].contains("a comma ends the expression `max(1`"), "{:?}", found(text));
+    assert!(found(text)[0].contains("the expression `max(1` is cut off by a comma"), "{:?}", found(text));
 }
 
 #[test]
@@ -213,7 +213,7 @@ fn a_formula_that_is_no_movement_is_told() {
         let findings = compiled(&text).findings;
         findings.iter().map(|finding| finding.message.clone()).collect::<Vec<_>>().join("; ")
     };
-    assert_eq!(message("90 * t"), "the formula gives a time");
+    assert_eq!(message("90 * t"), "the result of the formula is a time");
     assert_eq!(message("1 / (t / 1s - 2)"), "the formula has no value at 2 s");
     assert_eq!(message("sqrt(2 - t / 1s)").split(" at ").next(), Some("the formula has no value"));
     assert_eq!(message("floor(1000000 * t / 1s)"), "the formula has too many turns, corners or jumps");

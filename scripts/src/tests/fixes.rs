@@ -1,10 +1,10 @@
-//! Figures in hints, put into the scenario: each has to be enough, and no larger than it need be.
+//! Applies figures in hints to the scenario: each must be sufficient, and no larger than necessary.
 
 use super::groups::{drone, drone_on};
 use crate::space::{Coordinate, Space};
 use crate::{Code, Compiled, Fleet, NoFiles, Severity, Source, compile};
 
-/// Drones in rows of six on the ground, which stay there if they are flat.
+/// Drones in rows of six on the ground; flat ones stay there.
 fn fleet(count: usize, is_flat: bool) -> Fleet {
     let robots = (0..count).map(|index| {
         let mut robot = drone(index, [(index % 6) as f64 * 0.7, (index / 6) as f64 * 0.7, 0.0]);
@@ -23,7 +23,7 @@ fn compiled(fleet: &Fleet, text: &str) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, fleet, &NoFiles)
 }
 
-/// The only error, and its hint.
+/// Returns the only error and its hint.
 #[track_caller]
 fn fault(fleet: &Fleet, text: &str) -> (Code, String) {
     let found = compiled(fleet, text).findings;
@@ -38,12 +38,12 @@ fn is_sound(fleet: &Fleet, text: &str) {
     assert!(compiled.choreography.is_some(), "{text}\n{:#?}", compiled.findings);
 }
 
-/// What stands in backticks: `radius: 1.55`, `over: 12s`.
+/// Returns the edits between backticks: `radius: 1.55`, `over: 12s`.
 fn edits(hint: &str) -> Vec<(&str, &str)> {
     hint.split('`').skip(1).step_by(2).filter_map(|edit| edit.split_once(": ")).collect()
 }
 
-/// The text with another value of a key, which is written into the formation if it is not there.
+/// Changes the value of a key, or adds the key to the formation.
 fn edited(text: &str, (key, value): (&str, &str)) -> String {
     let Some(begin) = text.find(&format!("{key}: ")) else {
         return text.replacen(", at: [", &format!(", {key}: {value}, at: ["), 1);
@@ -58,7 +58,7 @@ fn edited(text: &str, (key, value): (&str, &str)) -> String {
     format!("{}{value}{}", &text[..begin], &rest[end..])
 }
 
-/// The hint of a fault, put into the text.
+/// Applies the hint of a fault to the text.
 #[track_caller]
 fn fixed(fleet: &Fleet, text: &str, code: Code) -> String {
     let (found, hint) = fault(fleet, text);
@@ -126,7 +126,7 @@ fn the_time_that_a_way_needs_is_enough() {
     }
 }
 
-/// Two robots that can pass each other neither above nor below, and are to change places.
+/// Two robots that cannot pass above or below each other and must exchange their places.
 const SWAP: &str = "scenario: s
 formations: {wide: {points: [[0, 2, 0], [0.7, -2, 0]]}}
 cues:
@@ -177,7 +177,7 @@ fn each_relation_of_a_circle_can_be_left_out() {
         without[index] = "at: 0s";
         is_sound(&fleet, &text(without));
     }
-    // A deadline or a fixed time is no circle.
+    // A deadline or a fixed time is not a cycle.
     let with = text(["at: 0s", "after: a, with: a", "at: 0s"]);
     assert!(!compiled(&fleet, &with).findings[0].message.contains("wait"));
     let both = text(["with: b", "after: a", "at: 0s"]);
@@ -201,7 +201,7 @@ fn acts_that_go_round_come_to_an_end_where_the_hint_says() {
     let (code, hint) = fault(&fleet, &text);
     assert!(code == Code::DeadEnd && hint == "write `next: end` for `a8`", "{hint}");
     is_sound(&fleet, &text.replace("act: a8, next: a0", "act: a8, next: end"));
-    // Two circles are two findings, and what leads into one is none.
+    // Two cycles are two findings; an act that leads into a cycle is none.
     let two = format!("scenario: s\nacts:\n{}{}{}{}", act(0, 1), act(1, 1), act(2, 3), act(3, 2))
         .replace("act: a0,", "act: a0, wait: {for: operator, timeout: 1s, otherwise: a2},");
     let found = compiled(&fleet, &two).findings;
@@ -223,7 +223,7 @@ fn acts_that_nothing_leads_to_are_found_at_the_first_of_them() {
     fleet.space.distance = None;
     let found = compiled(&fleet, &text).findings;
     let messages: Vec<&str> = found.iter().map(|found| found.message.as_str()).collect();
-    assert_eq!(messages, ["no way leads to the act `b`, from which `c`, `d` would follow"]);
+    assert_eq!(messages, ["the act `b` is unreachable, and with it `c`, `d`"]);
 }
 
 #[test]
@@ -240,7 +240,10 @@ fn a_change_of_a_move_is_told_how_far_it_may_go() {
     let (code, hint) = fault(&fleet, &text("mirror: true"));
     assert_eq!(
         (code, hint.as_str()),
-        (Code::OutOfRange, "it fits if mirrored about its middle: `{about: 25, devices: [d]}`")
+        (
+            Code::OutOfRange,
+            "mirror it about its middle to stay within the limits: `{about: 25, devices: [d]}`"
+        )
     );
     is_sound(&fleet, &text("mirror: {about: 25, devices: [d]}"));
 }
@@ -259,7 +262,7 @@ cues:
     let fleet = super::fleet();
     let finding = &compiled(&fleet, &text("120")).findings[0];
     assert_eq!((finding.line, finding.column), (4, 45), "{finding:#?}");
-    assert_eq!(finding.hint.as_deref(), Some("`to` makes it 120: the nearest that it can take is 90"));
+    assert_eq!(finding.hint.as_deref(), Some("`to` sets it to 120: the nearest possible value is 90"));
     is_sound(&fleet, &text("90"));
     let finding = &compiled(&fleet, &text("20deg")).findings[0];
     assert_eq!((finding.line, finding.column, finding.message.as_str()), (4, 45, "found the text `20deg`"));
@@ -279,15 +282,15 @@ fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
     }
     is_sound(&fleet, &text(10.0));
     is_sound(&fleet, &text(80.0));
-    // One that is too large for any place.
+    // One that is too large for any position.
     let large = |amplitude: &str| text(45.0).replace("amplitude: 10", &format!("amplitude: {amplitude}"));
     let (code, told) = fault(&fleet, &large("60"));
-    let expected = "its values span 120, and the limits 90: make it 0.75 times as large";
+    let expected = "its values span 120, but the limits span only 90: scale it by 0.75";
     assert_eq!((code, told.as_str()), (Code::OutOfRange, expected));
     is_sound(&fleet, &large("0.75 * 60"));
 }
 
-/// Drones in a row above the ground, whose devices take hundredths and move at up to 3 m/s.
+/// Drones in a row above the ground; their devices have steps of 0.01 and move at up to 3 m/s.
 fn coarse(count: usize) -> Fleet {
     let robots = (0..count).map(|index| {
         let mut robot = drone_on([0.01; 2], index, [index as f64, 0.0, 1.0]);
@@ -334,7 +337,7 @@ cues:
   - {robots: arm, move: m, parameters: {to: 80}}
 ";
     let (code, hint) = fault(&super::fleet(), text);
-    let expected = "`to` makes it 160: give a value that makes it at most 90";
+    let expected = "`to` leads to 160: use a value that leads to at most 90";
     assert_eq!((code, hint.as_str()), (Code::OutOfRange, expected));
 }
 

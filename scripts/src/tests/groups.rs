@@ -1,4 +1,4 @@
-//! Groups of bodies, evaluated a second time: positions sampled from the steps of the plan, without the compiler's own paths.
+//! Evaluates groups of bodies a second time: positions are sampled from the steps of the plan, without the compiler's own paths.
 
 use std::fmt::Write as _;
 
@@ -8,9 +8,9 @@ use super::robot;
 use crate::space::{Body, Coordinate, Shape, Space};
 use crate::{Act, Address, Code, Compiled, Fleet, FleetRobot, NoFiles, RateLimits, Source, compile};
 
-/// How densely positions are looked at, in milliseconds.
+/// Sampling interval of positions, in milliseconds.
 const EVERY_MS: f64 = 5.0;
-/// The error that the devices allow, in metres.
+/// Permitted error of the devices, in metres.
 const ERROR: f64 = 0.002;
 const RADIUS: f64 = 0.1;
 const DISTANCE: f64 = 0.2;
@@ -24,12 +24,12 @@ fn device(id: &str, home: f64, [granularity, error]: [f64; 2]) -> String {
     )
 }
 
-/// A drone that begins at a place.
+/// A drone with its initial place.
 pub(super) fn drone(index: usize, at: [f64; 3]) -> FleetRobot {
     drone_on([0.001, ERROR], index, at)
 }
 
-/// The same, whose devices have this granularity and largest error.
+/// A drone whose devices have this granularity and largest error.
 pub(super) fn drone_on(grid: [f64; 2], index: usize, [x, y, z]: [f64; 3]) -> FleetRobot {
     let id = format!("d{index}");
     let devices = [("x", x), ("y", y), ("z", z)].map(|(name, home)| device(name, home, grid)).join(", ");
@@ -44,7 +44,7 @@ pub(super) fn drone_on(grid: [f64; 2], index: usize, [x, y, z]: [f64; 3]) -> Fle
     robot
 }
 
-/// Drones on the ground, in rows of ten, with a group `all`.
+/// Drones on the ground in rows of ten, with a group `all`.
 fn fleet(count: usize) -> Fleet {
     let place = |index: usize| [(index % 10) as f64 * 0.7, (index / 10) as f64 * 0.7, 0.0];
     let robots: Vec<FleetRobot> = (0..count).map(|index| drone(index, place(index))).collect();
@@ -80,7 +80,7 @@ pub(super) fn steps(act: &Act, count: usize) -> Steps {
     steps_of(act, &fleet, &fleet.robots.iter().map(home).collect::<Vec<_>>())
 }
 
-/// The same of robots that begin elsewhere.
+/// Returns the steps of robots with other initial places.
 pub(super) fn steps_of(act: &Act, fleet: &Fleet, from: &[[f64; 3]]) -> Steps {
     let of = |(robot, from): (&FleetRobot, &[f64; 3])| {
         std::array::from_fn(|number| {
@@ -117,7 +117,7 @@ pub(super) fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// The least distance of all pairs at all times that are looked at, from surface to surface.
+/// Returns the least distance, from surface to surface, of all pairs at all sampled times.
 fn closest(act: &Act, steps: &Steps) -> f64 {
     let ends = act.cues.iter().map(|cue| cue.end.as_millis_f64()).fold(0.0, f64::max);
     let mut least = f64::INFINITY;
@@ -148,7 +148,7 @@ cues:
 
 #[test]
 fn the_time_that_a_way_needs_is_enough_for_it() {
-    // 0.7 m: 15/8 of it by 5 m/s, and (10/sqrt(3)) of it by 10 m/s2, which takes longer.
+    // 0.7 m: 15/8 of it at 5 m/s, and 10/sqrt(3) of it at 10 m/s2, which takes longer.
     let text = |over: &str| {
         format!(
             "scenario: s\nformations: {{f: {{points: [[0.7, 0, 0]]}}}}\ncues: [{{robots: d0, form: f, over: {over}}}]\n"
@@ -160,7 +160,7 @@ fn the_time_that_a_way_needs_is_enough_for_it() {
     assert!(compiled(1, &text(needed)).findings.is_empty(), "{expected}");
 }
 
-/// What is said of places in a scenario of acts.
+/// Returns the findings about unknown places in a scenario of acts.
 fn lost(text: &str) -> Vec<String> {
     let found = compiled(2, text).findings;
     found
@@ -245,7 +245,7 @@ fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
         stated >= DISTANCE - 1e-6 && sampled >= stated - 1e-6 && sampled <= stated + 0.02,
         "{sampled} {stated}"
     );
-    // The third drone takes off with the third beat.
+    // The third drone takes off on the third beat.
     assert_eq!((places(&steps, 1_000.0)[2][2], places(&steps, 1_000.0)[3][2]), (0.0, 0.0));
     assert!(places(&steps, 1_600.0)[2][2] > 0.0 && places(&steps, 3_100.0)[2][2] > 1.49);
     let cue = |name: &str| act.cues.iter().find(|cue| cue.name == name).unwrap();
@@ -254,7 +254,7 @@ fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
     for (place, home) in places(&steps, end).iter().zip(&home) {
         assert!(apart(place, home) < 1e-3, "{place:?} {home:?}");
     }
-    // On their way round all of them stay on the circle, and come back after two turns.
+    // During the turn, all of them stay on the circle, and return after two turns.
     let round = (cue("round").start.as_millis_f64(), cue("round").end.as_millis_f64());
     for at in 0..=1_000 {
         let at = round.0 + (round.1 - round.0) * f64::from(at) / 1_000.0;
@@ -291,7 +291,7 @@ cues:
 
 #[test]
 fn bodies_whose_places_are_close_are_set_more_finely() {
-    // Two bodies have to be 0.4 m apart, from middle to middle, and the steps of each may be off by up to 35 mm.
+    // Two bodies must be 0.4 m apart, from middle to middle, and the steps of each may be off by up to 35 mm.
     for spacing in ["0.402", "0.41", "0.43"] {
         let text = format!(
             "scenario: close
@@ -332,7 +332,7 @@ fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
         let [finding] = found.as_slice() else { panic!("{found:#?}") };
         (finding.code, finding.expected.clone(), finding.hint.clone().unwrap())
     };
-    // 0.1 m, 0.5 m and 0.2 m between them.
+    // Distances of 0.1 m, 0.5 m and 0.2 m.
     let (code, expected, hint) = cue("form: f");
     assert_eq!((code, expected.as_str()), (Code::NoWayPast, "at least 0.800 m; they end 0.500 m apart"));
     assert_eq!(hint, "`spacing: 0.807` is enough");
@@ -359,11 +359,11 @@ acts:
             .map(|script| script.script.steps().last().unwrap().setpoint.value)
     };
     assert_eq!((last(&acts[0], "x"), last(&acts[0], "y"), last(&acts[0], "z")), (Some(3.0), None, Some(2.0)));
-    // [3, 0] doubled and turned by 90 degrees is [0, 6].
+    // [3, 0], doubled and turned by 90 degrees, is [0, 6].
     assert_eq!((last(&acts[1], "x"), last(&acts[1], "y"), last(&acts[1], "z")), (Some(1.0), Some(6.0), None));
 }
 
-/// The codes of what is found, with the text of the first.
+/// Returns the codes of the findings, with the text of the first one.
 fn found(count: usize, cue: &str) -> (Vec<Code>, String) {
     let mut text =
         "scenario: s\nformations: {three: {points: [[0, 0, 1], [2, 0, 1], [4, 0, 1]]}}\ncues:\n".to_owned();
@@ -383,7 +383,7 @@ fn more_or_fewer_robots_than_places_are_a_choice() {
         let (codes, text) = found(count, &format!("form: {{to: three, {choice}}}, over: 5s"));
         assert!(codes.is_empty(), "{choice}: {text}");
     }
-    // A choice for the other case does not count.
+    // A choice for the other case is ignored.
     assert_eq!(found(2, "form: {to: three, spare: stay}, over: 5s").0, [Code::PlacesCount]);
 }
 
@@ -445,7 +445,7 @@ fn ways_are_judged_to_where_devices_can_be_set() {
         *block = serde_json::from_str(&coarse).unwrap();
         robot.body.as_mut().unwrap().acceleration = None;
     }
-    // d1 is at 0.7 m, which is no multiple of 0.5 m; from there it is 1.3 m to the place as it is set, and 1.05 m as it is written.
+    // d1 is at 0.7 m, which is not a multiple of 0.5 m. The distance to the place is 1.3 m as set, and 1.05 m as written.
     let formation = "f: {points: [[-1, 0, 0], [1.75, 0, 0]]}";
     let over = enough(&fleet, formation, "form: f, over: 10ms").unwrap();
     let needed: f64 = over.trim_end_matches("ms").parse().unwrap();
@@ -458,7 +458,7 @@ fn a_group_that_turns_or_grows_about_itself_is_told_that_nothing_moves() {
     for cue in ["turn: 90, over: 5s", "grow: 2, over: 5s", "turn: {by: 90, about: [0, 0]}, over: 5s"] {
         let (codes, text) = found(1, cue);
         assert_eq!(codes, [Code::NotInGroup], "{cue}");
-        assert!(text.contains("nothing moves"), "{text}");
+        assert!(text.contains("none of them moves"), "{text}");
     }
     assert!(found(1, "turn: {by: 90, about: [1, 0]}, over: 5s").0.is_empty());
     assert!(found(1, "turn: 90, shift: [1, 0, 0], over: 5s").0.is_empty());
@@ -473,7 +473,7 @@ fn large_numbers_are_told_in_few_digits() {
     }
 }
 
-/// A fleet whose devices are limited in place of its bodies.
+/// A fleet with limits for its devices instead of its bodies.
 fn limited(count: usize) -> Fleet {
     let mut fleet = fleet(count);
     let limits = |speed: f64| RateLimits { speed: Some(speed), acceleration: Some(2.0) };
@@ -493,7 +493,7 @@ fn a_time_is_enough_for_steps_of_axes_at_different_times() {
     assert_eq!(enough(&fleet(3), "", &format!("{cue}, over: {over}")), None, "{over}");
 }
 
-/// What a finding of a group that is to move too fast says would be enough.
+/// Returns the sufficient time according to the finding about a group that would move too fast.
 fn enough(fleet: &Fleet, formations: &str, cue: &str) -> Option<String> {
     let text = format!("scenario: s\nformations: {{{formations}}}\ncues: [{{at: 0s, robots: all, {cue}}}]\n");
     let found = compile(&Source { name: "s.yaml".into(), text }, fleet, &NoFiles).findings;
@@ -516,10 +516,10 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
     let codes: Vec<Code> = findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, [Code::NoWayPast], "{findings:#?}");
     assert_eq!(findings[0].message, "places 1 and 2 of `near` are 0.390 m apart");
-    assert!(findings[0].expected.starts_with("at least 0.400 m from middle to middle"), "{findings:#?}");
+    assert!(findings[0].expected.starts_with("at least 0.400 m between centres"), "{findings:#?}");
     let hint = findings[0].hint.as_deref().unwrap();
     assert_eq!(hint, "`scale: 1.05` is enough");
-    // Without bodies and distances, two robots still cannot be at one place.
+    // Without bodies and distances, two robots still cannot be at the same place.
     let ring = "ring: {circle: {radius: 0.01}, at: [0, 0, 1]}";
     let text = format!(
         "scenario: s\nformations: {{{ring}}}\ncues: [{{at: 0s, robots: all, form: ring, over: 60s}}]\n"
@@ -545,7 +545,7 @@ fn a_robot_that_cannot_change_its_height_is_named_where_the_others_would() {
     for cue in ["form: three, over: 9s", "grow: 2, over: 9s", "shift: [0, 0, 1], over: 9s"] {
         let found = codes(cue);
         assert!(found.len() == 1 && found[0].0 == Code::NotInGroup, "{cue}: {found:?}");
-        assert!(found[0].1.contains("`d1` cannot change its own"), "{cue}: {found:?}");
+        assert!(found[0].1.contains("`d1` cannot change its height"), "{cue}: {found:?}");
     }
     for cue in
         ["form: floor, over: 9s", "form: home, over: 9s", "turn: 20, over: 9s", "shift: [0, 1, 0], over: 9s"]
@@ -597,7 +597,7 @@ cues:
 "
         );
         let compiled = compiled(count, &text);
-        // Places may be too near to each other.
+        // Places may be too close to each other.
         let Some(choreography) = compiled.choreography else {
             let told = compiled.findings.iter().any(|found| matches!(found.code, Code::TooClose | Code::NoWayPast | Code::BodyTooFast));
             prop_assert!(told, "{:#?}", compiled.findings);
@@ -628,7 +628,7 @@ cues:
 
 #[test]
 fn a_late_robot_begins_where_a_group_has_led_it_meanwhile() {
-    // d1 goes to the left and back to the right before its turn in the canon comes.
+    // d1 moves to the left and back to the right before its start in the canon.
     let text = "scenario: s
 cues:
   - {robots: [d0, d1], canon: 10s, shift: [0, 0, 2], over: 4s}
@@ -690,7 +690,7 @@ fn of_robots_whose_movement_is_missing_nothing_follows() {
 
 #[test]
 fn places_are_too_near_for_the_bodies_of_the_fleet_before_any_cue_uses_them() {
-    // Bodies of 0.1 m that keep 0.2 m apart.
+    // Bodies with a radius of 0.1 m that keep 0.2 m apart.
     for (gap, expected) in [(0.39, vec![Code::NearPlaces]), (0.4, vec![])] {
         let text = format!(
             "scenario: s\nformations: {{two: {{points: [[0, 0, 1], [{gap}, 0, 1]]}}}}\ncues: [{{robots: d0, shift: [0, 0, 1], over: 4s}}]\n"
@@ -757,7 +757,7 @@ fn a_group_begins_after_the_movements_of_its_robots_whether_it_moves_them_or_not
         let hint = overlap.hint.as_deref().unwrap_or_default();
         assert!(hint.contains("4s later"), "{second}: {hint}");
     }
-    // What a group leaves alone may move.
+    // Coordinates that a group leaves alone may move.
     assert_eq!(found("shift: [1, 0, 0]"), []);
 }
 
@@ -769,5 +769,5 @@ cues:\n  - {cue: a, at: 0s, robots: d0, form: f, over: 8s, tracks: {z: [{at: 1s,
     let overlaps: Vec<_> = findings.iter().filter(|finding| finding.code == Code::Overlap).collect();
     let [overlap] = overlaps.as_slice() else { panic!("{findings:#?}") };
     let hint = overlap.hint.as_deref().unwrap_or_default();
-    assert!(hint.starts_with("leave out one of the two movements"), "{hint}");
+    assert!(hint.starts_with("remove one of the two movements"), "{hint}");
 }

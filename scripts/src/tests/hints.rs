@@ -1,4 +1,4 @@
-//! Every hint that names an edit is made literally: the finding has to be gone.
+//! Applies each hint with an edit literally: the finding must disappear.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ fn compiled(name: &str, text: &str) -> Compiled {
     compile(&source, &fleet.unwrap_or_default(), &Folder::new(folder()))
 }
 
-/// Replaces this many characters of a line by others.
+/// Replaces `width` characters of a line.
 fn replaced(text: &str, line: usize, column: usize, width: usize, new: &str) -> String {
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     let chars: Vec<char> = lines[line - 1].chars().collect();
@@ -26,18 +26,18 @@ fn replaced(text: &str, line: usize, column: usize, width: usize, new: &str) -> 
     lines.join("\n") + "\n"
 }
 
-/// What stands between backticks.
+/// Returns the texts between backticks.
 fn quoted(text: &str) -> Vec<&str> {
     text.split('`').skip(1).step_by(2).collect()
 }
 
-/// The line on which a cue begins.
+/// Returns the line on which a cue begins.
 fn line_of_cue(text: &str, name: &str) -> Option<usize> {
     let named = |line: &str| line.split(['{', '-', ',']).any(|part| part.trim() == format!("cue: {name}"));
     text.lines().position(named).map(|index| index + 1)
 }
 
-/// Sets a key of a cue: that of its first line, where it is in one line.
+/// Sets a key of a cue: in its first line, if the cue is written in one line.
 fn with_key(text: &str, cue: &str, edit: &str) -> Option<String> {
     let line = line_of_cue(text, cue)?;
     let key = edit.split(':').next()?;
@@ -67,7 +67,7 @@ fn with_key(text: &str, cue: &str, edit: &str) -> Option<String> {
     }
 }
 
-/// A key of a contradiction, where one of its lines stands.
+/// Sets a key of a contradiction in one of its lines.
 fn with_bound(text: &str, finding: &Finding, cue: &str, edit: &str) -> Option<String> {
     let (key, value) = edit.split_once(": ")?;
     let target = |text: &str| {
@@ -94,7 +94,7 @@ fn with_bound(text: &str, finding: &Finding, cue: &str, edit: &str) -> Option<St
     Some(replaced(text, related.line, related.column, related.width, value))
 }
 
-/// All keyframes of a line from a column on, this much later.
+/// Delays all keyframes of a line, starting at a column.
 fn later(text: &str, line: usize, column: usize, seconds: f64) -> String {
     let whole = text.lines().nth(line - 1).unwrap();
     let (before, rest) = whole.split_at(column - 1);
@@ -112,7 +112,7 @@ fn later(text: &str, line: usize, column: usize, seconds: f64) -> String {
     text.replace(whole, &format!("{before}{}", parts.join("at: ")))
 }
 
-/// The texts that a hint asks for; none where it leaves the edit to the reader.
+/// Returns the texts that a hint asks for; empty if it leaves the edit to the reader.
 fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
     let at_place = |new: &str| replaced(text, finding.line, finding.column, finding.width, new);
     let words = quoted(hint);
@@ -136,7 +136,7 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
     if hint.starts_with("add the unit: ") {
         return words.iter().map(|word| at_place(word)).collect();
     }
-    if let Some(value) = hint.strip_prefix("the nearest value that it can take is ") {
+    if let Some(value) = hint.strip_prefix("the nearest possible value is ") {
         return vec![at_place(value)];
     }
     if let Some(rest) = hint.strip_prefix("the nearest values on the grid are ") {
@@ -145,14 +145,14 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
         texts.push(format!("off_grid: snap\n{text}"));
         return texts;
     }
-    if hint.starts_with("`off_grid: snap`") {
+    if hint.starts_with("use `off_grid: snap`") {
         return vec![format!("off_grid: snap\n{text}")];
     }
-    if let Some((to, from)) = hint.strip_prefix("give it ").and_then(|rest| rest.split_once(" instead of ")) {
+    if let Some((to, from)) = hint.strip_prefix("allow ").and_then(|rest| rest.split_once(" instead of ")) {
         let (to, from) = (seconds(to), seconds(from.split(',').next().unwrap()));
         return vec![later(text, finding.line, finding.column, to.unwrap() - from.unwrap())];
     }
-    if let Some(rest) = hint.strip_prefix("put the first keyframe at ") {
+    if let Some(rest) = hint.strip_prefix("move the first keyframe to ") {
         let whole = text.lines().nth(finding.line - 1).unwrap();
         let Some(at) = whole[finding.column - 1..].find("at: ") else { return Vec::new() };
         let at = finding.column - 1 + at;
@@ -165,7 +165,7 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
             seconds(rest.split(' ').next().unwrap()).unwrap() - now,
         )];
     }
-    if hint.starts_with("start `") && hint.contains("as with `after: ") {
+    if hint.starts_with("start `") && hint.contains("for example with `after: ") {
         return with_key(text, words[0], words[1])
             .map(|text| text.replace("at: 500ms, after", "after"))
             .into_iter()

@@ -1,4 +1,4 @@
-//! Groups of as many robots as a formation has places.
+//! Groups with as many robots as a formation may have places.
 
 use super::groups::drone;
 use crate::space::Space;
@@ -6,7 +6,7 @@ use crate::{Code, Compiled, Fleet, NoFiles, Source, compile};
 
 const MOST: usize = 10_000;
 
-/// Drones on the ground, a metre apart in rows of 101.
+/// Drones on the ground, one metre apart, in rows of 101.
 fn fleet(count: usize) -> Fleet {
     let place = |index: usize| [(index % 101) as f64 - 50.0, (index / 101) as f64 - 49.5, 0.0];
     let robots: Vec<_> = (0..count).map(|index| drone(index, place(index))).collect();

@@ -1,4 +1,4 @@
-//! Names whose letters are encoded in several ways.
+//! Names whose letters have several encodings.
 
 use crate::{Code, Finding, Folder, Project, Severity, Source, compile, read_fleet};
 
@@ -24,7 +24,8 @@ cues:
   - {after: OTHER-cue, robots: OTHERs, tracks: {OTHER: [{at: 0s, to: 9}, {at: 1s, to: 2}]}}
 ";
 
-/// What is found in a show whose files have a name in these forms: in the description, in the fleet, in the scenario, and there again.
+/// Returns the findings of a show whose files contain a name in these forms: in the description, in the fleet, in the scenario, and there
+/// again.
 fn found([robot, fleet, scenario, other]: [&str; 4], file: [&str; 2]) -> Vec<Finding> {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).unwrap();

@@ -1,4 +1,4 @@
-//! The numbers that a plan states, against what was written.
+//! The numbers in a plan, compared with the scenario.
 
 use proptest::prelude::*;
 
@@ -70,7 +70,7 @@ pub(super) fn used<'a>(act: &'a Act, device: &str) -> &'a DeviceUse {
     act.devices.iter().find(|used| used.device.as_str() == device).unwrap()
 }
 
-/// Nanoseconds from the act's start, and values.
+/// Returns nanoseconds from the act's start, and values.
 pub(super) fn steps(act: &Act, device: &str) -> Vec<(i64, Vec<f64>)> {
     let scripts = act.plan.robots.iter().flat_map(|robot| &robot.scripts);
     let own = scripts.filter(|script| script.device.as_str() == device);
@@ -131,7 +131,7 @@ fn decimal(range: std::ops::Range<i128>) -> impl Strategy<Value = (String, i128)
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// Checked with whole numbers: times are fractions of nanoseconds, compared by multiplying out.
+    /// Checked with integers: times are fractions of nanoseconds, compared by multiplying out.
     #[test]
     fn repeated_music_ends_where_its_bars_end(
         (first, first_hundredths) in decimal(4_000..25_000),
@@ -140,7 +140,7 @@ proptest! {
         form in 0..4,
         late in any::<bool>(),
     ) {
-        // Where a cue begins before the change of tempo, its first bar is one of the first tempo.
+        // If a cue begins before the change of tempo, its first bar has the first tempo.
         let begin = if late { change + start } else { 1 };
         let (hundredths, beats_a_bar) = if late { (second_hundredths, beats_again) } else { (first_hundredths, beats) };
         let bar = |number: i128| {
@@ -184,7 +184,7 @@ fn cues_that_follow_each_other_in_beats_are_never_later_than_the_bar() {
     }
 }
 
-/// Pieces of a straight line or a curve with gaps between them, and how many of the steps are at one instant.
+/// Pieces of a straight line or a curve, with gaps between them.
 fn polynomial(gap: f64, curve: f64) -> String {
     let piece = |i: usize| {
         let begin = 0.471 * i as f64 + if i % 2 == 1 { gap } else { 0.0 };
@@ -194,7 +194,7 @@ fn polynomial(gap: f64, curve: f64) -> String {
     format!("pole: {{polynomial: [{}]}}", pieces.join(", "))
 }
 
-/// Limits off the grid, of the device or of its scripts alone.
+/// Limits off the grid, of the device or only of its scripts.
 #[test]
 fn a_movement_between_the_last_value_of_the_grid_and_the_limit_is_set_to_that_value() {
     for (position, script) in [(9.99, 9.99), (10.0, 9.99)] {
@@ -414,7 +414,7 @@ fn the_values_of_a_track_that_are_moved_to_the_grid_are_one_warning() {
     let found = compiled(&track).findings;
     let [warning] = found.as_slice() else { panic!("{found:#?}") };
     assert_eq!(warning.code, Code::Snapped);
-    let expected = "keyframe 20: 9.69 becomes 9.5, 0.19 off, the most of 19 values off the grid, for position of `valve` on `bot`";
+    let expected = "keyframe 20: 9.69 is rounded to 9.5, off by 0.19, the largest error of 19 values off the grid, for position of `valve` on `bot`";
     assert_eq!(warning.message, expected);
 }
 

@@ -1,8 +1,8 @@
-//! One fault, one finding: what follows from it is not told, and it is told where it stands.
+//! One fault, one finding: consequences are not reported, and the fault is reported at its own place.
 
 use super::composed::compiled_with;
 
-/// What is found, as line, column and message.
+/// Returns the findings as line, column and message.
 fn found_with(text: &str, files: &[(&'static str, &str)]) -> Vec<String> {
     let findings = compiled_with(text, files).findings;
     let shown = |found: &crate::Finding| format!("{}:{} {}", found.line, found.column, found.message);
@@ -38,13 +38,13 @@ fn what_uses_a_parameter_without_a_value_is_not_told() {
     check(&played("pause: 2s"), &["11:27 the sequence `show` needs a value for `who`"]);
     check(
         &played("who: left, depth: deep"),
-        &["11:64 the parameter `depth` is a number, and this is the text `deep`"],
+        &["11:64 the parameter `depth` needs a number, but this is the text `deep`"],
     );
     check(
         &played("who: left, pause: soon"),
-        &["11:64 the parameter `pause` is a time, and this is the text `soon`"],
+        &["11:64 the parameter `pause` needs a time, but this is the text `soon`"],
     );
-    // What it is the name of is known where it is used.
+    // The thing that a name refers to is known where it is used.
     check(&played("who: left, name: anything"), &[]);
 }
 
@@ -73,7 +73,7 @@ fn what_uses_a_faulty_variable_is_not_told() {
 variables: {far: $sid * 2, twice: 2 * $far, sid3: 4}
 cues: [{robots: left, tracks: {a: [{at: 0s, to: $far}, {at: 1s, to: -$far}, {at: $far, to: 3 + $twice}]}}]
 ";
-    check(text, &["2:18 no variable `sid` is known here"]);
+    check(text, &["2:18 unknown variable `sid`"]);
     let parts = "parameters: {reach: ~}
 variables: {far: 2 * $reach}
 moves: {m: {tracks: {a: [{at: 0s, to: 0}, {at: 1s, to: $far}]}}}
@@ -94,7 +94,7 @@ cues: [{robots: left, move: c}]
     let found = found_with(text, &[]);
     assert_eq!(found.len(), 2, "{found:#?}");
     assert!(found[0].starts_with("3:32 the move `a` uses itself ("), "{found:#?}");
-    let around = "4:21 the move `a` uses itself, by way of the move `b`, the move `c` (";
+    let around = "4:21 the move `a` uses itself via the move `b`, the move `c` (";
     assert!(found[1].starts_with(around), "{found:#?}");
 }
 
@@ -116,7 +116,7 @@ cues:
     assert_eq!(found.related.iter().map(|related| related.line).collect::<Vec<_>>(), [4, 3]);
     // The name is reported even if nothing refers to it.
     let unused = text.lines().take(4).collect::<Vec<_>>().join("\n");
-    check(&unused, &["4:11 several cues are called `x`"]);
+    check(&unused, &["4:11 duplicate cue name `x`"]);
     // Cues of different acts may have the same name.
     let acts = format!(
         "scenario: s
@@ -167,7 +167,7 @@ cues: [{{at: {at}, robots: left, tracks: {{a: [{{at: 0s, to: 0}}]}}}}]
     ] {
         let findings = compiled_with(&scenario(at), &[]).findings;
         let [found] = findings.as_slice() else { panic!("{findings:#?}") };
-        assert_eq!(found.message, format!("`{at}` is beyond its bar, which has {beats} beats"));
+        assert_eq!(found.message, format!("`{at}` is beyond the end of its bar, which has {beats} beats"));
         assert_eq!(found.hint, Some(format!("write `{meant}`")));
         check(&scenario(meant), &[]);
     }
@@ -271,16 +271,16 @@ cues: [{{robots: [left, right], move: m, parameters: {{to: {to}}}}}]
     check(
         &text("{from: 1s, to: 3s, across: group}"),
         &[
-            "4:65 the parameter `to` is a number, and this is the text `1s`",
-            "4:73 the parameter `to` is a number, and this is the text `3s`",
+            "4:65 the parameter `to` needs a number, but this is the text `1s`",
+            "4:73 the parameter `to` needs a number, but this is the text `3s`",
         ],
     );
     let words = compiled_with(&text("low"), &[]).findings;
-    assert_eq!(words[0].hint.as_deref(), Some("the variable is written `$low`"));
-    // Not that the ends differ: the number is right.
+    assert_eq!(words[0].hint.as_deref(), Some("write the variable as `$low`"));
+    // The differing types of the ends are not reported: the number is correct.
     check(
         &text("{from: 1s, to: 3, across: group}"),
-        &["4:65 the parameter `to` is a number, and this is the text `1s`"],
+        &["4:65 the parameter `to` needs a number, but this is the text `1s`"],
     );
 }
 
@@ -320,11 +320,11 @@ fn numbers_in_expressions_are_those_of_yaml() {
         format!("{}: {}", findings[0].message, findings[0].hint.clone().unwrap_or_default())
     };
     assert_eq!(found("$v * 1e400"), "the number is too large: ");
-    assert_eq!(found("$v * 2pi"), "`2pi` cannot be read: to multiply, write `2 * pi`");
-    assert_eq!(found("2 $v"), "`$` after a complete value: to multiply, write `*` between the two");
+    assert_eq!(found("$v * 2pi"), "invalid value `2pi`: to multiply, write `2 * pi`");
+    assert_eq!(found("2 $v"), "unexpected `$` after a value: to multiply, write `*` between the two values");
     assert_eq!(
         found("\"(2 + 3)(4 + $v)\""),
-        "`(` after a complete value: to multiply, write `*` between the two"
+        "unexpected `(` after a value: to multiply, write `*` between the two values"
     );
 }
 
@@ -338,7 +338,7 @@ fn a_time_that_is_nearly_right_is_told_how_it_is_written() {
     };
     assert_eq!(hint("2beats"), "write `2 beats`");
     assert_eq!(hint("2 * 2beats"), "write `2 beats`");
-    assert_eq!(hint("1s..2s"), "a range has no place here: write one time");
+    assert_eq!(hint("1s..2s"), "a range is not supported here: write one time");
     assert_eq!(hint("1,5s"), "write a decimal point: `1.5s`");
     assert_eq!(hint("1:30"), "write hours, minutes and seconds, `00:01:30` or `01:30:00`");
 }

@@ -1,4 +1,4 @@
-//! What the plan shows of a cue: the order in which its keys change its movement, as `docs/scenario.md` documents it, and its note.
+//! The cue information in a plan: the order in which its keys change its movement, as documented in `docs/scenario.md`, and its note.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use urrcp::Span;
 
 use crate::{NoFiles, PlannedCue, Source, compile, read_fleet};
 
-/// The section of the documentation.
+/// Returns the section of the documentation.
 fn section() -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let document = std::fs::read_to_string(root.join("docs/scenario.md")).unwrap();

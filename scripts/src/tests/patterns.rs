@@ -1,4 +1,4 @@
-//! Patterns over a group: a scenario with one compiles to what the same one compiles to with every time and number written out.
+//! Patterns over a group: a scenario with a pattern compiles to the same result as one with every time and number written out.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ const BLOCK: &str = r#"{"id": "x", "api_version": "1", "devices": [
      "position": {"min_value": -500, "max_value": 500, "granularity": 0.01, "max_error": 0.05},
      "script": {"min_value": -500, "max_value": 500, "granularity": 0.01, "max_number_of_steps": 10000}}}]}"#;
 
-/// Robots with their places; the last two of eight have none.
+/// Robots with their places; the last two of eight have no place.
 const PLACES: [(&str, Option<[f64; 3]>); 8] = [
     ("a", Some([0.0, 0.0, 0.0])),
     ("b", Some([1.0, 0.0, 2.0])),
@@ -28,7 +28,7 @@ const PLACES: [(&str, Option<[f64; 3]>); 8] = [
 
 fn body(place: [f64; 3]) -> Body {
     let [_, y, z] = place.map(Coordinate::Fixed);
-    // Where the body is in x follows from the default value of a device: 100 cm and its offset.
+    // The place of the body in x follows from the default value of a device: 100 cm plus its offset.
     let device = urrcp::DeviceId::new("x").unwrap();
     let x = Coordinate::Device { device, scale: 0.01, offset: place[0] - 1.0 };
     Body {
@@ -66,7 +66,7 @@ fn compiled(text: &str) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text: format!("scenario: s\n{text}") }, &fleet(), &NoFiles)
 }
 
-/// The scripts of every robot, and when each cue begins and ends.
+/// Returns the scripts of every robot, and the times of each cue.
 #[track_caller]
 fn scripts(text: &str) -> Vec<String> {
     let compiled = compiled(text);
@@ -87,7 +87,7 @@ fn same(with: &str, without: &str) {
     }
 }
 
-/// A cue of a group with a canon, against the same cue with a delay for each robot.
+/// Compares a cue of a group with a canon with the same cue with a delay for each robot.
 #[track_caller]
 fn delayed(group: &str, canon: &str, delays: &[(&str, &str)]) {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
@@ -102,7 +102,7 @@ fn delayed(group: &str, canon: &str, delays: &[(&str, &str)]) {
     );
 }
 
-/// A value of each robot of a group, against the same values written out.
+/// Compares a value for each robot of a group with the same values written out.
 #[track_caller]
 fn valued(group: &str, value: &str, values: &[(&str, &str)]) {
     let tracks = |value: &str| {
@@ -120,7 +120,7 @@ fn valued(group: &str, value: &str, values: &[(&str, &str)]) {
     );
 }
 
-/// What is found: the text at its place, which is the bracket of a map, its code and message.
+/// Returns the findings: the text at the place, which is the bracket of a map, with code and message.
 fn found(text: &str) -> Vec<String> {
     let one = |finding: &crate::Finding| {
         let at: String = finding.source_line.chars().skip(finding.column - 1).take(finding.width).collect();
@@ -154,23 +154,23 @@ fn a_wave_runs_over_the_places_of_the_robots() {
         "{speed: 2, by: x, direction: backward}",
         &[("a", "2s"), ("b", "1500ms"), ("e", "1850ms"), ("f", "1s")],
     );
-    // From x = 2 on.
+    // From x = 2.
     delayed(
         "five",
         "{speed: 1, by: x, direction: outward}",
         &[("a", "2s"), ("b", "1s"), ("c", "2s"), ("e", "1700ms")],
     );
-    // c is 5 m from the origin, b the root of 5, and a is there.
+    // c is 5 m from the origin, b the square root of 5, and a is at the origin.
     delayed("[a, c]", "{speed: 2, by: [0, 0, 0]}", &[("c", "2500ms")]);
     delayed("[c, a]", "{speed: 2, by: [4, 3, 0]}", &[("a", "2500ms")]);
-    // b and h stand at one x and begin together.
+    // b and h have the same x and begin together.
     delayed("alike", "{step: 1s, by: x}", &[("h", "1s"), ("b", "1s")]);
     delayed("a", "{speed: 2, by: x}", &[]);
 }
 
 #[test]
 fn a_canon_at_random_is_the_same_for_ever() {
-    // SplitMix64 twice for each number, worked out by hand in another language.
+    // SplitMix64 twice for each number, calculated independently in another language.
     delayed("four", "{step: 1s, by: random, seed: 7}", &[("a", "1s"), ("c", "2s"), ("e", "3s")]);
     delayed(
         "four",
@@ -286,7 +286,7 @@ fn a_value_is_spread_from_the_first_robot_to_the_last() {
         "{from: 0, to: 8, across: group, direction: outward}",
         &[("a", "8"), ("b", "4"), ("c", "0"), ("e", "4"), ("f", "8")],
     );
-    // smooth at thirds: 10/27 - 15/81 + 6/243 = 17/81, and the rest of it.
+    // `smooth` at thirds: 10/27 - 15/81 + 6/243 = 17/81, and the complement.
     valued(
         "four",
         "{from: 0, to: 81, across: group, ease: smooth}",
@@ -375,7 +375,7 @@ cues: [{robots: [leader, followers], canon: 250ms, tracks: {d: [{at: 0s, to: 0},
 
 #[test]
 fn robots_are_where_the_last_cue_above_leaves_them() {
-    // The value of x is in centimetres from 1 m before the place of the fleet on: a to 3 m, b to 0 m, c to 1 m.
+    // The value of x is in centimetres, starting 1 m before the place in the fleet: a to 3 m, b to 0 m, c to 1 m.
     let moves = "{cue: m, robots: [a, b, c], tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: 400}]}, overrides: {b: {tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: 0}]}}, c: {tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: -200}]}}}}";
     let nod = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
     same(
@@ -396,28 +396,25 @@ fn finds(cue: &str, expected: &[&str]) {
 fn what_is_wrong_with_a_canon_is_found_at_its_place() {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}]}";
     let canon = |canon: &str, expected: &str| finds(&format!("canon: {canon}, {tracks}"), &[expected]);
-    canon("{by: x}", "`{` DB0006 a canon with none or several of `step`, `speed` and `over`");
-    canon("{step: 1s, over: 1s}", "`{` DB0006 a canon with none or several of `step`, `speed` and `over`");
-    canon("{speed: 1}", "`speed` DB0006 a speed without places");
+    canon("{by: x}", "`{` DB0006 found none or several of `step`, `speed` and `over`");
+    canon("{step: 1s, over: 1s}", "`{` DB0006 found none or several of `step`, `speed` and `over`");
+    canon("{speed: 1}", "`speed` DB0006 the `speed` of a canon needs an order by position");
     canon("{speed: 0, by: x}", "`0` DB0003 found the number 0");
     canon("{speed: 1e9, by: x}", "`1e9` DB0003 found the number 1000000000");
     canon("{step: 1s, by: [1, 2]}", "`[` DB0003 found 2 entries");
-    canon("{step: 1s, by: random}", "`random` DB0006 `random` without a seed");
-    canon("{step: 1s, seed: 7}", "`seed` DB0004 a `seed` where nothing is random");
-    canon(
-        "{over: 1s * $count}",
-        "`$count` DB0070 `$count` differs from robot to robot, and this is for all of them",
-    );
-    canon("2 * $index", "`2 * $index` DB0070 the expression gives a plain number");
-    canon("1s / ($index - 1)", "`/` DB0070 a division by zero");
+    canon("{step: 1s, by: random}", "`random` DB0006 `random` needs a seed");
+    canon("{step: 1s, seed: 7}", "`seed` DB0004 `seed` has no effect without `by: random`");
+    canon("{over: 1s * $count}", "`$count` DB0070 `$count` differs between robots and is not supported here");
+    canon("2 * $index", "`2 * $index` DB0070 the result of the expression is a plain number");
+    canon("1s / ($index - 1)", "`/` DB0070 division by zero");
     canon("8000h * $index", "`8000h * $index` DB0045 the last of 4 robots begins 172800000 s after the cue");
     finds(
         &format!("at: 1s..2s + 1s * $index, {tracks}"),
-        &["`1s..2s + 1s * $index` DB0003 a range that differs from robot to robot"],
+        &["`1s..2s + 1s * $index` DB0003 a range that differs between robots is not supported"],
     );
     finds(
         &format!("at: 1s - 1s * $index, {tracks}"),
-        &["`1s - 1s * $index` DB0070 the expression gives the negative time -1 s"],
+        &["`1s - 1s * $index` DB0070 the result of the expression is the negative time -1 s"],
     );
 }
 
@@ -427,12 +424,12 @@ fn what_is_wrong_with_a_spread_is_found_at_its_place() {
     to("{from: 1, to: 2}", "`{` DB0006 a spread has no `across`");
     to("{from: 1, across: group}", "`{` DB0006 a spread has no `to`");
     to("{from: 1, to: 2s, across: group}", "`2s` DB0070 a spread from a plain number to a time");
-    to("{from: 1s, to: 2s, across: group}", "`{` DB0070 the expression gives a time");
+    to("{from: 1s, to: 2s, across: group}", "`{` DB0070 the result of the expression is a time");
     to("{from: 1, to: 2, across: all}", "`all` DB0020 unknown word `all`");
     to("{from: [1], to: 2, across: group}", "`[` DB0003 found a list");
     finds(
         "end_by: {from: 1s, to: 2s, across: group}, tracks: {d: [{at: 0s, to: 0}]}",
-        &["`{` DB0003 a value spread over the robots, and this is for all of them"],
+        &["`{` DB0003 a value that is spread over the robots is not supported here"],
     );
     let of = |robots: &str| {
         found(&format!(
@@ -442,11 +439,11 @@ fn what_is_wrong_with_a_spread_is_found_at_its_place() {
     assert_eq!(
         of("lost"),
         [
-            "`{` DB0006 the places of robots `i`, `j` are not known",
-            "`{` DB0006 the places of robots `i`, `j` are not known"
+            "`{` DB0006 the positions of robots `i`, `j` are unknown",
+            "`{` DB0006 the positions of robots `i`, `j` are unknown"
         ]
     );
-    assert_eq!(of("empty"), ["`empty` DB0037 no robot answers to the cue `cue 1`: its groups are empty"]);
+    assert_eq!(of("empty"), ["`empty` DB0037 the cue `cue 1` has no robots: its groups are empty"]);
 }
 
 #[test]
@@ -466,10 +463,10 @@ fn turns_that_overlap_or_are_given_twice_are_found() {
             &[expected],
         );
     };
-    repeat("{times: 2, every: 1s}", "`1s` DB0041 a movement of 2 s would begin again after 1 s");
-    repeat("{times: 2, for: 9s}", "`{` DB0003 found none or several of times, until and for");
-    repeat("{every: 3s}", "`{` DB0003 found none or several of times, until and for");
-    repeat("{every: 3s, for: 1s}", "`{` DB0041 1 s is not enough for a movement of 2 s");
+    repeat("{times: 2, every: 1s}", "`1s` DB0041 a movement of 2 s would be repeated after 1 s");
+    repeat("{times: 2, for: 9s}", "`{` DB0003 found none or several of `times`, `until` and `for`");
+    repeat("{every: 3s}", "`{` DB0003 found none or several of `times`, `until` and `for`");
+    repeat("{every: 3s, for: 1s}", "`{` DB0041 1 s is too short for a movement of 2 s");
 }
 
 #[test]
@@ -493,7 +490,7 @@ fn a_formula_has_another_chance_for_each_robot_and_turn() {
         robots.iter().map(steps).collect()
     };
     let robots = steps(&track("formula: 'round(100 * random(7, $index, floor(t / 2s)))', for: 6s"));
-    // What drawn(7, index, turn) is, worked out in another language.
+    // The values of drawn(7, index, turn), calculated in another language.
     for (robot, expected) in robots.iter().zip([[61.0, 10.0, 29.0], [98.0, 62.0, 48.0]]) {
         for (turn, value) in expected.into_iter().enumerate() {
             let middle = turn as f64 * 2_000.0 + 1_000.0;

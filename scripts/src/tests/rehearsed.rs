@@ -1,4 +1,4 @@
-//! Patterns by place after movements of groups: judged by positions sampled from the steps of the plan.
+//! Patterns by place after movements of groups, checked by positions sampled from the steps of the plan.
 
 use super::groups::{compiled, places, sound, steps};
 
@@ -12,7 +12,7 @@ paths:
   bow: {points: [[0, 0, 0], [2, 1, 0.5], [4, 0, 0]]}
 cues:
 ";
-/// Movements of a group of eight that begins in a row.
+/// Movements of a group of eight robots that begins in a row.
 const FIRST: [&str; 9] = [
     "form: ring, over: 8s",
     "form: {to: small, spare: stay}, over: 8s",
@@ -25,13 +25,13 @@ const FIRST: [&str; 9] = [
     "turn: {by: 30, about: [3, 3]}, grow: 1.3, shift: [0, 0, 1], over: 8s",
 ];
 
-/// When each robot begins to rise, in milliseconds, and where it is then.
+/// Returns the time at which each robot begins to rise, in milliseconds, and its place at that time.
 fn begins(text: &str) -> Vec<(f64, [f64; 3])> {
     let act = sound(COUNT, text);
     let begin = act.cues.last().unwrap().start.as_millis_f64();
     let steps = steps(&act, COUNT);
     let places = places(&steps, begin);
-    // At half of its time each has risen by half.
+    // At half of its time, each has risen by half.
     let late = |index: usize| {
         let height = |at: f64| self::places(&steps, begin + at)[index][2];
         (0..40_000).map(f64::from).find(|at| height(*at) > places[index][2] + 0.5).unwrap() - 2_000.0
@@ -39,13 +39,13 @@ fn begins(text: &str) -> Vec<(f64, [f64; 3])> {
     (0..COUNT).map(|index| (late(index), places[index])).collect()
 }
 
-/// Later robots begin as much later as they are farther along x, at 0.5 m/s.
+/// Checks that robots begin in the order of x, as a wave at 0.5 m/s.
 fn assert_in_order_of_x(text: &str) {
     let begins = begins(text);
     let least = begins.iter().map(|(_, [x, ..])| *x).fold(f64::INFINITY, f64::min);
     assert!(begins.iter().any(|(_, [x, ..])| x - least > 0.5), "{begins:?}");
     for (late, [x, ..]) in &begins {
-        // Steps come within their error of where the movement ends.
+        // Steps end within their error of the movement's end.
         assert!((late - (x - least) / 0.5 * 1_000.0).abs() < 15.0, "{late} at {x}: {text}");
     }
 }
@@ -94,7 +94,7 @@ fn places_are_not_known_after_a_group_that_cannot_move() {
     let told: Vec<String> =
         compiled(COUNT, &text).findings.iter().map(|found| found.message.clone()).collect();
     assert_eq!(told.len(), 1, "{told:?}");
-    assert!(told[0].contains("for its way"), "{told:?}");
+    assert!(told[0].contains("for its path"), "{told:?}");
 }
 
 #[test]
@@ -106,7 +106,7 @@ fn tracks_next_to_a_group_say_where_its_robots_are() {
     );
     let compiled = compiled(COUNT, &text);
     let act = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings)).acts.remove(0);
-    // The first robot is 4 m high then, the last one on the ground: it begins first.
+    // The first robot is then 4 m high and the last one is on the ground, so the last one begins first.
     let begins: Vec<f64> = ["d0", "d7"]
         .iter()
         .map(|id| {

@@ -1,10 +1,10 @@
-//! Bodies that come too close, or are there, without moving.
+//! Bodies that are too close, or present, without moving.
 
 use super::groups::drone;
 use crate::space::Space;
 use crate::{Code, Compiled, Fleet, NoFiles, Source, compile};
 
-/// Two balls of 0.1 m whose middles are 0.25 m apart where 0.1 m are required between them, and one far away.
+/// Two balls of 0.1 m with a distance of 0.25 m between their middles (0.1 m are required between their surfaces), and a distant one.
 fn near() -> Fleet {
     let robots = vec![drone(0, [0.0; 3]), drone(1, [0.25, 0.0, 0.0]), drone(2, [9.0, 0.0, 0.0])];
     let space = Space { distance: Some(0.1), ..Space::default() };

@@ -1,4 +1,4 @@
-//! What findings say, and when they are kept.
+//! The text of findings, and the conditions for reporting them.
 
 use super::numbers::{compiled, compiled_with};
 use super::robot;
@@ -121,7 +121,10 @@ fn findings_call_the_parts_of_a_movement_by_their_names() {
     says(&track("{spline: [{at: 0s, to: 0}, {at: 1s, to: 900}]}"), &["point 2: "]);
     says(
         &track("{spline: [{at: 1s, to: 0}, {at: 0s, to: 9}]}"),
-        &["the point at 0 ms follows the one at 1 s", "points of one"],
+        &[
+            "the point at 0 ms is not later than the previous one at 1 s",
+            "sort the points of a track by time",
+        ],
     );
     says(&track("[{at: 0s, to: 0}, {at: 1s, to: 900}]"), &["keyframe 2: "]);
 }
@@ -133,7 +136,7 @@ fn a_loop_with_too_many_steps_is_to_be_repeated_less() {
             "cues: [{{cue: c, robots: bot, {keys} tracks: {{lamp: [{{at: 0s, to: 0}}, {{at: 1ms, to: 1}}, {{at: 2ms, to: 0}}]}}}}]\n"
         )
     };
-    says(&track("repeat: 90000,"), &["repeat it less often"]);
+    says(&track("repeat: 90000,"), &["reduce the repetitions in `c`"]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Why a network has no schedule: its smallest contradiction, and what would resolve it.
+//! Explains why a network has no schedule: its smallest contradiction, and corrections that resolve it.
 
 use urrcp::Span;
 
@@ -6,12 +6,12 @@ use super::network::{ConstraintId, Event, Network};
 use super::paths::{Arc, Arcs, IMPLICIT, UNREACHED, longest};
 use petgraph::graph::{EdgeIndex, NodeIndex};
 
-/// How many arcs may be looked at in the search for the smallest contradiction.
+/// Maximum number of arc inspections in the search for the smallest contradiction.
 const WORK_MAX: usize = 200_000_000;
-/// How many arcs may be looked at in the search for corrections.
+/// Maximum number of arc inspections in the search for corrections.
 const CORRECTION_WORK_MAX: usize = 50_000_000;
 
-/// Which bound of a constraint.
+/// One of the two bounds of a constraint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Bound {
     /// to - from >= span
@@ -20,12 +20,12 @@ pub enum Bound {
     Max,
 }
 
-/// A set of bounds that cannot all hold, and of which each is needed for that.
+/// A minimal set of bounds that cannot all hold: without any one of them, the others can.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conflict {
-    /// Each link begins where the one before ends: a cycle of events.
+    /// A cycle of events: each link begins where the previous one ends.
     pub chain: Vec<Link>,
-    /// By how much all of them together are too tight.
+    /// Amount by which all of them together are too tight.
     pub excess: Span,
     /// Single bounds whose loosening makes the whole network consistent.
     pub corrections: Vec<Correction>,
@@ -38,11 +38,11 @@ pub struct Link {
     pub constraint: Option<ConstraintId>,
     /// The bound of that constraint.
     pub bound: Bound,
-    /// As the constraint has it.
+    /// The constraint's own `from`, also for an upper bound.
     pub from: Event,
-    /// As the constraint has it.
+    /// The constraint's own `to`, also for an upper bound.
     pub to: Event,
-    /// The bound itself.
+    /// Value of the bound.
     pub span: Span,
 }
 
@@ -51,15 +51,15 @@ pub struct Link {
 pub struct Correction {
     /// Index into the chain.
     pub link: usize,
-    /// Loosen that bound by this much, and by no less.
+    /// Smallest sufficient loosening of this bound.
     pub by: Span,
 }
 
-/// The contradiction with the fewest bounds.
+/// Returns the contradiction with the fewest bounds.
 ///
-/// A simple positive cycle cannot lose a bound and stay one, so the one with the fewest arcs is the smallest. It is found
-/// by longest walks of 1, 2, 3 ... arcs from a node back to itself; from every node while that takes at most
-/// [`WORK_MAX`] looks at arcs, in larger networks from the nodes of the cycle that was found first.
+/// A simple positive cycle that loses a bound is no longer a cycle, so the cycle with the fewest arcs is the smallest contradiction. The
+/// search follows longest walks of 1, 2, 3 ... arcs from a node back to itself. It starts from every node if that takes at most
+/// [`WORK_MAX`] arc inspections; in larger networks, only from the nodes of the first cycle found.
 pub(super) fn explain(network: &Network, arcs: &Arcs, found: &[Arc]) -> Conflict {
     let cycle = smallest(arcs, found);
     let excess = cycle.iter().map(|arc| arc.weight).fold(0, i64::saturating_add);
@@ -108,7 +108,7 @@ fn smallest(arcs: &Arcs, found: &[Arc]) -> Vec<Arc> {
     best
 }
 
-/// A positive cycle through `start` of at most `most` arcs, the shortest one.
+/// Returns the shortest positive cycle through `start` with at most `most` arcs.
 fn walk(arcs: &Arcs, start: usize, most: usize) -> Option<Vec<Arc>> {
     let mut layers: Vec<Vec<(i64, Option<Arc>)>> = vec![vec![(UNREACHED, None); arcs.nodes()]];
     layers[0][start].0 = 0;
@@ -142,7 +142,7 @@ fn back(layers: &[Vec<(i64, Option<Arc>)>], start: usize) -> Vec<Arc> {
     simple(cycle)
 }
 
-/// A walk that meets a node twice holds a shorter cycle, one of which is positive.
+/// A walk that visits a node twice consists of two shorter cycles, at least one of which is positive.
 fn simple(cycle: Vec<Arc>) -> Vec<Arc> {
     for (i, arc) in cycle.iter().enumerate() {
         for (j, other) in cycle.iter().enumerate().skip(i + 1) {
@@ -157,8 +157,8 @@ fn simple(cycle: Vec<Arc>) -> Vec<Arc> {
     cycle
 }
 
-/// For each bound of the cycle the least loosening that leaves no positive cycle anywhere, where there is one: without the
-/// bound the network is consistent, and the longest way from its end back to its beginning says how much it may ask for.
+/// Returns, for each bound of the cycle that has one, the smallest loosening that leaves no positive cycle anywhere. If the network is
+/// consistent without the bound, the longest path from the bound's end back to its beginning limits its value.
 fn corrections(network: &Network, arcs: &Arcs, cycle: &[Arc]) -> Vec<Correction> {
     let mut corrections = Vec::new();
     let mut work = 0usize;

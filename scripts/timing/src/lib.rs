@@ -1,9 +1,8 @@
-//! Times that depend on each other: a simple temporal network, its earliest schedule, its smallest contradiction, and an
-//! order for tasks that exclude each other. Pure mathematics on events and bounds; what they stand for is not known here.
+//! Interdependent times: a simple temporal network, its earliest schedule, its smallest contradiction, and an order for mutually
+//! exclusive tasks. The crate is purely mathematical: it knows events and bounds, but not their meaning.
 //!
-//! A simple temporal network (Dechter, Meiri and Pearl, Artificial Intelligence 49, 1991) bounds differences of events:
-//! min <= to - from <= max. It is consistent if and only if its graph has no positive cycle, and its earliest schedule are
-//! the longest paths from the origin.
+//! A simple temporal network (Dechter, Meiri and Pearl, Artificial Intelligence 49, 1991) bounds differences of events: min <= to - from
+//! <= max. It is consistent if and only if its graph has no positive cycle. The longest paths from the origin are its earliest schedule.
 
 mod conflict;
 mod network;

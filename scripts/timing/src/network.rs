@@ -9,7 +9,7 @@ use urrcp::Span;
 use super::conflict::{Conflict, explain};
 use super::paths::{Arcs, longest};
 
-/// An instant of a network. The origin is one of them, at time zero.
+/// An instant of a network. The origin is the event at time zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Event(pub(super) NodeIndex);
 
@@ -35,13 +35,13 @@ pub struct Network {
 pub struct Schedule(pub(super) Vec<i64>);
 
 impl Schedule {
-    /// From the origin; zero for an event of another network.
+    /// Time since the origin; zero for an event of another network.
     #[must_use]
     pub fn time(&self, event: Event) -> Span {
         Span::from_nanos(self.0.get(event.0.index()).copied().unwrap_or(0))
     }
 
-    /// The latest of all events.
+    /// Time of the latest event.
     #[must_use]
     pub fn makespan(&self) -> Span {
         Span::from_nanos(self.0.iter().copied().max().unwrap_or(0))
@@ -55,7 +55,7 @@ impl Default for Network {
 }
 
 impl Network {
-    /// With the origin alone.
+    /// Creates a network that contains only the origin.
     #[must_use]
     pub fn new() -> Self {
         let mut graph = DiGraph::new();
@@ -63,18 +63,18 @@ impl Network {
         Self { graph }
     }
 
-    /// Time zero.
+    /// The event at time zero.
     #[must_use]
     pub fn origin(&self) -> Event {
         Event(NodeIndex::new(0))
     }
 
-    /// A new event, not before the origin.
+    /// Adds an event, which is not before the origin.
     pub fn event(&mut self) -> Event {
         Event(self.graph.add_node(()))
     }
 
-    /// min <= to - from <= max. Both may be negative; without any the constraint says nothing.
+    /// Adds the constraint min <= to - from <= max. Both bounds may be negative; without any, the constraint has no effect.
     ///
     /// # Panics
     /// If an event is of another network with more events.
@@ -88,21 +88,21 @@ impl Network {
         ConstraintId(self.graph.add_edge(from.0, to.0, Bounds { min, max }))
     }
 
-    /// How many events there are, the origin included.
+    /// Number of events, including the origin.
     #[must_use]
     pub fn events(&self) -> usize {
         self.graph.node_count()
     }
 
-    /// All least times added up: no schedule that waits for nothing is longer.
+    /// Sum of all minimum distances: no schedule without unnecessary waiting is longer.
     #[must_use]
     pub fn total(&self) -> Span {
         let mins = self.graph.edge_weights().filter_map(|bounds| bounds.min);
         mins.fold(Span::ZERO, |sum, min| sum + min.abs())
     }
 
-    /// The earliest schedule, by the method of Goldberg and Radzik (Applied Mathematics Letters 6, 1993): passes over the
-    /// violated bounds in topological order. Linear in the size of acyclic networks, whatever the order of their events.
+    /// Computes the earliest schedule by the method of Goldberg and Radzik (Applied Mathematics Letters 6, 1993): passes over the
+    /// violated bounds in topological order. Linear in the size of acyclic networks, regardless of the order of their events.
     ///
     /// # Errors
     /// The smallest contradiction.
@@ -114,8 +114,8 @@ impl Network {
         }
     }
 
-    /// The latest time of each event for which every bound can still be kept and nothing is after `horizon`: longest paths
-    /// backwards. `None` if the bounds or the horizon cannot be kept at all.
+    /// Returns the latest time of each event at which all bounds can still be met with no event after `horizon`, by longest paths
+    /// backwards. `None` if the bounds or the horizon cannot be met at all.
     #[must_use]
     pub fn latest(&self, horizon: Span) -> Option<Schedule> {
         let arcs = self.arcs(None);
@@ -127,8 +127,8 @@ impl Network {
         (negated[0] == 0).then(|| Schedule(negated.iter().map(|time| -time).collect()))
     }
 
-    /// The events that decide when the last event of the earliest schedule takes place: those from which a chain of bounds
-    /// without room leads to it. A chain begins at the origin: an event that is fixed to an instant decides nothing by that alone.
+    /// Returns the events that determine the time of the last event of the earliest schedule: those from which a chain of bounds without
+    /// slack leads to it. A chain begins at the origin: being fixed to an instant alone does not make an event critical.
     #[must_use]
     pub fn critical(&self, earliest: &Schedule) -> HashSet<Event> {
         let arcs = self.arcs(None);
@@ -140,7 +140,7 @@ impl Network {
         let mut open: Vec<usize> = (0..times.len()).filter(|event| times[*event] == last).collect();
         let mut found: HashSet<Event> = open.iter().map(|event| Event(NodeIndex::new(*event))).collect();
         while let Some(later) = open.pop() {
-            // Nothing leads to the origin, although what is fixed to it cannot be later.
+            // No chain leads to the origin, although events that are fixed to it cannot be later.
             for arc in backwards.of(later).iter().filter(|_| later > 0) {
                 let earlier = arc.to as usize;
                 let no_room = times[earlier].saturating_add(arc.weight) == times[later];
@@ -152,7 +152,7 @@ impl Network {
         found
     }
 
-    /// Every bound as an arc: to >= from + weight. Without the arcs of one constraint's bound, where that is asked.
+    /// Returns every bound as an arc: to >= from + weight. Omits the arc with the label `without`.
     pub(super) fn arcs(&self, without: Option<usize>) -> Arcs {
         let bounds = self.graph.edge_references().flat_map(|edge| {
             let (from, to, index) = (edge.source().index(), edge.target().index(), edge.id().index());

@@ -1,14 +1,14 @@
-//! Longest paths, and the positive cycles that leave none.
+//! Longest paths, and the positive cycles that prevent them.
 
 /// The label of the arc that keeps an event from being earlier than the origin.
 pub(super) const IMPLICIT: usize = usize::MAX;
-/// No path leads there.
+/// The value of a node that no path reaches.
 pub(super) const UNREACHED: i64 = i64::MIN;
 
-/// Arcs to >= from + weight, grouped by where they begin.
+/// Arcs to >= from + weight, grouped by their start node.
 #[derive(Clone, Debug)]
 pub(super) struct Arcs {
-    /// Where the arcs of each node begin; one more at the end.
+    /// Index of the first arc of each node; one more at the end.
     first: Vec<u32>,
     arcs: Vec<Arc>,
 }
@@ -23,7 +23,7 @@ pub(super) struct Arc {
 }
 
 impl Arcs {
-    /// From (from, to, weight, label).
+    /// Builds the groups from (from, to, weight, label).
     #[expect(clippy::cast_possible_truncation, reason = "petgraph's indices are u32")]
     pub(super) fn new(nodes: usize, arcs: impl Iterator<Item = (usize, usize, i64, usize)> + Clone) -> Self {
         let mut first = vec![0u32; nodes + 1];
@@ -61,7 +61,7 @@ impl Arcs {
 }
 
 impl Arc {
-    /// The time that it asks for where it asks for a later one.
+    /// Returns the time that it requires for its end, if that is later than the current one.
     pub(super) fn raises(&self, times: &[i64]) -> Option<i64> {
         let from = times[self.from as usize];
         let asked = from.saturating_add(self.weight);
@@ -70,19 +70,18 @@ impl Arc {
 }
 
 impl Arc {
-    /// Whether what raises its beginning raises its end.
+    /// Whether raising its start also raises its end.
     fn leads_on(&self, times: &[i64]) -> bool {
         let from = times[self.from as usize];
         from != UNREACHED && from.saturating_add(self.weight) >= times[self.to as usize]
     }
 }
 
-/// The least times at or above the given ones that satisfy every arc; or the arcs of a positive cycle.
+/// Returns the least times at or above `times` that satisfy every arc, or the arcs of a positive cycle.
 ///
-/// Goldberg and Radzik's method: a pass sorts the nodes that active ones reach over violated and tight arcs, and relaxes
-/// them in topological order. A cycle of such arcs with a violated one is positive, and so is a cycle of the arcs that
-/// raised their ends last (Cherkassky and Goldberg, Mathematical Programming 85, 1999); one of these appears if there is
-/// any positive cycle.
+/// Uses the method of Goldberg and Radzik: a pass sorts the nodes that active ones reach over violated and tight arcs, and relaxes them
+/// in topological order. A cycle of such arcs that contains a violated one is positive, and so is a cycle of the arcs that raised their
+/// ends last (Cherkassky and Goldberg, Mathematical Programming 85, 1999). If there is any positive cycle, one of these appears.
 pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<Arc>> {
     let nodes = arcs.nodes();
     let mut search = Search { state: vec![State::New; nodes], stack: Vec::new(), order: Vec::new() };
@@ -98,7 +97,7 @@ pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<
                 search.visit(arcs, &times, node)?;
             }
         }
-        // Last finished comes first.
+        // The node that was finished last comes first.
         for &node in search.order.iter().rev() {
             search.state[node as usize] = State::New;
             for arc in arcs.of(node as usize) {
@@ -107,7 +106,7 @@ pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<
                     raised_by[arc.to as usize] = Some(*arc);
                     raises += 1;
                     if search.state[arc.to as usize] == State::New && !queued[arc.to as usize] {
-                        // Not ahead of us in this pass: the next one looks at it again.
+                        // Not ahead in this pass: the next pass visits it again.
                         queued[arc.to as usize] = true;
                         active.push(arc.to);
                     }
@@ -115,7 +114,7 @@ pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<
             }
         }
         search.order.clear();
-        // A look at all nodes for as many raises costs no more than the raises themselves.
+        // Checking all nodes after this many raises costs no more than the raises themselves.
         if raises >= nodes {
             raises = 0;
             if let Some(cycle) = cycle_of(&raised_by) {
@@ -126,9 +125,9 @@ pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<
     Ok(times)
 }
 
-/// A cycle of the arcs that raised their ends.
+/// Finds a cycle of the arcs that raised their ends.
 fn cycle_of(raised_by: &[Option<Arc>]) -> Option<Vec<Arc>> {
-    // The walk that came by each node.
+    // Start of the walk that visited each node.
     let mut seen = vec![usize::MAX; raised_by.len()];
     for start in 0..raised_by.len() {
         let mut node = start;
@@ -162,12 +161,12 @@ enum State {
     Closed,
 }
 
-/// Depth first over violated arcs, without recursion.
+/// Depth-first search over violated and tight arcs, without recursion.
 struct Search {
     state: Vec<State>,
-    /// Node, and how many of its arcs have been followed.
+    /// Node, and the number of its arcs already followed.
     stack: Vec<(u32, u32)>,
-    /// Nodes as they are finished.
+    /// Nodes in the order in which they were finished.
     order: Vec<u32>,
 }
 
@@ -204,7 +203,7 @@ impl Search {
         Ok(())
     }
 
-    /// The arcs on the stack from `node` on: they close a cycle.
+    /// The arcs on the stack, starting with `node`; they close a cycle.
     fn cycle(&self, arcs: &Arcs, node: u32) -> Vec<Arc> {
         let begin = self.stack.iter().position(|(open, _)| *open == node).unwrap_or(0);
         let followed = |&(node, followed): &(u32, u32)| arcs.of(node as usize)[followed as usize - 1];

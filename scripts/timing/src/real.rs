@@ -1,4 +1,4 @@
-//! Real networks and shops: those that stand among the fixtures, and all of a set where `DOWNBEAT_DATA` names its folder.
+//! Real networks and shops: the ones in the fixtures, and those of a complete data set if `DOWNBEAT_DATA` is set to its folder.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures")
 }
 
-/// A bound as these files write it: a number, or "inf".
+/// A bound in the notation of these files: a number or "inf".
 fn bound(value: &Value) -> Option<Span> {
     value.as_f64().map(Span::from_millis_f64)
 }
@@ -22,7 +22,7 @@ struct Real {
     events: Vec<Event>,
 }
 
-/// Both forms of these files; distributions carry no bounds and are left out.
+/// Reads both formats of these files. Distributions have no bounds and are skipped.
 fn read(path: &Path) -> Real {
     let json: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let mut network = Network::new();
@@ -72,7 +72,8 @@ fn json_files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The network is consistent; a deadline one nanosecond before an event's earliest time is not, and is named.
+/// Checks that the network is consistent, and that a deadline one nanosecond before an event's earliest time is reported as a
+/// contradiction.
 fn check(path: &Path) {
     let real = read(path);
     let schedule = real.network.solve().unwrap_or_else(|conflict| panic!("{}: {conflict:?}", path.display()));
@@ -103,7 +104,7 @@ fn real_networks_are_consistent_and_their_tightening_is_explained() {
     }
 }
 
-/// The instance of a name with its proven optimum, times in milliseconds.
+/// Reads an instance and its proven optimum; times are in milliseconds.
 fn shop(name: &str, deadline: Option<i64>) -> (Network, Vec<Task>, i64) {
     let text = std::fs::read_to_string(fixtures().join("jobshop/instances.json")).unwrap();
     let all: Value = serde_json::from_str(&text).unwrap();

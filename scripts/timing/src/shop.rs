@@ -1,5 +1,5 @@
-//! A job shop in a temporal network, as the search for an order sees it: heads and tails of tasks, the times that an order
-//! gives, and bounds to judge it by.
+//! A job shop in a temporal network, as used by the search for an order: heads and tails of tasks, the times of an order, and bounds to
+//! evaluate it.
 
 use std::collections::{BinaryHeap, HashMap, VecDeque};
 
@@ -9,17 +9,17 @@ use super::network::{Network, Schedule};
 use super::order::Task;
 use super::paths::{Arcs, IMPLICIT, UNREACHED, longest};
 
-/// For each zone its tasks in order.
+/// The tasks of each zone, in order.
 pub(super) type Sequences = Vec<Vec<usize>>;
 
-/// How an order is judged: first by how much it breaks upper bounds, then by its end.
+/// Cost of an order: first the amount by which it violates upper bounds, then its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Cost {
     pub(super) late: i64,
     pub(super) makespan: i64,
 }
 
-/// The network as the search sees it: lower bounds as a graph of events, upper bounds apart.
+/// The network in the form that the search uses: lower bounds as a graph of events, upper bounds in a separate list.
 pub(super) struct Shop<'a> {
     pub(super) tasks: &'a [Task],
     pub(super) zones: usize,
@@ -29,25 +29,25 @@ pub(super) struct Shop<'a> {
     pub(super) backward: Vec<Vec<(usize, i64)>>,
     /// to <= from + weight
     pub(super) upper: Vec<(usize, usize, i64)>,
-    /// Without any order.
+    /// Earliest times without any order of the tasks.
     pub(super) heads: Vec<i64>,
     pub(super) tails: Vec<i64>,
     pub(super) work: usize,
     pub(super) random: u64,
 }
 
-/// Times of all events under an order.
+/// Times of all events for an order.
 pub(super) struct Timed {
     pub(super) heads: Vec<i64>,
     pub(super) order: Vec<usize>,
     pub(super) cost: Cost,
-    /// The arc that decides each event: the event before.
+    /// The preceding event whose arc determines each event.
     pub(super) decided: Vec<usize>,
     pub(super) last: usize,
 }
 
 pub(super) const NONE: usize = usize::MAX;
-/// How often events are put off that others wait for, before an order is taken for one that breaks bounds.
+/// Maximum number of passes that postpone events to meet upper bounds. After that, the order is treated as violating them.
 const ROUNDS_MAX: usize = 64;
 
 impl<'a> Shop<'a> {
@@ -59,8 +59,8 @@ impl<'a> Shop<'a> {
             (vec![Vec::new(); nodes], vec![Vec::new(); nodes], Vec::new());
         for arc in arcs.all() {
             let (from, to) = (arc.from as usize, arc.to as usize);
-            // An arc that points back in time bounds from above; so does one into the origin, and one that keeps two events
-            // at one time.
+            // An arc that points back in time is an upper bound. So is an arc into the origin, and one that keeps two events at the same
+            // time.
             let together = arc.weight == 0 && arc.label != IMPLICIT && arc.label % 2 == 1;
             if arc.weight < 0 || to == 0 || together {
                 upper.push((to, from, -arc.weight));
@@ -237,8 +237,8 @@ impl<'a> Shop<'a> {
         Some(Timed { heads, order, cost, decided, last })
     }
 
-    /// Puts events off that are too far ahead of others. The origin cannot be put off: what is later than it allows stays so.
-    /// If events postpone each other forever, all times stay as they were.
+    /// Postpones events that are too far ahead of others. The origin cannot be postponed: an event that is later than the origin allows
+    /// stays late. If events postpone each other forever, all times stay unchanged.
     fn settle(&mut self, order: &[usize], after: &[usize], heads: &mut Vec<i64>, decided: &mut Vec<usize>) {
         let before = (heads.clone(), decided.clone());
         for _ in 0..ROUNDS_MAX {
@@ -277,12 +277,12 @@ impl<'a> Shop<'a> {
     }
 }
 
-/// By how much an upper bound is broken.
+/// Amount by which an upper bound is violated.
 fn beyond(heads: &[i64], &(from, to, bound): &(usize, usize, i64)) -> i64 {
     (heads[to] - heads[from] - bound).max(0)
 }
 
-/// The end of Jackson's preemptive schedule: the longest of time and tail over jobs (head, length, tail) on one machine.
+/// Returns the end of Jackson's preemptive schedule: the maximum of time plus tail over jobs (head, length, tail) on one machine.
 fn preemptive(jobs: &[(i64, i64, i64)]) -> i64 {
     let mut by_head: Vec<_> = jobs.to_vec();
     by_head.sort_unstable();

@@ -1,4 +1,4 @@
-//! A solved network of which one constraint changes: only what depends on it is looked at.
+//! A solved network in which a single constraint changes: only the dependent events are recomputed.
 
 use petgraph::graph::NodeIndex;
 use petgraph::visit::EdgeRef;
@@ -7,31 +7,31 @@ use urrcp::Span;
 use super::conflict::Conflict;
 use super::network::{Bounds, ConstraintId, Network, Schedule};
 
-/// The weight of a bound that is not there.
+/// The weight of a missing bound.
 const ABSENT: i64 = i64::MIN;
-/// What the origin decides, or nothing.
+/// The parent of events that the origin determines, or that nothing determines.
 const NO_PARENT: u32 = u32::MAX;
 
 /// A network with its earliest schedule.
 #[derive(Clone, Debug)]
 pub struct Solved {
     network: Network,
-    /// In the order of their first times, so that neighbours in time are neighbours in memory; the origin first.
+    /// In the order of their first times, so that neighbours in time are neighbours in memory. The origin is first.
     nodes: Vec<Node>,
-    /// Where each event stands among the nodes.
+    /// Index of each event in `nodes`.
     place_of: Vec<u32>,
     out: Grouped,
     into: Grouped,
-    /// The mark of the set that is being built.
+    /// Mark of the set that is currently built.
     round: u32,
-    /// Nodes as they were before the change under way.
+    /// Nodes before the current change.
     undo: Vec<(u32, Node)>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
     time: i64,
-    /// The node whose bound decides this one, in a tree that the origin is the root of.
+    /// The node whose bound determines this one; a tree with the origin as its root.
     parent: u32,
     mark: u32,
 }
@@ -43,17 +43,17 @@ struct Arc {
     weight: i64,
 }
 
-/// Arcs by one of their ends; two for each constraint, its lower and its upper bound.
+/// Arcs grouped by one of their ends. Each constraint has two: its lower and its upper bound.
 #[derive(Clone, Debug)]
 struct Grouped {
     first: Vec<u32>,
     arcs: Vec<Arc>,
-    /// Where each arc stands.
+    /// Index of each arc in `arcs`.
     places: Vec<u32>,
 }
 
 impl Grouped {
-    /// From (this end, other end, weight).
+    /// Builds the groups from (this end, other end, weight).
     fn new(nodes: usize, all: &[(u32, u32, i64)]) -> Self {
         let mut first = vec![0u32; nodes + 1];
         for (node, ..) in all {
@@ -116,7 +116,7 @@ impl Solved {
         Ok(solved)
     }
 
-    /// What is at time zero is decided by the origin; from there every event is reached by bounds that decide.
+    /// Events at time zero are determined by the origin; every other event is reached from them by the bounds that determine it.
     fn grow_tree(&mut self) {
         self.clear_marks();
         let mut queue: Vec<u32> =
@@ -160,10 +160,10 @@ impl Solved {
         Span::from_nanos(self.nodes[self.place_of[event.0.index()] as usize].time)
     }
 
-    /// Changes the bounds of a constraint. Where they contradict the others nothing changes.
+    /// Changes the bounds of a constraint. If they contradict the others, nothing changes.
     ///
-    /// First the bounds are loosened as far as old and new ones allow, then tightened one by one. Only what the change
-    /// reaches is looked at (the idea of Ramalingam, Song, Joskowicz and Miller, Algorithmica 23, 1999).
+    /// First loosens the bounds as far as old and new ones allow, then tightens them one by one. Visits only what the change reaches (the
+    /// idea of Ramalingam, Song, Joskowicz and Miller, Algorithmica 23, 1999).
     ///
     /// # Errors
     /// The smallest contradiction.
@@ -215,7 +215,8 @@ impl Solved {
         (known.time, known.parent) = (time, parent);
     }
 
-    /// Raises what an arc raises. `false` if that is its own beginning, or the origin: then it closes a positive cycle.
+    /// Raises everything that an arc raises. Returns `false` if that includes the arc's own start or the origin: then the arc closes a
+    /// positive cycle.
     fn raise(&mut self, (begin, to, weight): (u32, u32, i64)) -> bool {
         let asked = self.nodes[begin as usize].time.saturating_add(weight);
         if weight == ABSENT || asked <= self.nodes[to as usize].time {
@@ -230,8 +231,8 @@ impl Solved {
         self.sweep(to, to, Some(begin))
     }
 
-    /// Raises what the marked nodes from `first` to `last` raise. Nodes are in the order of their times, so that most of
-    /// what depends on a node comes after it: one pass in that order, and another for what was raised before its place.
+    /// Raises everything that the marked nodes from `first` to `last` raise. Nodes are ordered by their first times, so most dependents
+    /// of a node come after it: one pass in that order, and another one for nodes that were raised after the pass went by.
     fn sweep(&mut self, first: u32, last: u32, begin: Option<u32>) -> bool {
         let (mut from, mut last) = (Some(first), last);
         while let Some(mut node) = from.take() {
@@ -265,8 +266,8 @@ impl Solved {
         true
     }
 
-    /// Lowers what has lost the bound that decided it: the tree below `root` falls to what bounds from outside ask, then
-    /// rises to what its own bounds ask.
+    /// Lowers everything that lost its determining bound: the tree below `root` falls to the times that bounds from outside require, then
+    /// rises to the times that its own bounds require.
     fn lower(&mut self, root: u32) {
         let affected = self.tree_below(root);
         for &node in &affected {
@@ -279,7 +280,7 @@ impl Solved {
         self.sweep(ends.0, ends.1, None);
     }
 
-    /// How far the bounds from outside the marked set, and the origin, let a node fall; and which of them decides then.
+    /// Returns how far a node can fall before a bound from outside the marked set, or the origin, stops it, and the node of that bound.
     fn fall_outside(&self, node: u32) -> (i64, u32) {
         let mut least = (0, NO_PARENT);
         for arc in self.into.of(node) {
@@ -292,7 +293,7 @@ impl Solved {
         (self.nodes[node as usize].time - least.0, least.1)
     }
 
-    /// A node and everything that it decides; it stays marked.
+    /// Returns a node and everything that it determines. These nodes stay marked.
     fn tree_below(&mut self, root: u32) -> Vec<u32> {
         self.clear_marks();
         self.nodes[root as usize].mark = self.round;
@@ -312,7 +313,7 @@ impl Solved {
     }
 }
 
-/// The arcs of a constraint: from, to, weight.
+/// The two arcs of a constraint: (from, to, weight).
 fn pair(from: u32, to: u32, bounds: Bounds) -> [(u32, u32, i64); 2] {
     let min = bounds.min.map_or(ABSENT, Span::as_nanos);
     let max = bounds.max.map_or(ABSENT, |max| -max.as_nanos());

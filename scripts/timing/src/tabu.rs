@@ -8,9 +8,9 @@ use super::network::Network;
 use super::order::{Effort, Found, Ordering, Task};
 use super::shop::{Cost, NONE, Sequences, Shop, Timed};
 
-/// How long a swap may not be undone, in moves.
+/// Number of moves during which a swap may not be undone; a random part is added.
 const TENURE: usize = 8;
-/// After this many moves without progress the search goes back to the best order and shakes it.
+/// After this many moves without progress, the search returns to the best order and shakes it.
 const PATIENCE: usize = 1_500;
 
 pub(super) fn search(network: &Network, tasks: &[Task], effort: Effort) -> Ordering {
@@ -47,18 +47,18 @@ pub(super) fn search(network: &Network, tasks: &[Task], effort: Effort) -> Order
     }
 }
 
-/// So few orders are all tried.
+/// Up to this many orders are tried exhaustively.
 const ORDERS_MAX: usize = 720;
-/// In networks of no more events.
+/// Largest number of events for an exhaustive search.
 const EVENTS_MAX: usize = 2_000;
 
 #[derive(Clone, Copy)]
 enum Rule {
-    /// Earliest possible start, then longest remaining way.
+    /// Earliest possible start first, then longest remaining path.
     Head,
-    /// Longest remaining way first.
+    /// Longest remaining path first.
     Tail,
-    /// Least time to spare.
+    /// Least slack first.
     Slack,
 }
 
@@ -67,7 +67,7 @@ impl Rule {
 }
 
 impl Shop<'_> {
-    /// All orders, if they are few.
+    /// Returns all orders if there are at most [`ORDERS_MAX`].
     fn few_orders(&self) -> Option<Vec<Sequences>> {
         let mut all: Vec<Sequences> = vec![Vec::new()];
         for zone in 0..self.zones {
@@ -85,7 +85,7 @@ impl Shop<'_> {
         Some(all)
     }
 
-    /// The shortest of these orders; if none keeps all bounds, there is none.
+    /// Returns the shortest of these orders. The problem is infeasible if none of them keeps all bounds.
     fn best_of(&self, network: &Network, orders: Vec<Sequences>, at_least: i64) -> Ordering {
         let timed = |sequences| Some((self.exact(network, &sequences)?, sequences));
         let best = orders.into_iter().filter_map(timed).min_by_key(|(schedule, _)| schedule.makespan());
@@ -96,7 +96,7 @@ impl Shop<'_> {
     }
 
     fn next_random(&mut self, below: usize) -> usize {
-        // Marsaglia's xorshift: the same every time.
+        // Marsaglia's xorshift with a fixed seed, so that results are reproducible.
         self.random ^= self.random << 13;
         self.random ^= self.random >> 7;
         self.random ^= self.random << 17;
@@ -122,7 +122,7 @@ impl Shop<'_> {
             let Some(&first) =
                 ready.iter().min_by_key(|task| (begins(**task, &heads, &free) + self.length(**task), **task))
             else {
-                // Tasks that wait for each other: the network has a cycle of zero length. Any order will do.
+                // Tasks that wait for each other: the network has a cycle of length zero. Any order is acceptable.
                 sequences[self.tasks[waiting[0]].zone].push(waiting[0]);
                 done[waiting[0]] = true;
                 waiting.remove(0);
@@ -162,7 +162,7 @@ impl Shop<'_> {
             None => timed.last,
         };
         let mut path = vec![node];
-        // Events that decide each other would make a circle.
+        // Events that determine each other would form a cycle.
         while timed.decided[node] != NONE && path.len() <= self.nodes {
             node = timed.decided[node];
             path.push(node);
@@ -231,7 +231,7 @@ impl Shop<'_> {
                         choice = Some((tried.cost, (a, b), tried));
                     }
                 }
-                // Back again: the places of the two are exchanged now.
+                // Undo: the places of the two tasks are exchanged now.
                 swap(&mut current, &place, a, b);
             }
             stale += 1;
@@ -296,7 +296,7 @@ fn permutations(tasks: &[usize]) -> Vec<Vec<usize>> {
     all
 }
 
-/// Zone and place of each task.
+/// Zone and index of each task.
 fn places(sequences: &Sequences, tasks: usize) -> Vec<(usize, usize)> {
     let mut places = vec![(NONE, NONE); tasks];
     for (zone, sequence) in sequences.iter().enumerate() {

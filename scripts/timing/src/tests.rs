@@ -1,4 +1,4 @@
-//! Laws of networks, against brute force on small ones.
+//! Laws of networks, compared with brute force on small ones.
 
 use proptest::prelude::*;
 
@@ -27,7 +27,7 @@ impl Small {
         (network, ids)
     }
 
-    /// Longest ways between all events (Floyd and Warshall); none on a positive cycle.
+    /// Longest paths between all events (Floyd and Warshall); `None` if there is a positive cycle.
     fn ways(&self) -> Option<Vec<Vec<Option<i64>>>> {
         let n = self.events + 1;
         let mut ways = vec![vec![None; n]; n];
@@ -217,7 +217,7 @@ proptest! {
     }
 }
 
-/// Two tasks of one zone, of which the second begins together with or near something else.
+/// Two tasks of one zone; the second one begins together with or near another event.
 fn found_near(bounds: &[(usize, usize, Option<i64>, Option<i64>)]) -> Option<i64> {
     let mut network = Network::new();
     let mut events = vec![network.origin()];
@@ -237,14 +237,14 @@ fn found_near(bounds: &[(usize, usize, Option<i64>, Option<i64>)]) -> Option<i64
 
 #[test]
 fn an_order_is_found_where_others_have_to_wait_with_a_task() {
-    // The third cue begins a little before the first ends.
+    // The third cue begins shortly before the first one ends.
     assert_eq!(found_near(&[(2, 5, Some(-1), None)]), Some(20));
-    // The third cue begins with the first, or exactly 3 after it, and the second cue has to be first.
+    // The third cue begins with the first one or exactly 3 after it, and the second cue must be first.
     assert_eq!(found_near(&[(1, 5, Some(0), Some(0)), (4, 5, Some(0), None)]), Some(20));
     assert_eq!(found_near(&[(1, 5, Some(3), Some(3)), (4, 5, Some(4), None)]), Some(24));
-    // The second cue is at a time before which the third has not ended, and the first ends as the third does.
+    // The second cue is at a time before which the third one has not ended, and the first one ends with the third.
     assert_eq!(found_near(&[(0, 3, Some(9), Some(9)), (6, 2, Some(-1), Some(-1))]), Some(29));
-    // That cannot be by a deadline of the first.
+    // Impossible with a deadline for the first cue.
     assert_eq!(found_near(&[(1, 5, Some(3), Some(3)), (4, 5, Some(4), None), (0, 2, None, Some(20))]), None);
 }
 

@@ -1,5 +1,5 @@
-//! Aliases stand for values again and again: a few lines of them could fill any memory. Counted before anything is made of
-//! them, by a parser that keeps nothing.
+//! Aliases can repeat values many times: a few lines of them could exhaust any memory. A parser that builds no tree counts them
+//! beforehand.
 
 use saphyr_parser::Event;
 
@@ -8,36 +8,36 @@ use crate::finding::{Code, Finding};
 use crate::render::line_of;
 use crate::source::Source;
 
-/// Most values that all aliases of a file stand for.
+/// Maximum number of values that all aliases of a file expand to.
 pub const ALIASED_MAX: usize = 250_000;
-/// Deeper nesting is not looked into.
+/// Deeper nesting is not inspected.
 const NESTING_MAX: usize = 1_000;
 /// Longest line that a finding carries, in characters.
 const LINE_CHARS_MAX: usize = 1_000;
 
-/// The finding for aliases that stand for too much. The reader finds text that is not YAML.
+/// The finding for aliases that expand to too many values. Text that is not YAML is reported by the reader.
 pub fn check(source: &Source, text: &str) -> Option<Finding> {
     if !text.contains('*') || exceeding(text).is_none() {
         return None;
     }
-    // The text may be shorter than the file: the place is looked for in the file itself.
+    // The text may be shorter than the file, so the place is searched in the file itself.
     let (line, column) = exceeding(&source.text)?;
     let message = format!("the aliases up to here expand to more than {ALIASED_MAX} values");
-    let hint = Some("write the values out, or let several cues use one of `moves`".to_owned());
-    let expected = format!("at most {ALIASED_MAX} values by aliases");
+    let hint = Some("write out the values, or use one of `moves` in several cues".to_owned());
+    let expected = format!("at most {ALIASED_MAX} values from aliases");
     let mut finding = Finding::about_file(Code::TooMuch, &source.name, message, &expected, hint);
     (finding.line, finding.column, finding.width) = (line, column + 1, 1);
     finding.source_line = line_of(&source.text, line).chars().take(LINE_CHARS_MAX).collect();
     Some(finding)
 }
 
-/// A collection that is being read: its anchor, and the values in it so far.
+/// A collection that is being read: its anchor, and the number of values in it so far.
 struct Open {
     anchor: usize,
     values: usize,
 }
 
-/// Where the aliases exceed what they may stand for.
+/// The place at which the aliases exceed their limit.
 fn exceeding(text: &str) -> Option<(usize, usize)> {
     let mut sizes: Vec<usize> = Vec::new();
     let mut open: Vec<Open> = Vec::new();
@@ -48,7 +48,7 @@ fn exceeding(text: &str) -> Option<(usize, usize)> {
             Event::Scalar(_, _, anchor, _) => (anchor, 1),
             Event::SequenceStart(anchor, _) | Event::MappingStart(anchor, _) => {
                 open.push(Open { anchor, values: 1 });
-                // The reader refuses that.
+                // The reader rejects this nesting.
                 return open.len() <= NESTING_MAX;
             }
             Event::SequenceEnd | Event::MappingEnd => match open.pop() {
@@ -92,7 +92,7 @@ mod tests {
         let text = format!("a: &a {{b: [1, 2, 3], c: x}}\nl:\n{}", "  - *a\n".repeat(1_300_000));
         let finding = found(&text).unwrap();
         assert_eq!((finding.code, finding.column), (Code::TooMuch, 5));
-        // Each stands for a map, two keys, a list, three numbers and a text.
+        // Each alias expands to a map, two keys, a list, three numbers and a text.
         assert_eq!(finding.line, 2 + ALIASED_MAX / 8 + 1);
     }
 

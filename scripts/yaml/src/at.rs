@@ -1,11 +1,11 @@
-//! A node of a tree with the way that led to it, from which findings have their places.
+//! A node of a tree with the path that leads to it, from which the places of findings are derived.
 
 use std::sync::Arc;
 
 use crate::finding::{Part, Place, Use};
 use crate::node::Node;
 
-/// A node with the way that led to it.
+/// A node with the path that leads to it.
 #[derive(Clone, Copy)]
 pub struct At<'a> {
     /// The node.
@@ -21,12 +21,12 @@ enum Trail<'a> {
 }
 
 impl<'a> At<'a> {
-    /// The root of a file, counted from 0 for the scenario itself.
+    /// The root of a file; `file` is 0 for the scenario itself.
     pub fn document(node: &'a Node, file: u16) -> Self {
         Self { node, trail: Trail::Document(file, None) }
     }
 
-    /// The root of a file for what is read of it because of a use.
+    /// The root of a file that is read because of a use.
     pub fn used(node: &'a Node, file: u16, used: Option<&'a Arc<Use>>) -> Self {
         Self { node, trail: Trail::Document(file, used) }
     }
@@ -52,7 +52,7 @@ impl<'a> At<'a> {
         Place { file, path, key: false, within: None, used: used.cloned() }
     }
 
-    /// The place of the key that leads to it.
+    /// The place of the key that leads to this node.
     pub fn key_place(&self) -> Place {
         let (file, used, path) = self.path();
         Place { file, path, key: true, within: None, used: used.cloned() }

@@ -1,38 +1,38 @@
-//! Bounds of what one scenario may take, so that a slip of the pen neither fills the memory nor keeps anybody waiting.
+//! Limits on the resources of one scenario, so that a typo neither exhausts memory nor takes very long.
 
 use urrcp::Span;
 
-/// Most knots of all movements of a scenario together: half a gigabyte.
+/// Maximum number of knots of all movements of a scenario together: half a gigabyte.
 pub const KNOTS_MAX: usize = 10_000_000;
-/// Most steps of a scenario that are made, for all robots together.
+/// Maximum number of steps that are generated for a scenario, for all robots together.
 pub const STEPS_MAX: usize = 25_000_000;
-/// Most times that an act moves a device: robots of its cues, and the devices that they move.
+/// Maximum number of uses of devices by acts: one for each robot of a cue and each device that it moves.
 pub const USES_MAX: usize = 5_000_000;
 
-/// Most steps of expressions that are taken.
+/// Maximum number of steps that the evaluation of expressions takes.
 pub const EVALUATIONS_MAX: usize = 10_000_000;
-/// Most moves that the movement of a cue plays, one within another or one after another.
+/// Maximum number of moves that the movement of a cue plays, nested or in sequence.
 pub const PLAYS_MAX: usize = 10_000;
-/// Most moves that all movements of a scenario play.
+/// Maximum number of moves that all movements of a scenario play.
 pub const PLAYS_IN_ALL_MAX: usize = 2_000_000;
-/// Most cues that all sequences of a scenario make.
+/// Maximum number of cues that all sequences of a scenario generate.
 pub const SEQUENCE_CUES_MAX: usize = 20_000;
-/// Most moves, sequences or files within one another.
+/// Deepest nesting of moves, sequences or files.
 pub const DEPTH_MAX: usize = 32;
-/// Most names that wrong ones are compared with.
+/// Maximum number of known names that misspelt names are compared with.
 pub const COMPARISONS_MAX: usize = 1_000_000;
-/// Most errors that are reported, and as many warnings.
+/// Maximum number of errors that are reported, and of warnings.
 pub const FINDINGS_MAX: usize = 100_000;
 
-/// Longest time that a message can carry.
+/// The longest time that a message can carry.
 pub fn longest() -> Span {
     Span::from_millis_f64(urrcp::OFFSET_MS_MAX)
 }
 
-/// Largest lead that a scenario may prescribe, and the one that is counted with where it prescribes none.
+/// The largest lead that a scenario may prescribe, and the lead that is assumed if it prescribes none.
 pub const LEADS: (Span, Span) = (Span::from_millis(10_000_000_000), Span::from_millis(3_600_000));
 
-/// Something of which only a limited amount may exist.
+/// A resource of which only a limited amount may be used.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
     most: usize,
@@ -46,27 +46,27 @@ impl Budget {
         Self { most, left: most, overdrawn: false }
     }
 
-    /// Of which nothing is left, and this has been told.
+    /// An exhausted budget whose overdraft has already been reported.
     pub const fn overdrawn(most: usize) -> Self {
         Self { most, left: 0, overdrawn: true }
     }
 
-    /// The whole budget.
+    /// The initial amount.
     pub const fn most(&self) -> usize {
         self.most
     }
 
-    /// The part of the budget that is left.
+    /// The remaining amount.
     pub const fn left(&self) -> usize {
         self.left
     }
 
-    /// Whether more was wanted than there was: it has been told then, and what follows is left out.
+    /// Whether more was requested than remained. The overdraft has been reported then, and everything that follows is left out.
     pub const fn is_overdrawn(&self) -> bool {
         self.overdrawn
     }
 
-    /// Takes this many, if there are.
+    /// Takes `count` if that many remain, and returns whether the budget is not overdrawn.
     pub const fn take(&mut self, count: usize) -> bool {
         match self.left.checked_sub(count) {
             Some(left) => self.left = left,

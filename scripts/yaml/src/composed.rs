@@ -1,7 +1,7 @@
-//! Names in Unicode: of the encodings that one name may have, that in normalization form C (Unicode Standard Annex 15) is compared. File
-//! names of a Macintosh, and texts copied from them, are decomposed.
+//! Names in Unicode. A name may have several encodings; names are compared in normalization form C (Unicode Standard Annex 15). File
+//! names on macOS, and texts copied from them, are decomposed.
 //!
-//! Names in scenarios are composed when they are read. Those of robots and devices stay as they are, for robots compare bytes.
+//! Names in scenarios are composed when they are read. Names of robots and devices stay as they are, because robots compare bytes.
 
 use std::borrow::Cow;
 
@@ -12,7 +12,7 @@ pub fn composed(name: &str) -> Cow<'_, str> {
     if name.is_ascii() { Cow::Borrowed(name) } else { ComposingNormalizerBorrowed::new_nfc().normalize(name) }
 }
 
-/// Whether two names differ in their encoding at most.
+/// Whether two names differ at most in their encoding.
 pub fn is_same(a: &str, b: &str) -> bool {
     a == b || !(a.is_ascii() && b.is_ascii()) && composed(a) == composed(b)
 }

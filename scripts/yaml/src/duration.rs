@@ -7,13 +7,13 @@ use crate::budget::longest;
 /// What a duration looks like, for messages.
 pub const EXPECTED: &str = "a time with its unit, such as 250ms, 2s or 1m30s";
 
-/// Most digits of a number on either side of its point that count.
+/// Maximum number of digits before the decimal point. After it, further digits are ignored.
 const DIGITS_MAX: usize = 15;
-/// Parts of a nanosecond that are told apart before a time is rounded.
+/// Fractions of a nanosecond that are distinguished before a time is rounded.
 const PARTS: i128 = 1_000_000_000;
 
-/// Reads a time: numbers with h, m, s, ms or us, added up, or hours, minutes and seconds as `00:01:30.5`, to the nearest
-/// nanosecond. `None` if it is anything else or longer than 1e11 ms.
+/// Parses a time to the nearest nanosecond: numbers with h, m, s, ms or us, which are added up, or hours, minutes and seconds such as
+/// `00:01:30.5`. `None` if it is anything else or longer than 1e11 ms.
 #[must_use]
 pub fn parse_duration(text: &str) -> Option<Span> {
     let mut rest = text.trim();
@@ -36,7 +36,7 @@ pub fn parse_duration(text: &str) -> Option<Span> {
     (span.as_millis_f64() <= urrcp::OFFSET_MS_MAX).then_some(span)
 }
 
-/// So many units, in parts of a nanosecond.
+/// The product of number and unit, in fractions of a nanosecond ([`PARTS`]).
 fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
     let plain = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit());
@@ -49,7 +49,7 @@ fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
-/// The kind of an instant that is written where a length of time belongs: `2026-12-01`, `8pm`.
+/// The kind of an instant that is written where a duration belongs: `2026-12-01`, `8pm`.
 pub fn instant(text: &str) -> Option<&'static str> {
     let is_number = |part: &str, most: usize| {
         (1..=most).contains(&part.len()) && part.bytes().all(|byte| byte.is_ascii_digit())
@@ -68,7 +68,7 @@ pub fn instant(text: &str) -> Option<&'static str> {
     hours.split(':').all(|part| is_number(part, 2)).then_some("time of day")
 }
 
-/// A hint for a range that lacks a unit at one end or at both: `1..3`, `1..3s`, `bar 4..8`.
+/// A hint for a range without a unit at one end or at both ends: `1..3`, `1..3s`, `bar 4..8`.
 pub fn bare_range(text: &str) -> Option<String> {
     let (from, to) = text.split_once("..")?;
     let (from, to) = (from.trim(), to.trim());
@@ -88,14 +88,14 @@ pub fn bare_range(text: &str) -> Option<String> {
     }
 }
 
-/// A hint for `4-8`, which may mean a range, or a bar and a beat.
+/// A hint for `4-8`, which may be a range, or a bar and a beat.
 pub fn of_two_numbers(text: &str) -> Option<String> {
     let (from, to) = text.split_once('-')?;
     let [from, to] = [from.trim().parse::<u32>().ok()?, to.trim().parse::<u32>().ok()?];
-    Some(format!("a range is written `{from}s..{to}s`, and a position in the music `bar {from} beat {to}`"))
+    Some(format!("write a range as `{from}s..{to}s`, or a position in the music as `bar {from} beat {to}`"))
 }
 
-/// A hint for a position in the music in another form: `bar 4.2`, `bars 4-8`, `4 beat 2`.
+/// A hint for a position in the music in an unknown form: `bar 4.2`, `bars 4-8`, `4 beat 2`.
 pub fn position(text: &str) -> Option<String> {
     let mut words = text.split(|c: char| !c.is_ascii_alphabetic()).filter(|word| !word.is_empty());
     if !words.all(|word| matches!(word, "bar" | "bars" | "beat" | "beats")) || !text.contains('b') {
@@ -105,25 +105,25 @@ pub fn position(text: &str) -> Option<String> {
         text.split(|c: char| !c.is_ascii_digit()).filter(|number| !number.is_empty()).collect();
     let is_range = text.contains('-') || text.contains("..");
     match (numbers.as_slice(), is_range && !text.contains("beat")) {
-        ([from, to], true) => Some(format!("a range is written `bar {from}..bar {to}`")),
+        ([from, to], true) => Some(format!("write a range as `bar {from}..bar {to}`")),
         ([bar, beat], false) if !is_range => Some(format!(
-            "a position is written `bar {bar} beat {beat}`, and a length `{bar} bars {beat} beats`"
+            "write a position as `bar {bar} beat {beat}`, or a length as `{bar} bars {beat} beats`"
         )),
-        _ => Some("a position is written `bar 3 beat 2`, and a length `3 bars 2 beats`".to_owned()),
+        _ => Some("write a position as `bar 3 beat 2`, or a length as `3 bars 2 beats`".to_owned()),
     }
 }
 
-/// How a time is written that a person would understand: `1:30`, `1 second`, `0,3s`.
+/// A hint for a time in a form that a human would understand: `1:30`, `1 second`, `0,3s`.
 pub fn hint(text: &str) -> Option<String> {
     let text = text.trim();
     if let Some(rest) = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some()) {
-        return Some(format!("a time cannot be negative: write `{rest}`, or let the others begin later"));
+        return Some(format!("a time cannot be negative: write `{rest}`, or start the others later"));
     }
     if ["now", "start", "begin", "immediately"].contains(&text) {
-        return Some("the beginning is `0s`".to_owned());
+        return Some("write `0s` for the beginning".to_owned());
     }
     if ["auto", "automatic", "default"].contains(&text) {
-        return Some("leave the key out for its default".to_owned());
+        return Some("leave the key out to use the default".to_owned());
     }
     if let Some(rest) = text.strip_prefix('+').filter(|rest| parse_duration(rest).is_some()) {
         return Some(format!("write `{rest}`"));
@@ -133,7 +133,7 @@ pub fn hint(text: &str) -> Option<String> {
         return Some(format!("write `{joined}`"));
     }
     if let Some(range) = range(text) {
-        return Some(format!("a range is written `{range}`"));
+        return Some(format!("write a range as `{range}`"));
     }
     if let Some(hint) = of_frames(text).or_else(|| of_fraction(text)).or_else(|| relation(text)) {
         return Some(hint);
@@ -149,14 +149,14 @@ pub fn hint(text: &str) -> Option<String> {
         .split_once("..")
         .is_some_and(|(from, to)| [from, to].iter().all(|end| parse_duration(end).is_some()))
     {
-        return Some("a range has no place here: write one time".to_owned());
+        return Some("a range is not supported here: write one time".to_owned());
     }
     if is_too_long(text) {
-        return Some(format!("no time is longer than {}", written(longest())));
+        return Some(format!("use a time of at most {}", written(longest())));
     }
     if let Some(beat) = text.strip_prefix("beat ").filter(|beat| beat.parse::<f64>().is_ok()) {
         return Some(format!(
-            "a position names its bar, as in `bar 1 beat {beat}`, and a length is `{beat} beats`"
+            "write a position with its bar, as in `bar 1 beat {beat}`, or a length as `{beat} beats`"
         ));
     }
     if let Some(length) = musical(text) {
@@ -177,7 +177,7 @@ fn range(text: &str) -> Option<String> {
     (least < largest).then(|| format!("{from}..{to}"))
 }
 
-/// `48 frames`, `00:00:02:12`: how long a frame is, only its maker knows.
+/// `48 frames`, `00:00:02:12`: the text does not give the length of a frame.
 fn of_frames(text: &str) -> Option<String> {
     let is_number = |part: &&str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
     if let [hours, minutes, seconds, frames] = text.split([':', ';']).collect::<Vec<_>>().as_slice()
@@ -210,7 +210,7 @@ fn of_fraction(text: &str) -> Option<String> {
         .then(|| format!("write `{time} / {}`", &rest[..digits]))
 }
 
-/// `after rise`: the key belongs in front of the colon.
+/// `after rise`: the key belongs before the colon.
 fn relation(text: &str) -> Option<String> {
     let (key, name) = text.split_once(' ')?;
     matches!(key, "after" | "with" | "before")
@@ -245,7 +245,7 @@ fn musical(text: &str) -> Option<String> {
     Some(format!("{number} {meant}"))
 }
 
-/// Hours, minutes and seconds, all three, so that nobody has to guess which of them two numbers are: `00:01:30`, `00:01:30.5`.
+/// Parses `00:01:30` and `00:01:30.5`. All three of hours, minutes and seconds are required, because two numbers would be ambiguous.
 fn of_clock(text: &str) -> Option<Span> {
     let parts: Vec<&str> = text.split(':').collect();
     let [hours, minutes, seconds] = parts.as_slice() else { return None };
@@ -259,7 +259,7 @@ fn of_clock(text: &str) -> Option<Span> {
     parse_duration(&format!("{hours}h{minutes}m{seconds}s"))
 }
 
-/// `1:30`: minutes and seconds, or hours and minutes; or three numbers that are not all of two digits.
+/// `1:30`: minutes and seconds, or hours and minutes; or three numbers that do not all have two digits.
 fn almost_of_clock(text: &str) -> Option<String> {
     let with_point = text.replace(',', ".");
     if of_clock(&with_point).is_some() {
@@ -301,7 +301,7 @@ fn in_words(text: &str) -> Option<Span> {
     parse_duration(&format!("{number}{unit}"))
 }
 
-/// The same with an optional sign ahead.
+/// The same with an optional leading sign.
 pub fn parse_signed(text: &str) -> Option<Span> {
     match text.trim().strip_prefix('-') {
         Some(rest) => parse_duration(rest).map(|span| -span),
@@ -322,7 +322,7 @@ pub fn written(span: Span) -> String {
     format!("{sign}{}{unit}", text.trim_end_matches('0').trim_end_matches('.'))
 }
 
-/// A number of seconds as a time of a scenario that is no shorter, in milliseconds.
+/// A number of seconds as a time of a scenario, rounded up to milliseconds.
 pub fn seconds(seconds: f64) -> String {
     written(Span::from_millis_f64((seconds * 1_000.0 - 1e-9).ceil()))
 }
@@ -365,8 +365,8 @@ mod tests {
             ("0,3s", "write a decimal point: `0.3s`"),
             ("1m 30s", "write `1m30s`"),
             ("1e3ms", "write `1s`"),
-            ("2s to 4s", "a range is written `2s..4s`"),
-            ("2s - 4s", "a range is written `2s..4s`"),
+            ("2s to 4s", "write a range as `2s..4s`"),
+            ("2s - 4s", "write a range as `2s..4s`"),
             ("48 frames", "write a time: at 25 frames per second, 48 frames are `1.92s`"),
             ("00:00:02:12", "write a time: at 25 frames per second, 00:00:02:12 is `2.48s`"),
             ("00:01:02;12", "write a time: at 25 frames per second, 00:01:02;12 is `62.48s`"),
@@ -377,9 +377,9 @@ mod tests {
             assert_eq!(hint(text).as_deref(), Some(right));
         }
         for (text, right) in [
-            ("bar 4.2", "a position is written `bar 4 beat 2`, and a length `4 bars 2 beats`"),
-            ("bars 4-8", "a range is written `bar 4..bar 8`"),
-            ("beats 1-3", "a position is written `bar 3 beat 2`, and a length `3 bars 2 beats`"),
+            ("bar 4.2", "write a position as `bar 4 beat 2`, or a length as `4 bars 2 beats`"),
+            ("bars 4-8", "write a range as `bar 4..bar 8`"),
+            ("beats 1-3", "write a position as `bar 3 beat 2`, or a length as `3 bars 2 beats`"),
         ] {
             assert_eq!(position(text).as_deref(), Some(right));
         }

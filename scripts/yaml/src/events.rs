@@ -1,7 +1,7 @@
-//! The events of a YAML text with their places, by a parser that keeps nothing else.
+//! The events of a YAML text with their places, from a parser that builds no tree.
 //!
-//! A text that begins with a brace might be a key, so the parser would hold all of it until the brace is closed. Behind `---` it
-//! cannot be one.
+//! A text that begins with a brace might be a key, so the parser would buffer all of it until the brace is closed. After `---`, it cannot
+//! be a key.
 
 use std::borrow::Cow;
 
@@ -9,16 +9,16 @@ use saphyr_parser::{Event, Marker, Parser, Span, StrInput};
 
 const DOCUMENT: &str = "--- ";
 
-/// A text that is read event by event.
+/// A text that is parsed event by event.
 pub struct Events<'t> {
     text: Cow<'t, str>,
-    /// Lines ahead of what is parsed, and characters ahead of it in its first line.
+    /// Lines before the parsed text, and characters before it in its first line.
     lines: usize,
     ahead: usize,
     added: usize,
 }
 
-/// From where to where something stands: line from 1, column from 0.
+/// The start and end of an event: lines from 1, columns from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     pub start: (usize, usize),
@@ -37,7 +37,7 @@ impl<'t> Events<'t> {
         Self { text: Cow::Owned([DOCUMENT, rest].concat()), lines, ahead, added: DOCUMENT.len() }
     }
 
-    /// Hands out one event after the other, up to where the text is no YAML, or as long as they are wanted.
+    /// Passes each event to `wanted` until the text is no longer YAML or `wanted` returns false.
     pub fn each(&self, mut wanted: impl FnMut(Event<'_>, Extent) -> bool) {
         let mut parser: Parser<'_, StrInput<'_>> = Parser::new_from_str(&self.text);
         while let Some(Ok((event, span))) = parser.next_event() {

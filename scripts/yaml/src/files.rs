@@ -1,4 +1,4 @@
-//! Where other files come from: includes and data of a scenario.
+//! The source of other files: includes and data of a scenario.
 
 use std::path::PathBuf;
 
@@ -6,24 +6,24 @@ use crate::finding::{Code, Finding};
 use crate::project::Project;
 use crate::source::Source;
 
-/// Finds files by the names that are in a scenario.
+/// Finds files by the names that a scenario uses.
 pub trait Files {
     /// Reads a file.
     ///
     /// # Errors
-    /// A finding when it cannot be read.
+    /// Returns a finding if the file cannot be read.
     fn read(&self, name: &str) -> Result<Source, Finding>;
 
-    /// Reads a file that need not be text.
+    /// Reads a file that may be binary.
     ///
     /// # Errors
-    /// A finding when it cannot be read.
+    /// Returns a finding if the file cannot be read.
     fn read_bytes(&self, name: &str) -> Result<Vec<u8>, Finding> {
         self.read(name).map(|source| source.text.into_bytes())
     }
 }
 
-/// Files of a folder: names count from there, and lead to files of one project.
+/// Files of a folder: names are relative to it, and must lead to files of one project.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
@@ -38,7 +38,7 @@ impl Folder {
         Self { path, project }
     }
 
-    /// A folder in a project.
+    /// A folder in the given project.
     #[must_use]
     pub const fn within(path: PathBuf, project: Project) -> Self {
         Self { path, project }
@@ -55,7 +55,7 @@ impl Files for Folder {
     }
 }
 
-/// No files at all.
+/// No files: every read fails.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoFiles;
 

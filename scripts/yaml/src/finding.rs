@@ -1,4 +1,4 @@
-//! What a user did wrong: a code, a place, what was found and expected, how to fix it.
+//! A mistake of a user: a code, a place, the fault, the expected value, and how to fix it.
 
 mod shared_fault;
 
@@ -10,19 +10,19 @@ pub use shared_fault::{Affected, SharedFault};
 
 use crate::shown::shortened;
 
-/// How bad it is.
+/// The severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
     /// Nothing can be run.
     Error,
-    /// It runs, but look at it.
+    /// The scenario runs, but the user should check this.
     Warning,
 }
 
 macro_rules! codes {
     ($($variant:ident = $text:literal, $severity:ident, $title:literal;)*) => {
-        /// The kinds of findings. Codes are stable: a number is never used again for something else.
+        /// The kinds of findings. Codes are stable: a number is never reused.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[non_exhaustive]
         pub enum Code {
@@ -33,19 +33,19 @@ macro_rules! codes {
             /// All codes, in order.
             pub const ALL: &[Self] = &[$(Self::$variant,)*];
 
-            /// As it is printed, `DB0007`.
+            /// The printed form, such as `DB0007`.
             #[must_use]
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$variant => $text,)* }
             }
 
-            /// What it means, in a few words.
+            /// A short description.
             #[must_use]
             pub const fn title(self) -> &'static str {
                 match self { $(Self::$variant => $title,)* }
             }
 
-            /// Whether nothing can be run with it.
+            /// Whether it prevents running.
             #[must_use]
             pub const fn severity(self) -> Severity {
                 match self { $(Self::$variant => Severity::$severity,)* }
@@ -61,7 +61,7 @@ codes! {
     UnknownKey = "DB0004", Error, "an unknown key";
     DuplicateKey = "DB0005", Error, "a key appears twice";
     MissingKey = "DB0006", Error, "a key is missing";
-    BadDuration = "DB0007", Error, "a time cannot be read";
+    BadDuration = "DB0007", Error, "an invalid time";
     UnknownRobot = "DB0008", Error, "no robot or group of this name";
     UnknownDevice = "DB0009", Error, "the robot has no such device";
     ControlType = "DB0010", Error, "the device cannot be controlled this way";
@@ -73,9 +73,9 @@ codes! {
     NothingToDo = "DB0016", Error, "nothing to do";
     ListedTwice = "DB0017", Error, "a robot is listed twice";
     InitializationBlock = "DB0018", Error, "an initialization block is not valid";
-    NameClash = "DB0019", Error, "a group or a role has a name that is taken";
+    NameClash = "DB0019", Error, "a group or a role with a name that is already in use";
     UnknownWord = "DB0020", Error, "an unknown word";
-    UnknownBeginning = "DB0021", Error, "a movement without a beginning";
+    UnknownBeginning = "DB0021", Error, "a movement from an unknown position";
     UnknownCue = "DB0022", Error, "no cue of this name";
     UnknownMove = "DB0023", Error, "no move of this name";
     Variable = "DB0024", Error, "a variable without a value";
@@ -84,62 +84,62 @@ codes! {
     NoOrder = "DB0027", Error, "no order found for cues that exclude each other";
     UnknownZone = "DB0028", Error, "no zone of this name";
     Unreachable = "DB0029", Error, "an act that is never reached";
-    DeadEnd = "DB0030", Error, "acts that never come to an end";
+    DeadEnd = "DB0030", Error, "acts that never reach the end";
     UnknownAct = "DB0031", Error, "no act of this name";
-    TooFast = "DB0032", Error, "a movement faster than the device";
-    TooSudden = "DB0033", Error, "a movement with more acceleration than the device";
+    TooFast = "DB0032", Error, "a movement that is too fast for the device";
+    TooSudden = "DB0033", Error, "a movement with too much acceleration for the device";
     Jump = "DB0034", Warning, "a device that has to jump";
     LeftInMotion = "DB0035", Warning, "a device is left in motion at the end";
-    LeaseTooLong = "DB0036", Warning, "a lease longer than the script that it guards";
-    NoRobot = "DB0037", Error, "a cue without a robot to play it";
-    Snapped = "DB0038", Warning, "a value was moved to the device's grid";
+    LeaseTooLong = "DB0036", Warning, "a lease that is longer than its scripts";
+    NoRobot = "DB0037", Error, "a cue without robots";
+    Snapped = "DB0038", Warning, "a value was rounded to the device's grid";
     QueueTooShort = "DB0039", Error, "more scripts than the device's queue holds";
     ToleranceTooTight = "DB0040", Error, "an error larger than allowed";
-    BadMotion = "DB0041", Error, "a movement that cannot be made";
+    BadMotion = "DB0041", Error, "an invalid movement";
     Include = "DB0042", Error, "an included file that cannot be read";
     NameTwice = "DB0043", Error, "a name is used twice";
     UnknownSensor = "DB0044", Error, "the robot has no such sensor";
-    TooMuch = "DB0045", Error, "more than a robot could ever play";
+    TooMuch = "DB0045", Error, "a limit is exceeded";
     BadData = "DB0046", Error, "a data file cannot be used";
     NoTimeToSend = "DB0047", Error, "no time to send the next script";
     LittleTimeToSend = "DB0048", Warning, "little time to send the next script";
-    ActHasToWait = "DB0049", Warning, "an act that cannot follow at once";
-    OneAddress = "DB0050", Error, "two robots have one address";
+    ActHasToWait = "DB0049", Warning, "an act that cannot follow immediately";
+    OneAddress = "DB0050", Error, "two robots have the same address";
     NeedsHandshake = "DB0051", Error, "a key that needs the handshake";
     TooClose = "DB0052", Error, "two bodies closer than allowed";
-    OutOfSpace = "DB0053", Error, "a body where it may not be";
+    OutOfSpace = "DB0053", Error, "a body outside its allowed space";
     BodyTooFast = "DB0054", Error, "a body faster than allowed";
-    PlaceUnknown = "DB0055", Warning, "a body whose place is not known";
+    PlaceUnknown = "DB0055", Warning, "a body at an unknown position";
     Unmet = "DB0056", Warning, "a requirement that is not met";
     OutsideProject = "DB0057", Error, "a file outside the project";
     OpenNetwork = "DB0058", Error, "a robot that anyone on the network can move";
-    StaleLatency = "DB0059", Warning, "a latency of a robot or device that is not there";
+    StaleLatency = "DB0059", Warning, "a latency of an unknown robot or device";
     ImportTable = "DB0060", Error, "a table that does not match its format";
     ImportNumber = "DB0061", Error, "an imported value is not a finite number";
-    ImportTime = "DB0062", Error, "imported times that do not go forward";
-    TimesCollide = "DB0063", Error, "two imported values at one time";
+    ImportTime = "DB0062", Error, "imported times that do not increase";
+    TimesCollide = "DB0063", Error, "two imported values at the same time";
     ForeignTag = "DB0064", Error, "a tag of another program";
     TooManyPieces = "DB0065", Error, "a trajectory has more pieces than the robot holds";
-    ImportShape = "DB0066", Error, "lists of an imported motion that do not fit together";
+    ImportShape = "DB0066", Error, "an imported motion with an inconsistent structure";
     ImportNames = "DB0067", Error, "imported robots, devices or scenes with names that are not allowed";
     ImportLimit = "DB0068", Error, "an import is larger than its limit";
-    FileExists = "DB0069", Error, "a file exists already";
+    FileExists = "DB0069", Error, "a file already exists";
     Expression = "DB0070", Error, "an expression without a value";
-    NearPlaces = "DB0071", Warning, "places of a formation too near to each other";
+    NearPlaces = "DB0071", Warning, "places of a formation that are too close to each other";
     NotInGroup = "DB0072", Error, "a robot that cannot move in a group";
     PlacesCount = "DB0073", Error, "more or fewer robots than places";
     NoWayPast = "DB0074", Error, "bodies that cannot pass each other";
     UnknownFormation = "DB0075", Error, "no formation of this name";
-    PlaysItself = "DB0076", Error, "a move, a sequence or a file that leads back to itself";
+    PlaysItself = "DB0076", Error, "a move, a sequence or a file that uses itself";
     UnknownSequence = "DB0077", Error, "no sequence of this name";
-    WrongKind = "DB0078", Error, "a value of another kind than its parameter";
+    WrongKind = "DB0078", Error, "a value of a different kind than its parameter";
     UnknownPath = "DB0079", Error, "no path of this name";
-    CrowdedPlace = "DB0080", Warning, "many robots at one place of a Zenoh network";
-    IgnoredKey = "DB0081", Warning, "a key of a robot's description that is ignored";
+    CrowdedPlace = "DB0080", Warning, "too many robots under one key prefix of a Zenoh network";
+    IgnoredKey = "DB0081", Warning, "an ignored key in the description of a robot";
 }
 
 impl Code {
-    /// What it means, why it matters and how to fix it: its section of `findings.md`.
+    /// The meaning, the reason why it matters, and the fix: its section of `findings.md`.
     #[must_use]
     pub fn explanation(self) -> &'static str {
         let heading = format!("## {}", self.as_str());
@@ -151,7 +151,7 @@ impl Code {
     }
 }
 
-/// The page that people read is the one that the program shows.
+/// The documentation page is the text that the program prints.
 const EXPLANATIONS: &str = include_str!("findings.md");
 
 impl Serialize for Code {
@@ -160,12 +160,12 @@ impl Serialize for Code {
     }
 }
 
-/// One thing that is wrong.
+/// One mistake.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// Which kind.
+    /// The kind of mistake.
     pub code: Code,
-    /// How bad.
+    /// Whether it prevents running.
     pub severity: Severity,
     /// The file, as the user named it.
     pub file: String,
@@ -173,33 +173,33 @@ pub struct Finding {
     pub line: usize,
     /// Column in characters, from 1.
     pub column: usize,
-    /// How many characters it concerns.
+    /// The number of characters that it concerns.
     pub width: usize,
-    /// What was found, naming robot, device and step.
+    /// The fault, with robot, device and step.
     pub message: String,
-    /// What was expected.
+    /// The expected value or form.
     pub expected: String,
     /// How to fix it.
     pub hint: Option<String>,
     /// The offending line.
     pub source_line: String,
-    /// Places that explain it, in the order of the argument; then other places of the same mistake.
+    /// Places that explain the finding, in the order of the argument; then other places of the same mistake.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub related: Vec<Related>,
 }
 
-/// A place that has to do with a finding, and how.
+/// A place that is related to a finding, with an explanation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Related {
     /// Line, from 1.
     pub line: usize,
     /// Column in characters, from 1.
     pub column: usize,
-    /// How many characters.
+    /// The number of characters that it concerns.
     pub width: usize,
-    /// What is said there.
+    /// The explanation of this place.
     pub message: String,
-    /// The line.
+    /// The text of the line.
     pub source_line: String,
     /// Whether this place repeats the mistake. The message of the finding already names its line.
     #[serde(skip)]
@@ -207,12 +207,12 @@ pub struct Related {
 }
 
 impl Finding {
-    /// The places that explain it, without other places of the same mistake.
+    /// The places that explain the finding, without other places of the same mistake.
     pub fn chain(&self) -> impl Iterator<Item = &Related> {
         self.related.iter().filter(|place| !place.is_repeat)
     }
 
-    /// Whether a file itself is at fault, not what is written in it: it cannot be read or written, or is in the way.
+    /// Whether the fault is access to a file, not its content: the file cannot be read or written, or already exists.
     #[must_use]
     pub fn is_about_access(&self) -> bool {
         matches!(self.code, Code::Unreadable | Code::Include | Code::OutsideProject | Code::FileExists)
@@ -236,54 +236,54 @@ impl Finding {
     }
 }
 
-/// A finding that knows its place only as a path into the tree.
+/// A finding whose place is only known as a path into the tree.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pending {
     /// The code of the finding.
     pub code: Code,
-    /// Where the user must act.
+    /// The place that the user must edit.
     pub place: Place,
     /// The fault.
     pub message: String,
-    /// What was expected.
+    /// The expected value or form.
     pub expected: String,
     /// How to fix it.
     pub hint: Option<String>,
-    /// The hint for a map or a list that is written in lines, not in brackets. `None` if it is the same hint.
+    /// The hint for a map or a list in block style, without brackets. `None` if the hint is the same.
     pub hint_in_block: Option<String>,
     /// Other places of the same file.
     pub related: Vec<(Place, String)>,
-    /// The robots that it concerns, if others may join them.
+    /// The robots that the finding concerns, if more robots with the same fault may be added.
     pub affected: Option<Box<Affected>>,
 }
 
 /// A place in a file: a node, or the key that leads to it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Place {
-    /// Which file: 0 for the scenario, then includes in the order of their reading.
+    /// The file: 0 for the scenario, then includes in reading order.
     pub file: u16,
     /// The steps from the root of the file.
     pub path: Vec<Part>,
     /// Whether the place is the key of the node instead of the node itself.
     pub key: bool,
-    /// Some characters of the text that stands there.
+    /// A part of the text at the place.
     pub within: Option<Within>,
-    /// For which use it was read, if it stands in something that is used from elsewhere.
+    /// The use that led to this place, if the place belongs to something that is used from elsewhere.
     pub used: Option<Arc<Use>>,
 }
 
-/// A place at which something is used that stands elsewhere: a move that another plays, a sequence, a file.
+/// A place that uses something defined elsewhere: a move that another move plays, a sequence, a file.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Use {
-    /// What is used, as `the move `wave``.
+    /// The used item, such as `the move `wave``.
     pub what: String,
-    /// What uses it, if that has a name.
+    /// The user of the item, if it has a name.
     pub by: Option<String>,
-    /// Where; which may itself have been read for a use.
+    /// The place of the use, which may itself be reached through a use.
     pub place: Place,
 }
 
-/// Characters of a text: which ones, and the whole text, by which they are found in the file.
+/// A part of a text, with the whole text, which is needed to find the part in the file.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Within {
     /// The whole text.
@@ -295,20 +295,20 @@ pub struct Within {
 }
 
 impl Place {
-    /// The place of an entry below this one.
+    /// The place of an entry of this node.
     pub fn below(&self, part: Part) -> Self {
         let mut path = self.path.clone();
         path.push(part);
         Self { file: self.file, path, key: false, within: None, used: self.used.clone() }
     }
 
-    /// The place of a key's value below this one.
+    /// The place of the value of this node's key.
     pub fn of_key(&self, key: &str) -> Self {
         self.below(Part::Key(key.to_owned(), 0))
     }
 }
 
-/// One step into the tree. Occurrences count equal keys of one map from 0.
+/// One step into the tree. Occurrences of equal keys in one map are counted from 0.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Part {
     /// A key of a map, and its occurrence.
@@ -317,21 +317,21 @@ pub enum Part {
     Index(usize),
 }
 
-/// The name most like a wrong one, as a hint: a question, or nothing where none is near.
+/// A hint that asks for the known name most similar to a wrong one. `None` if no name is similar enough.
 pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     nearest(wrong, known, &mut 10_000)
 }
 
-/// The same with this many comparisons left.
+/// The same with at most `left` comparisons, which it subtracts.
 pub fn nearest<'a>(
     wrong: &str,
     known: impl IntoIterator<Item = &'a str>,
     left: &mut usize,
 ) -> Option<String> {
-    // Long names are compared by their beginning, so that a huge one costs nothing.
+    // Only the beginning of a long name is compared, to bound the cost.
     let wrong: String = wrong.chars().take(64).collect();
     let length = wrong.chars().count();
-    // In a short word, every second letter may differ by chance.
+    // In short words, a third of the letters may differ by chance.
     let near = 1.max(length / 3);
     let first = wrong.chars().next();
     let (mut written_out, mut in_other_case) = (None, None);
@@ -345,7 +345,7 @@ pub fn nearest<'a>(
             written_out.get_or_insert(*name);
         }
     });
-    // Names differ by no less than their lengths do.
+    // The distance of two names is at least the difference of their lengths.
     let like = compared.filter(|name| name.len() <= 4 * (length + near));
     let like = like.filter(|name| name.chars().count().abs_diff(length) <= near);
     let scored = like.map(|name| (strsim::osa_distance(&wrong, name), name));
@@ -364,13 +364,13 @@ pub fn nearest<'a>(
     Some(did_you_mean_this(in_other_case.or(like).or(written_out)?))
 }
 
-/// Whether a word, or its singular, is the beginning of a name, as `forms` of `formations`.
+/// Whether a word, or its singular, is the beginning of a name, such as `forms` for `formations`.
 fn is_short_for(word: &str, name: &str) -> bool {
     let begin = word.strip_suffix('s').unwrap_or(word);
     begin.chars().count() >= 4 && name.starts_with(begin)
 }
 
-/// Suggests the only name in a file or a sequence that ends like this one: `lib.lift` for `lift`.
+/// Suggests the only name in a file or a sequence that ends with this one: `lib.lift` for `lift`.
 pub fn within_file<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<String> {
     let mut ending = known.filter(|known| known.strip_suffix(name).is_some_and(|rest| rest.ends_with('.')));
     let only = ending.next().filter(|_| ending.next().is_none())?;
@@ -382,7 +382,7 @@ pub fn did_you_mean_this(name: &str) -> String {
     format!("did you mean `{name}`?")
 }
 
-/// What is expected where a name is not known.
+/// The expected value where a name is unknown.
 pub fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     match names(all).as_str() {
         "none" => "a name, but none is defined".to_owned(),
@@ -391,7 +391,7 @@ pub fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     }
 }
 
-/// The same for a name under `moves:`, `zones:` and the like.
+/// The same for a name under `moves:`, `zones:` and similar keys.
 pub fn one_defined<'a>(what: &str, mut all: impl Iterator<Item = &'a str> + Clone) -> String {
     match all.clone().next() {
         None => format!("a {what} that is defined under `{what}s`"),
@@ -399,10 +399,10 @@ pub fn one_defined<'a>(what: &str, mut all: impl Iterator<Item = &'a str> + Clon
     }
 }
 
-/// Most robots that a message lists.
+/// Maximum number of robots that a message lists.
 const LISTED_MAX: usize = 5;
 
-/// The robots that a message is about: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) ``.
+/// The robots that a message names: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) ``.
 pub fn robots_named<'a>(ids: impl ExactSizeIterator<Item = &'a str> + Clone) -> String {
     let (count, listed) = (ids.len(), ids.map(|id| format!("`{}`", shortened(id))));
     match count {

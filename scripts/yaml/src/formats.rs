@@ -1,8 +1,8 @@
-//! Formats of other tools, and how the name and the first bytes of a file show them. Reading them is for `import`.
+//! Formats of other tools, and how to recognize them by the name and the first bytes of a file. `import` reads them.
 
 use std::path::Path;
 
-/// What there is to know of a format, apart from how its files are read.
+/// The properties of a format, except how its files are read.
 #[derive(Clone, Copy, Debug)]
 pub struct FormatFacts {
     /// The format.
@@ -11,21 +11,21 @@ pub struct FormatFacts {
     pub word: &'static str,
     /// Its files, in a few words.
     pub about: &'static str,
-    /// How the names of its files end.
+    /// The file name extensions.
     pub ends: &'static [&'static str],
-    /// Whether such a name is enough to recognize a file.
+    /// Whether the extension is enough to recognize a file.
     pub is_recognized: bool,
-    /// The kind of robot that plays such files, unless the user states another one.
+    /// The kind of robot that plays such files, unless the user names another one.
     pub kind: &'static str,
-    /// Whether each file is of one robot.
+    /// Whether each file belongs to one robot.
     pub is_single: bool,
-    /// Whether the user says what moves what.
+    /// Whether the user maps its columns or channels to devices.
     pub is_mapped: bool,
-    /// Whether its files contain curves besides points.
+    /// Whether its files contain curves in addition to points.
     pub has_curves: bool,
 }
 
-/// The defaults of the table.
+/// The default properties.
 const POINTS: FormatFacts = FormatFacts {
     format: ImportFormat::Csv,
     word: "",
@@ -38,10 +38,10 @@ const POINTS: FormatFacts = FormatFacts {
     has_curves: false,
 };
 
-/// Declares the formats and [`FORMATS`], the facts of each in the same order.
+/// Declares the formats, and [`FORMATS`] with the properties of each in the same order.
 macro_rules! formats {
     ($($(#[$doc:meta])* $format:ident { $($fact:ident: $value:expr,)* })*) => {
-        /// The program whose files they are.
+        /// The format of an imported file, named after the program that writes it.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum ImportFormat {
             $($(#[$doc])* $format,)*
@@ -53,7 +53,7 @@ macro_rules! formats {
 }
 
 formats! {
-    /// Crazyswarm: one CSV of polynomial pieces a robot, or a folder of numbered scenes a robot.
+    /// Crazyswarm: one CSV of polynomial pieces per robot, or one folder of numbered scenes per robot.
     Crazyswarm {
         word: "crazyswarm",
         about: "CSVs of polynomial pieces, one file or folder per robot",
@@ -166,7 +166,7 @@ impl ImportFormat {
     /// All formats, in the order in which they are listed.
     pub const ALL: &'static [FormatFacts] = FORMATS;
 
-    /// What there is to know of it.
+    /// Its properties.
     #[must_use]
     pub const fn facts(self) -> &'static FormatFacts {
         &FORMATS[self as usize]
@@ -179,23 +179,23 @@ impl ImportFormat {
     }
 }
 
-/// The format of another tool's file by the end of its name.
+/// The format of another tool's file by its extension.
 pub fn format_of(name: &str) -> Option<ImportFormat> {
     let end = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
     let known = |facts: &&FormatFacts| facts.is_recognized && facts.ends.contains(&end.as_str());
     ImportFormat::ALL.iter().find(known).map(|facts| facts.format)
 }
 
-/// The command that makes a scenario of another tool's file.
+/// The command that converts another tool's file to a scenario.
 pub fn importing(name: &str) -> Option<String> {
     let format = format_of(name)?;
     Some(format!(
-        "`downbeat import {} {name}` makes a scenario of it; see `downbeat import --help`",
+        "run `downbeat import {} {name}` to create a scenario from it; see `downbeat import --help`",
         format.word()
     ))
 }
 
-/// What a file is that is not text, by its first bytes.
+/// The kind of a binary file by its first bytes.
 pub fn binary(bytes: &[u8]) -> Option<&'static str> {
     const KNOWN: [(&[u8], &str); 9] = [
         (b"MThd", "a MIDI file"),

@@ -1,11 +1,11 @@
-//! What a document is that was taken for another one, such as the fleet for the scenario.
+//! Identifies a document that was mistaken for another one, such as the fleet for the scenario.
 
 use crate::finding::{Code, Finding, did_you_mean};
 use crate::formats::importing;
 use crate::node::Node;
 use crate::source::Source;
 
-/// The documents that people write.
+/// The kinds of documents that users write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Document {
     /// A choreography.
@@ -37,7 +37,7 @@ impl Document {
         }
     }
 
-    /// What a map is by its keys.
+    /// The kind of a map, judged by its keys.
     fn of(entries: &[(String, Node)]) -> Option<Self> {
         let has = |name: &str| entries.iter().any(|(key, _)| key == name);
         if has("cues") || has("acts") || has("scenario") {
@@ -53,23 +53,23 @@ impl Document {
         }
     }
 
-    /// What to do about a file that is `self` where `wanted` was to be.
+    /// The hint for a file of kind `self` where `wanted` was expected.
     fn instead_of(self, wanted: Self) -> &'static str {
         match (wanted, self) {
-            (Self::Scenario, Self::Fleet) => "name the scenario, and the fleet with `--fleet FILE`",
-            (Self::Scenario, _) => "name the scenario; a fleet file names the descriptions of its robots",
+            (Self::Scenario, Self::Fleet) => "pass the scenario, and the fleet with `--fleet FILE`",
+            (Self::Scenario, _) => "pass the scenario; a fleet file refers to the descriptions of its robots",
             (Self::Fleet, Self::Robot) => {
-                "name a fleet file; it refers to this file as `robots: {arm-1: {init: FILE, address: sim}}`"
+                "use a fleet file; it refers to this file as `robots: {arm-1: {init: FILE, address: sim}}`"
             }
-            (Self::Fleet, _) => "name the file that lists the robots, usually `fleet.yaml`",
-            (Self::World, _) => "name the world file with `--world FILE`",
-            (Self::Robot, _) => "name the file that a robot of the fleet has as its `init`",
+            (Self::Fleet, _) => "use the file that lists the robots, usually `fleet.yaml`",
+            (Self::World, _) => "pass the world file with `--world FILE`",
+            (Self::Robot, _) => "use the file that a robot of the fleet has as its `init`",
         }
     }
 }
 
-/// The one finding for a document that is not what was wanted, rather than one for each of its keys. Documents that are nearly
-/// right are read on.
+/// The single finding for a document of the wrong kind, instead of one finding for each of its keys. `None` for documents that are nearly
+/// right.
 pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Finding> {
     match document {
         Node::Map(entries) => {
@@ -85,7 +85,7 @@ pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Fi
     }
 }
 
-/// The same where a scenario was wanted, of which these are the keys: a map with none of them, not even misspelt, is not one.
+/// The same where a scenario with these keys was expected: a map without any of them, even misspelt, is not a scenario.
 pub fn mistaken_for_scenario(source: &Source, document: &Node, keys: &[&'static str]) -> Option<Finding> {
     let wanted = Document::Scenario;
     let belongs = |key: &str| keys.contains(&key) || did_you_mean(key, keys.iter().copied()).is_some();
@@ -101,28 +101,30 @@ fn not_wanted(source: &Source, wanted: Document, message: String, hint: String) 
     Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint))
 }
 
-/// Why a file cannot be included, and a hint, if it is a document of its own.
+/// The reason why a file cannot be included, and a hint, if it is a document of another kind.
 pub fn not_to_include(document: &Node) -> Option<(String, &'static str)> {
     let Node::Map(entries) = document else { return None };
     let found = Document::of(entries)?;
     let hint = match found {
         Document::Scenario => {
-            "move what both share, such as `moves`, into a file of its own, and include that"
+            "move the shared keys, such as `moves`, to a separate file, and include that file"
         }
-        Document::Fleet => "name it under `fleet` instead",
-        Document::Robot => "name it as the `init` of a robot in the fleet file",
-        Document::World => "name it with `--world FILE`",
+        Document::Fleet => "write its path under `fleet` instead",
+        Document::Robot => "write its path as the `init` of a robot in the fleet file",
+        Document::World => "pass it with `--world FILE`",
     };
     Some((format!("this file is {}", found.name()), hint))
 }
 
-/// How to get a document of this kind.
+/// A hint that shows how to create a document of this kind.
 pub fn begin(wanted: Document) -> String {
     let (what, name) = match wanted {
         Document::Scenario => ("a scenario", "show.yaml"),
         Document::Fleet => ("a fleet file", "fleet.yaml"),
         Document::Robot => ("the description of a robot", "robots/arm.yaml"),
-        Document::World => return "`world: NAME` begins a world file; docs/world.md has its keys".to_owned(),
+        Document::World => {
+            return "begin a world file with `world: NAME`; docs/world.md lists its keys".to_owned();
+        }
     };
-    format!("`downbeat init first-show` writes {what} to begin with: `first-show/{name}`")
+    format!("run `downbeat init first-show` to create {what}: `first-show/{name}`")
 }

@@ -1,4 +1,4 @@
-//! The YAML of Downbeat's files: parses text into a tree, and shows findings with the lines that they concern.
+//! The YAML layer of Downbeat's files: parses text into a tree, and shows findings with the lines that they concern.
 //!
 //! | module | |
 //! |---|---|

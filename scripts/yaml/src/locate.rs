@@ -1,5 +1,5 @@
-//! Where paths into the tree are in the text: one pass of a parser that keeps places, made only when there is something
-//! to report. What stands behind an alias is placed where the alias is used.
+//! Finds the positions of tree paths in the text, with one pass of a parser that keeps places. This pass runs only when there is
+//! something to report. Content of an alias gets the position at which the alias is used.
 
 mod defined;
 mod repeated;
@@ -19,12 +19,12 @@ use crate::source::Source;
 
 use spelled::offsets;
 
-/// Longest line that every finding carries whole, in bytes.
+/// Longest line that every finding carries in full, in bytes.
 const LINE_BYTES_MAX: usize = 500;
-/// Most bytes of longer lines that all findings of a file carry.
+/// Maximum number of bytes of longer lines that all findings of a file carry.
 const LINES_BYTES_MAX: usize = 16 * 1024 * 1024;
 
-/// Gives every finding its line and column, and sorts them by place: the findings of each file together.
+/// Adds line and column to every finding, and sorts the findings by place, grouped by file.
 pub fn locate<S: Borrow<Source>>(sources: &[S], mut pending: Vec<Pending>) -> Vec<Finding> {
     defined::relate(sources, &mut pending);
     let mut by_file: Vec<Vec<(Pending, String)>> = sources.iter().map(|_| Vec::new()).collect();
@@ -37,7 +37,7 @@ pub fn locate<S: Borrow<Source>>(sources: &[S], mut pending: Vec<Pending>) -> Ve
     sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source.borrow(), pending)).collect()
 }
 
-/// The first and the last line of what is at these places, in their order.
+/// The first and the last line of the nodes at these places, in the same order.
 pub fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> Vec<(usize, usize)> {
     let mut lines = vec![(1, 1); places.len()];
     for (file, source) in sources.iter().enumerate() {
@@ -53,7 +53,7 @@ pub fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> Vec<(usi
     lines
 }
 
-/// Each finding comes with the uses that led to it, for the end of its message.
+/// Each finding is paired with the text of the uses that led to it, for the end of its message.
 fn locate_in(source: &Source, pending: Vec<(Pending, String)>) -> Vec<Finding> {
     if pending.is_empty() {
         return Vec::new();
@@ -83,7 +83,7 @@ fn locate_in(source: &Source, pending: Vec<(Pending, String)>) -> Vec<Finding> {
     });
     let mut findings: Vec<_> = findings.zip(uses).collect();
     findings.sort_by_key(|(finding, _)| (finding.line, finding.column, finding.code));
-    // A move that several cues use is read once for each, and its faults found as often: the first use is told.
+    // A move that several cues use is read once per use, so its faults are found repeatedly. Only the first use is reported.
     findings.dedup_by(|(finding, _), (before, _)| finding == before);
     repeated::join(findings)
 }
@@ -105,7 +105,7 @@ fn related_place(
     }
 }
 
-/// A line that a finding carries; of many long lines only the beginning.
+/// The line that a finding carries. If `room` is exhausted, long lines are cut.
 fn carried(line: &str, room: &mut usize) -> String {
     if line.len() <= LINE_BYTES_MAX || line.len() <= *room {
         *room = room.saturating_sub(line.len());
@@ -140,7 +140,7 @@ fn finding(
     }
 }
 
-/// Byte offsets of the beginnings of lines.
+/// Byte offsets at which lines begin.
 struct LineStarts(Vec<usize>);
 
 impl LineStarts {
@@ -148,12 +148,12 @@ impl LineStarts {
         Self(line_starts(text).collect())
     }
 
-    /// The parser places what ends the text, such as the value after a last `---`, on the line after it.
+    /// The parser places a node at the end of the text, such as the value after a last `---`, on the line after the text.
     fn within(&self, spot: Spot) -> Spot {
         if spot.line > self.0.len() { Spot { line: self.0.len(), column: 1, width: 1 } } else { spot }
     }
 
-    /// Some characters of a text, if it is written there.
+    /// The position of a part of a text, if the text is written there.
     fn part(&self, text: &str, spot: Spot, within: &Within) -> Spot {
         let Some(&start) = spot.line.checked_sub(1).and_then(|index| self.0.get(index)) else { return spot };
         let ahead = self.line(text, spot.line).chars().take(spot.column.saturating_sub(1));
@@ -196,7 +196,7 @@ struct Wanted {
     parents: Vec<usize>,
     values: Vec<Option<Spot>>,
     keys: Vec<Option<Spot>>,
-    /// Where each collection ends.
+    /// The last line of each collection.
     last_lines: Vec<usize>,
 }
 
@@ -214,11 +214,11 @@ impl Default for Wanted {
 
 /// A collection that is being read.
 struct Frame {
-    /// The wanted node that it is, if any.
+    /// The wanted node for this collection, if any.
     wanted: Option<usize>,
     map: bool,
     index: usize,
-    /// The child that the key just read leads to.
+    /// The child that the last key leads to.
     pending: Option<Option<usize>>,
     seen: HashMap<String, usize>,
 }
@@ -227,7 +227,7 @@ impl Wanted {
     fn add(&mut self, place: &Place) -> usize {
         let mut node = 0;
         for part in &place.path {
-            // Names may be encoded in another way than in the file.
+            // The encoding of names may differ from that in the file.
             let part = &match part {
                 Part::Key(key, count) => Part::Key(composed(key).into_owned(), *count),
                 Part::Index(index) => Part::Index(*index),
@@ -249,7 +249,7 @@ impl Wanted {
         node
     }
 
-    /// The place of a node; of its nearest known ancestor where it has none, as behind an alias or for a missing key.
+    /// The position of a node. If it has none, as within an alias or for a missing key, the position of its nearest known ancestor.
     fn spot(&self, node: usize, key: bool) -> Spot {
         let own =
             if key { self.keys[node].or(self.values[node]) } else { self.values[node].or(self.keys[node]) };
@@ -264,7 +264,7 @@ impl Wanted {
         let mut stack: Vec<Frame> = Vec::new();
         let mut last_line = 0;
         Events::of(text).each(|event, extent| {
-            // A block has no end of its own: its place is that of whatever follows it.
+            // A block has no end mark: the parser reports the place of the following token.
             if extent.start != extent.end {
                 last_line = extent.end.0;
             }
@@ -292,7 +292,7 @@ impl Wanted {
         });
     }
 
-    /// A node begins: as a key of the innermost map, as its value, as an item, or as the document.
+    /// Handles the start of a node: a key or a value of the innermost map, an item, or the document.
     fn arrive(&mut self, stack: &mut [Frame], text: Option<&str>, extent: Extent) -> Option<usize> {
         let Some(frame) = stack.last_mut() else {
             self.values[0] = Some(Spot::of(extent));

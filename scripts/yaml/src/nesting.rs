@@ -1,16 +1,17 @@
-//! Brackets that nest very deeply. libyaml reads those in a time quadratic in their depth, before `yaml_serde` refuses them; the text
-//! before the last level that matters is enough for the same finding.
+//! Brackets that nest very deeply. libyaml reads these in a time quadratic in their depth before `yaml_serde` rejects them. The text
+//! before the last relevant level is enough for the same finding.
 
-/// Far more levels than `yaml_serde` reads (128), and few enough for libyaml.
+/// Far more levels than `yaml_serde` reads (128), but few enough for libyaml.
 const DEPTH: usize = 1_000;
-/// A value begins behind these.
+/// A value begins after these.
 const BEFORE_A_VALUE: &[u8] = b"[{,:?-\n";
 
-/// The text up to where its brackets nest too deeply; `None` if they do not. A tag or a text of several lines may lead the count astray.
+/// The text up to the point where its brackets nest too deeply; `None` if they do not. The count may be wrong after a tag or a text of
+/// several lines.
 pub fn too_deep(text: &str) -> Option<&str> {
     let bytes = text.as_bytes();
     let (mut depth, mut at) = (0_usize, 0);
-    // The last byte that is no blank.
+    // The last byte that is not blank.
     let mut before = b'\n';
     while let Some(byte) = bytes.get(at) {
         let begins = BEFORE_A_VALUE.contains(&before);
@@ -27,7 +28,7 @@ pub fn too_deep(text: &str) -> Option<&str> {
         if depth > DEPTH {
             return Some(&text[..at]);
         }
-        // In brackets, a value may continue in the next line.
+        // Within brackets, a value may continue on the next line.
         if !matches!(byte, b' ' | b'\t' | b'\r') && (*byte != b'\n' || depth == 0) {
             before = *byte;
         }
@@ -36,7 +37,7 @@ pub fn too_deep(text: &str) -> Option<&str> {
     None
 }
 
-/// The place of the quotation mark that ends the text that begins at `begin`, or the end of all.
+/// The place of the quotation mark that ends the text starting at `begin`, or the end of the file.
 fn end_of_quoted(bytes: &[u8], begin: usize) -> usize {
     let mark = bytes[begin];
     let mut at = begin + 1;

@@ -1,5 +1,5 @@
-//! A YAML document as a tree that keeps what a user may have done wrong: duplicate keys, wrong kinds, foreign tags.
-//! Read by serde_yaml, whose limit on nesting bounds it; `rows` spares it long runs of keyframes, `aliases` bounds aliases.
+//! A YAML document as a tree that keeps mistakes of the user: duplicate keys, wrong kinds, foreign tags. serde_yaml parses it, and its
+//! nesting limit bounds the tree. `rows` parses long runs of keyframes instead, and `aliases` limits aliases.
 
 mod rows;
 
@@ -20,7 +20,7 @@ use crate::syntax::{RECURSION, syntax_finding};
 /// Any YAML value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Node {
-    /// Nothing.
+    /// No value.
     Null,
     /// `true` or `false`.
     Bool(bool),
@@ -32,12 +32,12 @@ pub enum Node {
     List(Items),
     /// A map, in the order of the file; a key may occur more than once.
     Map(Vec<(String, Node)>),
-    /// A value with this tag, which is not read.
+    /// A value with a tag; only the tag is kept.
     Tagged(String),
 }
 
 impl Node {
-    /// What it is, for messages.
+    /// The kind of value, for messages.
     pub fn kind(&self) -> String {
         match self {
             Self::Null => "nothing".into(),
@@ -50,7 +50,7 @@ impl Node {
         }
     }
 
-    /// Composes all keys and texts of the tree, but for long runs of keyframes, in which there is no name.
+    /// Composes all keys and texts of the tree, except for long runs of keyframes, which contain no names.
     pub fn compose(&mut self) {
         match self {
             Self::Text(text) => compose_text(text),
@@ -69,7 +69,7 @@ impl Node {
 /// Reads a whole file as one document.
 ///
 /// # Errors
-/// A finding of kind [`Code::Syntax`] with the place where the text stops being YAML.
+/// Returns a finding of kind [`Code::Syntax`] at the place where the text is no longer valid YAML.
 pub fn parse(source: &Source) -> Result<Node, Finding> {
     let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
     let says_nothing = |line: &str| ["", "---", "..."].contains(&line) || line.starts_with('#');
@@ -91,7 +91,7 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
     root.map_or_else(|| parse_whole(source), Ok)
 }
 
-/// The finding for brackets that nest so deeply that the library would take long to refuse them.
+/// The finding for brackets that nest so deeply that the library would take a long time to reject them.
 pub fn too_deep(source: &Source) -> Option<Finding> {
     let text = nesting::too_deep(source.text.trim_start_matches(BYTE_ORDER_MARK))?;
     let error = serde_yaml::from_str::<Node>(text).err()?;
@@ -99,12 +99,13 @@ pub fn too_deep(source: &Source) -> Option<Finding> {
 }
 
 fn empty(source: &Source) -> Finding {
-    let message = if source.text.contains('#') { "the file has comments only" } else { "the file is empty" };
-    let hint = "`downbeat init first-show` writes a scenario, a fleet and a robot to begin with".to_owned();
+    let message =
+        if source.text.contains('#') { "the file contains only comments" } else { "the file is empty" };
+    let hint = "run `downbeat init first-show` to create a scenario, a fleet and a robot".to_owned();
     Finding::about_file(Code::Syntax, &source.name, message.to_owned(), "a YAML map", Some(hint))
 }
 
-/// The same by the library alone.
+/// The same, with the library only.
 pub fn parse_whole(source: &Source) -> Result<Node, Finding> {
     let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
     if let Some(finding) = aliases::check(source, text) {
@@ -188,7 +189,7 @@ impl<'de> Visitor<'de> for NodeVisitor {
     }
 }
 
-/// A key as the text that is there; keys that are no scalars become one that is unknown everywhere.
+/// A key as text. Keys that are not scalars become a text that is unknown everywhere.
 struct Key(String);
 
 impl<'de> Deserialize<'de> for Key {

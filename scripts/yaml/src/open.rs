@@ -1,4 +1,4 @@
-//! Opens files to be read: what is no file is refused, and no other process is waited for. All reading of files begins here.
+//! Opens files for reading: rejects everything that is not a file, and never blocks on another process. All file reads start here.
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{self, ErrorKind};
@@ -7,32 +7,32 @@ use std::path::Path;
 
 use rustix::fs::OFlags;
 
-/// Opens a file that the user has named, on the command line. Besides regular files it takes what the user's shell has opened
-/// for this process: `<(command)`, `/dev/stdin`.
+/// Opens a file that the user has named on the command line. In addition to regular files, it accepts descriptors that the user's shell
+/// has opened for this process: `<(command)`, `/dev/stdin`.
 ///
 /// # Errors
-/// The system refuses it, or it is a folder, a pipe, a socket or a device.
+/// Returns an error if the system refuses access, or the path is a folder, a pipe, a socket or a device.
 pub fn open(path: &Path) -> io::Result<File> {
     let own = is_own_descriptor(path);
     let is_taken = |kind: FileType| kind.is_file() || own && (kind.is_fifo() || kind.is_char_device());
     let file = open_if(path, OFlags::empty(), is_taken)?;
     if own {
-        // A pipe gives nothing yet, rather than its end, while the flag stays.
+        // With the flag set, an empty pipe would fail instead of waiting for data.
         rustix::fs::fcntl_setfl(&file, OFlags::empty())?;
     }
     Ok(file)
 }
 
-/// Opens a file that another file names: regular files only, and no link at the end of the path.
+/// Opens a file that another file names: regular files only, and no symbolic link at the end of the path.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     open_if(path, OFlags::NOFOLLOW, |kind| kind.is_file())
 }
 
 fn open_if(path: &Path, flags: OFlags, is_taken: impl Fn(FileType) -> bool) -> io::Result<File> {
     let refuse = |kind: FileType| if is_taken(kind) { Ok(()) } else { Err(no_file(kind)) };
-    // Opening alone makes some devices do something, so what it is is asked before, and again of what was opened.
+    // Opening a device may have side effects, so the kind is checked before opening, and again on the open file.
     refuse(std::fs::metadata(path)?.file_type())?;
-    // A pipe that took the place of the file meanwhile would wait for its other end.
+    // If a pipe has replaced the file meanwhile, opening must not wait for the other end.
     let flags = flags | OFlags::NONBLOCK;
     let file = OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path)?;
     refuse(file.metadata()?.file_type())?;

@@ -1,5 +1,5 @@
-//! The project: the folder in which the files lie that scenarios and fleets name. A file that comes from someone else cannot have
-//! others read, nor quoted in findings, by naming them.
+//! The project: the folder that contains the files that scenarios and fleets name. It prevents a file from someone else from having
+//! arbitrary files read, or quoted in findings.
 
 use std::ffi::OsStr;
 use std::fs::Metadata;
@@ -15,24 +15,24 @@ use crate::source::{Source, bytes_of, refused};
 /// A folder with everything below it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Project {
-    /// Without links.
+    /// The canonical path, without links.
     root: PathBuf,
 }
 
 impl Project {
-    /// The project of a file that the user has named: the nearest folder above it that has `.git`, or else `fleet.yaml`, or
-    /// else its own folder. Folders of other users, folders to which every user can write, and the home folder are no projects
-    /// of files below them.
+    /// The project of a file that the user has named: the nearest enclosing folder with `.git`; otherwise the nearest with `fleet.yaml`;
+    /// otherwise the file's own folder. Folders of other users, world-writable folders, and the home folder are never the project of
+    /// files in their subfolders.
     #[must_use]
     pub fn of(file: &Path) -> Self {
         Self::of_folder(folder_of(file))
     }
 
-    /// The project of a folder, found like that of a file in it.
+    /// The project of a folder, found as for a file in it.
     #[must_use]
     pub fn of_folder(folder: &Path) -> Self {
         let Ok(own) = real(folder) else {
-            // Nothing is found there either.
+            // The folder does not exist, so reading fails anyway.
             return Self { root: std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()) };
         };
         let Ok(owned) = own.metadata() else { return Self { root: own } };
@@ -47,22 +47,22 @@ impl Project {
         Self { root: root.unwrap_or(own) }
     }
 
-    /// The project that the user names.
+    /// A project that the user names explicitly.
     ///
     /// # Errors
-    /// There is no such folder.
+    /// Returns an error if there is no such folder.
     pub fn within(folder: &Path) -> io::Result<Self> {
         let root = real(folder)?;
         if root.is_dir() { Ok(Self { root }) } else { Err(io::ErrorKind::NotADirectory.into()) }
     }
 
-    /// Its folder.
+    /// The folder of the project.
     #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// Whether a path leads to something in this folder.
+    /// Whether a path leads to a file or folder in the project.
     #[must_use]
     pub fn holds(&self, path: &Path) -> bool {
         path.canonicalize().is_ok_and(|real| real.starts_with(&self.root))
@@ -71,24 +71,24 @@ impl Project {
     /// Reads a file that another file names.
     ///
     /// # Errors
-    /// A finding when it lies outside or leads there by links, and when it cannot be read.
+    /// Returns a finding if the file is outside the project, directly or by links, or cannot be read.
     pub fn read(&self, path: &Path) -> Result<Source, Finding> {
         Source::of_bytes(&path.display().to_string(), self.read_bytes(path)?)
     }
 
-    /// The same for a file that need not be text.
+    /// The same for a file that may be binary.
     pub fn read_bytes(&self, path: &Path) -> Result<Vec<u8>, Finding> {
         let real = self.real(path)?;
         let file = open_regular(&real).map_err(|error| refused(path, &error))?;
         bytes_of(path, file)
     }
 
-    /// Where a path leads without links, if that is in this folder.
+    /// The canonical path, if it is in this project.
     fn real(&self, path: &Path) -> Result<PathBuf, Finding> {
         match path.canonicalize() {
             Ok(real) if real.starts_with(&self.root) => Ok(real),
             Ok(_) => Err(outside(path)),
-            // What names another folder has are not told either.
+            // For paths outside, the finding does not reveal whether the file exists.
             Err(error) => match existing(path).filter(|existing| existing.starts_with(&self.root)) {
                 Some(folder) => self.respelled(&folder, path).ok_or_else(|| refused(path, &error)),
                 None => Err(outside(path)),
@@ -98,7 +98,7 @@ impl Project {
 }
 
 impl Project {
-    /// A file whose name differs in the encoding of its letters alone, in a folder of the project.
+    /// A file in a folder of the project whose name differs only in its Unicode encoding.
     fn respelled(&self, folder: &Path, path: &Path) -> Option<PathBuf> {
         let name = path.file_name()?.to_str().filter(|name| !name.is_ascii())?;
         if path.parent().and_then(|parent| real(parent).ok())? != *folder {
@@ -112,7 +112,7 @@ impl Project {
     }
 }
 
-/// The folder that a file is named in.
+/// The folder that contains the file.
 pub fn folder_of(file: &Path) -> &Path {
     file.parent().unwrap_or(Path::new(""))
 }
@@ -122,7 +122,7 @@ fn real(folder: &Path) -> io::Result<PathBuf> {
     if here { Path::new(".").canonicalize() } else { folder.canonicalize() }
 }
 
-/// The nearest folder above a path that exists.
+/// The nearest existing ancestor of a path.
 fn existing(path: &Path) -> Option<PathBuf> {
     path.ancestors().skip(1).find_map(|above| real(above).ok())
 }
@@ -134,11 +134,11 @@ fn outside(path: &Path) -> Finding {
         return Finding::about_file(Code::OutsideProject, &name, message, "the name of a file", None);
     }
     let message = "this file is outside the project".to_owned();
-    let hint = "move it into the project, or name a folder that holds both with `--project DIR`".to_owned();
+    let hint = "move it into the project, or set a folder that contains both with `--project DIR`".to_owned();
     Finding::about_file(Code::OutsideProject, &name, message, EXPECTED, Some(hint))
 }
 
-/// What a project is, for messages.
+/// A description of the project, for messages.
 const EXPECTED: &str = "a file below the nearest folder with `.git`, or else with `fleet.yaml`, or else in the folder of this file";
 
 #[cfg(test)]
@@ -150,7 +150,7 @@ mod tests {
     struct Stage(tempfile::TempDir);
 
     impl Stage {
-        /// These files, each with its name as its text; names with a slash at the end are folders.
+        /// Creates these files, each with its name as its content; names that end with a slash are folders.
         fn of(names: &[&str]) -> Self {
             let stage = Self(tempfile::tempdir().unwrap());
             for name in names {

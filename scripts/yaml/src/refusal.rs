@@ -1,33 +1,33 @@
-//! What the operating system refuses, in words that say what to do about it.
+//! Errors of the operating system, explained with a remedy.
 
 use std::fmt;
 use std::io::{self, ErrorKind};
 use std::path::Path;
 
-/// What was attempted.
+/// The operation that failed.
 #[derive(Clone, Copy, Debug)]
 pub enum Attempt<'a> {
-    /// To read this file.
+    /// Reading this file.
     Read(&'a Path),
-    /// To write this file, or to create this folder.
+    /// Writing this file, or creating this folder.
     Write(&'a Path),
-    /// To listen at an address.
+    /// Listening at an address.
     Listen,
-    /// To connect to a robot.
+    /// Connecting to a robot.
     Connect,
 }
 
-/// Why an attempt failed, and what to do.
+/// The reason why an operation failed, and a remedy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Refusal {
-    /// What the system says.
+    /// The reason that the system reports.
     pub reason: String,
-    /// What the user can do, if that is known.
+    /// The remedy, if one is known.
     pub remedy: Option<String>,
 }
 
 impl Refusal {
-    /// The refusal that an error of the system means.
+    /// Explains an error of the system.
     #[must_use]
     pub fn of(attempt: Attempt<'_>, error: &io::Error) -> Self {
         Self { reason: reason(attempt, error), remedy: remedy(attempt, error) }
@@ -48,7 +48,7 @@ fn reason(attempt: Attempt<'_>, error: &io::Error) -> String {
         (ErrorKind::NotFound, Attempt::Read(_)) => "there is no such file",
         (ErrorKind::NotFound, Attempt::Write(_)) => "the folder does not exist",
         (ErrorKind::NotADirectory | ErrorKind::AlreadyExists, Attempt::Write(_)) => {
-            "a file has the name of the folder"
+            "a file with the name of the folder exists"
         }
         (ErrorKind::IsADirectory, _) => "this is a folder",
         (ErrorKind::PermissionDenied, _) => "permission denied",
@@ -64,7 +64,7 @@ fn reason(attempt: Attempt<'_>, error: &io::Error) -> String {
     reason.to_owned()
 }
 
-/// The system's text without the number of the error.
+/// The system's text without the error number.
 fn plain(error: &io::Error) -> String {
     let text = error.to_string();
     match text.rfind(" (os error ") {
@@ -73,7 +73,7 @@ fn plain(error: &io::Error) -> String {
     }
 }
 
-/// Resolvers have no kind of error of their own.
+/// The standard library has no error kind for failed name resolution.
 fn is_unknown_host(error: &io::Error) -> bool {
     error.to_string().starts_with("failed to lookup address information")
 }
@@ -93,14 +93,14 @@ fn remedy(attempt: Attempt<'_>, error: &io::Error) -> Option<String> {
             ErrorKind::NotADirectory | ErrorKind::AlreadyExists | ErrorKind::IsADirectory,
         ) => "choose another path".to_owned(),
         (Attempt::Listen, ErrorKind::AddrInUse) => {
-            "another program, perhaps a robot that still runs, listens there: end it, or choose another port"
+            "another program, perhaps a running robot, listens on this port: stop it, or choose another port"
                 .to_owned()
         }
         (Attempt::Listen, ErrorKind::AddrNotAvailable) => {
-            "listen on 127.0.0.1 to be reached from this machine, or on 0.0.0.0 to be reached from any network"
+            "listen on 127.0.0.1 to be reachable from this machine, or on 0.0.0.0 to be reachable from any network"
                 .to_owned()
         }
-        (Attempt::Listen, ErrorKind::PermissionDenied) => "choose a port from 1024 on".to_owned(),
+        (Attempt::Listen, ErrorKind::PermissionDenied) => "choose a port of at least 1024".to_owned(),
         (Attempt::Listen, ErrorKind::InvalidInput) => "write HOST:PORT, such as 127.0.0.1:7401".to_owned(),
         (Attempt::Connect, ErrorKind::ConnectionRefused) => {
             "start the robot, or correct the port in its address".to_owned()
@@ -111,7 +111,7 @@ fn remedy(attempt: Attempt<'_>, error: &io::Error) -> Option<String> {
         (
             Attempt::Connect,
             ErrorKind::TimedOut | ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable,
-        ) => "check the address, and whether the robot is on and in this network".to_owned(),
+        ) => "check the address, and that the robot is switched on and connected to this network".to_owned(),
         _ => return None,
     };
     Some(remedy)
@@ -129,7 +129,7 @@ mod tests {
             told(Attempt::Write(path), 2),
             "the folder does not exist; create it with `mkdir -p shows`"
         );
-        assert_eq!(told(Attempt::Listen, 13), "permission denied; choose a port from 1024 on");
+        assert_eq!(told(Attempt::Listen, 13), "permission denied; choose a port of at least 1024");
         assert_eq!(told(Attempt::Write(path), 28), "No space left on device");
     }
 }

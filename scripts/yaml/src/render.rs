@@ -1,4 +1,4 @@
-//! Findings as people read them: the line, what is wrong with it, what was expected, how to fix it.
+//! Findings for human readers: the line, the fault, the expected value, and how to fix it.
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 
@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use crate::finding::{Code, Finding, Severity};
 use crate::shown::shown;
 
-/// Most warnings of one code that are shown.
+/// Maximum number of warnings per code that are shown.
 const WARNINGS_MAX: usize = 20;
 /// Longest part of a line that is shown, in characters.
 const LINE_CHARS_MAX: usize = 160;
@@ -18,7 +18,7 @@ pub fn line_of(text: &str, number: usize) -> &str {
     text[start..].split(['\n', '\r']).next().unwrap_or("")
 }
 
-/// Where each line begins, in bytes.
+/// The byte offset of each line.
 pub fn line_starts(text: &str) -> impl Iterator<Item = usize> + '_ {
     let bytes = text.as_bytes();
     let ends = bytes
@@ -28,7 +28,7 @@ pub fn line_starts(text: &str) -> impl Iterator<Item = usize> + '_ {
     std::iter::once(0).chain(ends.map(|(at, _)| at + 1))
 }
 
-/// All findings in the style of compilers, with a closing count.
+/// Formats all findings in the style of compilers, with a summary count.
 #[must_use]
 pub fn render(findings: &[Finding], colour: bool) -> String {
     let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
@@ -101,7 +101,7 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
     }
     let rendered = renderer.render(&[group]);
     match lines.iter().flat_map(|line| &line.2).find(|mark| mark.primary) {
-        // The renderer counts the column within what is shown of the line.
+        // The renderer reports the column within the shown part of the line.
         Some(mark) if mark.left_out > 0 => {
             let (line, column) =
                 finding.chain().next().map_or((finding.line, finding.column), |at| (at.line, at.column));
@@ -117,11 +117,11 @@ struct Mark {
     span: std::ops::Range<usize>,
     label: String,
     primary: bool,
-    /// Characters at the begin of the line that are not shown.
+    /// The number of characters at the beginning of the line that are not shown.
     left_out: usize,
 }
 
-/// The finding's line with what was expected; where a chain of places leads to it, the lines of that chain.
+/// The finding's line with the expected value. If a chain of places explains the finding, the lines of that chain.
 fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     let mut places: Vec<_> = finding.chain().enumerate().collect();
     if places.is_empty() {
@@ -143,7 +143,7 @@ fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     lines
 }
 
-/// The line or a part of it round the place, the place in it in bytes, and how many characters before that part are left out.
+/// The line, or the part around the place; the byte range of the place in it; and the number of characters left out before that part.
 fn shown_part(line: &str, column: usize, width: usize) -> (String, std::ops::Range<usize>, usize) {
     let column = column.saturating_sub(1);
     let first = column.saturating_sub(LINE_CHARS_MAX / 2);

@@ -1,4 +1,4 @@
-//! Findings as SARIF 2.1.0 (OASIS, 2020), the form that code hosts read to annotate files.
+//! Findings as SARIF 2.1.0 (OASIS, 2020), the format that code hosts read to annotate files.
 
 use serde_json::{Value, json};
 
@@ -48,7 +48,7 @@ fn result(finding: &Finding, codes: &[Code]) -> Value {
     if let Some(hint) = &finding.hint {
         text.push_str(&format!(". {hint}"));
     }
-    // A relative reference: backslashes and blanks are no part of a URI.
+    // A relative reference: a URI contains no backslashes and no spaces.
     let uri = finding.file.replace('\\', "/").replace('%', "%25").replace(' ', "%20");
     let mut location = json!({"artifactLocation": {"uri": uri}});
     if finding.line > 0 {

@@ -1,15 +1,15 @@
-//! Text from outside as it may be shown: what a robot, a file or a peer says never drives a terminal or breaks a table.
+//! Displays untrusted text: text from a robot, a file or a peer can neither control a terminal nor break a table.
 //!
-//! Every output goes through [`shown`]: lines, tables, pictures, the log. JSON is escaped by its own rules.
+//! All output passes through [`shown`]: lines, tables, pictures, the log. JSON has its own escaping rules.
 
 use std::borrow::Cow;
 
 use unicode_width::UnicodeWidthChar;
 
-/// Columns that one piece of text may take; protocol strings have at most 256 characters.
+/// Columns that one text may take; protocol strings have at most 256 characters.
 const COLUMNS_MAX: usize = 1_000;
 
-/// Characters that are not seen or change what others look like: directions, joiners without a glyph, annotations, tags.
+/// Characters that are invisible or change how others are displayed: text direction, joiners without a glyph, annotations, tags.
 const INVISIBLE: [(char, char); 9] = [
     ('\u{ad}', '\u{ad}'),
     ('\u{61c}', '\u{61c}'),
@@ -22,8 +22,8 @@ const INVISIBLE: [(char, char); 9] = [
     ('\u{fff9}', '\u{fffb}'),
 ];
 
-/// The text as one line: control characters, escape sequences, line ends and changes of direction are written out as
-/// `\n` or `\u{1b}`, and a text of more than a thousand columns is cut.
+/// The text on one line: control characters, escape sequences, line ends and direction changes are escaped as `\n` or `\u{1b}`. A text of
+/// more than 1000 columns is cut.
 #[must_use]
 pub fn shown(text: &str) -> Cow<'_, str> {
     within(text, COLUMNS_MAX)
@@ -37,7 +37,7 @@ pub fn shortened(text: &str) -> String {
     }
 }
 
-/// As [`shown`], in at most this many columns; a text that is cut ends in `…`.
+/// The same as [`shown`], limited to this many columns; a text that is cut ends in `…`.
 #[must_use]
 pub fn within(text: &str, columns: usize) -> Cow<'_, str> {
     if text.len() <= columns && text.bytes().all(|byte| matches!(byte, b' '..=b'~')) {
@@ -45,14 +45,14 @@ pub fn within(text: &str, columns: usize) -> Cow<'_, str> {
     }
     let mut line = String::new();
     let (mut taken, mut characters) = (0, 0);
-    // Where the line would have to be cut to make room for the mark.
+    // The cut position that leaves room for the ellipsis.
     let mut cut = 0;
     for character in text.chars() {
         let columns_before = taken;
         let length = line.len();
         put(&mut line, character, &mut taken);
         characters += 1;
-        // Characters without a width pile up on one another.
+        // Characters without width can be stacked in any number.
         if taken > columns || characters > columns.saturating_mul(4) {
             line.truncate(cut);
             line.push('…');
@@ -84,8 +84,7 @@ fn is_harmless(character: char) -> bool {
     !character.is_control() && !invisible && !tag
 }
 
-/// Several lines that were put together from harmless pieces: what is neither a line end nor one of this program's own
-/// colours is still written out.
+/// Several lines assembled from harmless parts: everything is escaped except line ends, tabs and this program's own colours.
 #[must_use]
 pub fn block(text: &str) -> Cow<'_, str> {
     if text.chars().all(|character| character == '\n' || is_harmless(character)) {
@@ -109,14 +108,14 @@ pub fn block(text: &str) -> Cow<'_, str> {
     Cow::Owned(safe)
 }
 
-/// The length of the sequence for a colour or a weight with which the text begins.
+/// The length of the colour or weight sequence at the beginning of the text.
 fn colour(text: &str) -> Option<usize> {
     let parameters = text.strip_prefix("\u{1b}[")?;
     let end = parameters.find(|c: char| !c.is_ascii_digit() && c != ';')?;
     (parameters[end..].starts_with('m')).then_some("\u{1b}[".len() + end + 1)
 }
 
-/// JSON without the characters that JSON allows and terminals obey; it means the same.
+/// Equivalent JSON, with the characters escaped that JSON allows but terminals interpret.
 #[must_use]
 pub fn json(text: &str) -> Cow<'_, str> {
     if text.chars().all(|character| character == '\n' || is_harmless(character)) {
@@ -128,7 +127,7 @@ pub fn json(text: &str) -> Cow<'_, str> {
             safe.push(character);
             continue;
         }
-        // Within a string, the only place where JSON has such characters.
+        // JSON contains such characters only within strings.
         let mut units = [0; 2];
         for unit in character.encode_utf16(&mut units) {
             safe.push_str(&format!("\\u{unit:04x}"));

@@ -1,4 +1,4 @@
-//! Files as they are read: bounded in size, UTF-8.
+//! Reads files: limited in size, UTF-8.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
@@ -12,17 +12,17 @@ use crate::refusal::{Attempt, Refusal};
 /// Largest file that is read, in bytes: 64 MiB.
 pub const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
 
-/// Names of a folder that are compared with one that is not there.
+/// Maximum number of names of a folder that are compared with a missing one.
 const SIMILAR_MAX: usize = 1_000;
 
-/// The character with which some editors begin a file.
+/// The character that some editors write at the beginning of a file.
 pub const BYTE_ORDER_MARK: char = '\u{feff}';
 const BYTE_ORDER_MARK_BYTES: &[u8] = &[0xef, 0xbb, 0xbf];
 
-/// The text of a file with the name by which the user knows it.
+/// The text of a file, with the name that the user knows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
-    /// For messages.
+    /// The name, for messages.
     pub name: String,
     /// The text.
     pub text: String,
@@ -32,17 +32,17 @@ impl Source {
     /// Reads a file of at most 64 MiB that the user has named: a regular file, or a pipe of the user's shell.
     ///
     /// # Errors
-    /// A finding when it cannot be read, is larger, or is not UTF-8 text.
+    /// Returns a finding if the file cannot be read, is larger, or is not UTF-8 text.
     pub fn read(path: &Path) -> Result<Self, Finding> {
         Self::of_bytes(&path.display().to_string(), read_bytes(path)?)
     }
 
-    /// The text that some bytes are.
+    /// Decodes bytes as text.
     ///
     /// # Errors
-    /// A finding when they are not UTF-8 text.
+    /// Returns a finding if the bytes are not UTF-8 text.
     pub fn of_bytes(name: &str, mut bytes: Vec<u8>) -> Result<Self, Finding> {
-        // Some editors begin a file with a mark of its byte order, which says nothing here.
+        // The byte order mark of some editors carries no information in UTF-8.
         if bytes.starts_with(BYTE_ORDER_MARK_BYTES) {
             bytes.drain(..BYTE_ORDER_MARK_BYTES.len());
         }
@@ -54,7 +54,7 @@ impl Source {
     }
 }
 
-/// A file whose bytes are text up to here only.
+/// The finding for a file that is valid text only up to the byte `valid`.
 fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
     let save = || format!("save the file with the encoding UTF-8{in_excel}");
@@ -68,7 +68,7 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
             ("the encoding of this file is UTF-16".to_owned(), save())
         }
         None if bytes.contains(&0) => {
-            // A CSV would be text.
+            // A CSV file would be text.
             let import = formats::importing(name).filter(|_| !name.ends_with(".csv"));
             ("this is not a text file".to_owned(), import.unwrap_or_else(|| "name a text file".to_owned()))
         }
@@ -77,7 +77,7 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     Finding::about_file(Code::Unreadable, name, message, "a text file in UTF-8", Some(hint))
 }
 
-/// The file of the same folder that was probably meant.
+/// The file in the same folder that the user probably meant.
 fn similar(path: &Path) -> Option<String> {
     let wanted = path.file_name()?.to_str()?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -96,24 +96,24 @@ fn similar(path: &Path) -> Option<String> {
     }
 }
 
-/// The bytes of a file of at most 64 MiB that the user has named, or a finding when it cannot be read or is larger.
+/// The bytes of a file of at most 64 MiB that the user has named. A finding if it cannot be read or is larger.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
     bytes_of(path, open(path).map_err(|error| refused(path, &error))?)
 }
 
-/// The bytes of a file of at most 64 MiB. `path` is for messages.
+/// The bytes of a file of at most 64 MiB. `path` is only used in messages.
 pub fn bytes_of(path: &Path, file: File) -> Result<Vec<u8>, Finding> {
     let refused = |error| refused(path, &error);
     let size = file.metadata().map_err(refused)?.len();
     let too_large = |size: u64| {
-        let message = format!("the file has {size} bytes, the limit is {FILE_BYTES_MAX}");
+        let message = format!("the file has {size} bytes, but the limit is {FILE_BYTES_MAX}");
         unreadable(path, message, Some("split it into several files".to_owned()))
     };
     if size > FILE_BYTES_MAX {
         return Err(too_large(size));
     }
     let mut bytes = Vec::new();
-    // A pipe has no size to ask for beforehand.
+    // The size of a pipe is not known in advance.
     file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(refused)?;
     if bytes.len() as u64 > FILE_BYTES_MAX {
         return Err(too_large(bytes.len() as u64));

@@ -1,14 +1,14 @@
-//! Where a text stops being YAML, in words for people who do not know the grammar of YAML.
+//! Explains invalid YAML to users who do not know its grammar.
 
 use crate::finding::{Code, Finding};
 use crate::render::{line_of, line_starts};
 use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
 
-/// How the YAML library words that a text nests too deeply.
+/// The text of the YAML library's error for excessive nesting.
 pub const RECURSION: &str = "recursion limit";
 
-/// The finding for a text that the YAML library refuses.
+/// The finding for a text that the YAML library rejects.
 pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     let whole = error.to_string();
     let end = whole.find(" at line ").unwrap_or(whole.len());
@@ -23,16 +23,16 @@ pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     if let Some(hint) = slip(source, &mut finding) {
         finding.hint = Some(hint);
     } else if whole.contains("repetition limit") {
-        finding.hint = Some("the aliases stand for too much: use fewer of them".into());
+        finding.hint = Some("the aliases expand to too many values: use fewer of them".into());
     } else if whole.contains(RECURSION) {
-        finding.hint = Some("nothing here nests deeper than a handful of levels".into());
+        finding.hint = Some("valid files nest only a few levels deep".into());
     } else if whole.contains("more than one document") {
         several_documents(source, &mut finding);
     }
     finding
 }
 
-/// The second document is where the first `---` after anything else is.
+/// The second document begins at the first `---` after other content.
 fn several_documents(source: &Source, finding: &mut Finding) {
     "the file has more than one document".clone_into(&mut finding.message);
     finding.hint = Some("keep one document per file: remove the `---` between them".into());
@@ -45,11 +45,11 @@ fn several_documents(source: &Source, finding: &mut Finding) {
     }
 }
 
-/// What people most often write where YAML stumbles: marks of editors, tabs, a colon without a space.
+/// Detects common mistakes: marks of editors, tabs, a colon without a space.
 fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
     let marked = source.text.trim_start_matches(BYTE_ORDER_MARK).contains(BYTE_ORDER_MARK);
     if marked {
-        let hint = "a byte order mark stands within the file, as where two files were joined: remove it";
+        let hint = "remove the byte order mark within the file, for example where two files were joined";
         return Some(hint.to_owned());
     }
     let place = finding.line;
@@ -63,12 +63,13 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
     if near().any(indented) {
         "a tab indents this line".clone_into(&mut finding.message);
         "spaces".clone_into(&mut finding.expected);
-        return Some("YAML is indented by spaces: replace each tab by some".to_owned());
+        return Some("indent YAML with spaces: replace each tab with spaces".to_owned());
     }
     if near().any(|line| line.contains(NO_BREAK_SPACE)) {
-        "this line has a no-break space, as web pages do".clone_into(&mut finding.message);
-        "spaces of the keyboard".clone_into(&mut finding.expected);
-        return Some("type the spaces of this line again".to_owned());
+        "this line contains a no-break space, for example copied from a web page"
+            .clone_into(&mut finding.message);
+        "ordinary spaces".clone_into(&mut finding.expected);
+        return Some("retype the spaces of this line".to_owned());
     }
     if let Some(name) = near().find_map(braced) {
         "braces around the name of a variable".clone_into(&mut finding.message);
@@ -97,13 +98,13 @@ fn braced(line: &str) -> Option<&str> {
     (!name.is_empty()).then_some(name)
 }
 
-/// A hint for `at:0s`, which YAML reads as one word.
+/// A hint for `at:0s`, which YAML reads as a single word.
 pub fn without_space(key: &str, known: &[&str]) -> Option<String> {
     let (name, rest) = key.split_once(':')?;
     known.contains(&name.trim()).then(|| spaced(name, rest))
 }
 
-/// A hint for the key `to 30` without a value, where the colon is missing.
+/// A hint for the key `to 30`, where the colon is missing.
 pub fn without_colon(key: &str, known: &[&str]) -> Option<String> {
     let (name, rest) = key.split_once(' ')?;
     known
@@ -111,7 +112,7 @@ pub fn without_colon(key: &str, known: &[&str]) -> Option<String> {
         .then(|| format!("write a colon after the key: `{name}: {}`", shortened(rest.trim())))
 }
 
-/// The same where any word may be the key.
+/// The same for any word as the key.
 pub fn without_space_at_all(text: &str) -> Option<String> {
     let (name, rest) = text.split_once(':')?;
     let word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-');
@@ -124,7 +125,8 @@ fn spaced(name: &str, rest: &str) -> String {
     format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
 }
 
-/// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
+/// The line and column of a byte, both from 1. The parser also ends lines at the additional line breaks of YAML 1.1, which editors do not
+/// show as such.
 fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
     let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
     let (line, start) =
@@ -138,7 +140,7 @@ fn shortened_to(text: &str, chars: usize) -> String {
 
 const NO_COLON: &str = "this line has no colon";
 
-/// Where the parser began to read what it could not finish: `while parsing a flow sequence at line 8 column 17`.
+/// The beginning of the construct that the parser could not complete: `while parsing a flow sequence at line 8 column 17`.
 struct Begun<'a> {
     what: &'a str,
     line: usize,
@@ -156,7 +158,7 @@ impl<'a> Begun<'a> {
     }
 }
 
-/// The byte offset of a position that the parser reports. The parser ends lines at more characters than editors do.
+/// The byte offset of a position that the parser reports. The parser has more line break characters than editors have.
 fn byte_of(text: &str, line: usize, column: usize) -> usize {
     let ends = |c: char| matches!(c, '\n' | '\r' | '\u{85}' | '\u{2028}' | '\u{2029}');
     let mut start = 0;
@@ -170,7 +172,7 @@ fn byte_of(text: &str, line: usize, column: usize) -> usize {
     start + ahead.sum::<usize>()
 }
 
-/// The key of the line above, and its column from 1, if that has a value already and this line is indented deeper.
+/// The key of the line above and its column from 1, if that key already has a value and this line is indented more deeply.
 fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
     let indented = |line: &str| line.chars().take_while(|c| *c == ' ').count();
     let line = line_of(text, number);
@@ -185,8 +187,8 @@ fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
 fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
     let key = shortened(key);
     finding.message = format!("this line is indented deeper than `{key}`, which has a value already");
-    finding.expected = format!("{} ahead of it", crate::render::counted(column - 1, "space"));
-    finding.hint = Some(format!("indent it as far as `{key}`"));
+    finding.expected = format!("{} before it", crate::render::counted(column - 1, "space"));
+    finding.hint = Some(format!("indent it like `{key}`"));
     finding.column = line.len() - line.trim_start().len() + 1;
 }
 
@@ -205,19 +207,19 @@ fn second_colon(finding: &mut Finding, line: &str) {
     });
 }
 
-/// What begins with an asterisk is an alias.
+/// A text that begins with an asterisk is an alias.
 fn unknown_alias(finding: &mut Finding, line: &str) {
-    "an asterisk begins the name of an alias, and nothing has this name".clone_into(&mut finding.message);
+    "unknown alias: an asterisk begins the name of an alias".clone_into(&mut finding.message);
     "a value that begins with another character".clone_into(&mut finding.expected);
     let rest = line.split_once('*').map_or("", |(_, rest)| rest);
     let name = rest.split([',', ']', '}', '#']).next().unwrap_or_default().trim();
     finding.hint = Some(match name {
-        "" => "name each robot or group, as in `[left, right]`".to_owned(),
-        name => format!("write `{0}`, or `\"*{0}\"` if the asterisk belongs to it", shortened(name)),
+        "" => "list each robot or group, as in `[left, right]`".to_owned(),
+        name => format!("write `{0}`, or `\"*{0}\"` if the asterisk is part of it", shortened(name)),
     });
 }
 
-/// Puts the parser's complaint at the place to be corrected, in plain words with a hint.
+/// Moves the parser's error to the place that has to be corrected, and explains it with a hint.
 fn explain(finding: &mut Finding, whole: &str, text: &str) {
     let line = line_of(text, finding.line);
     if whole.starts_with("mapping values are not allowed") {
@@ -237,8 +239,8 @@ fn explain(finding: &mut Finding, whole: &str, text: &str) {
     };
     let (message, expected, hint) = if let Some((open, close)) = opened {
         if begun.line == finding.line {
-            let hint = format!("separate entries by commas, and close the bracket with `{close}`");
-            finding.message = format!("an entry within `{open}` does not end here");
+            let hint = format!("separate entries with commas, and close the bracket with `{close}`");
+            finding.message = format!("unexpected text after an entry within `{open}`");
             (None, format!("`,` or `{close}`"), hint)
         } else {
             let message = format!("the bracket `{open}` is never closed");
@@ -263,10 +265,10 @@ fn explain(finding: &mut Finding, whole: &str, text: &str) {
             "write the key, a colon, a space and the value".to_owned(),
         )
     } else if begun.what.starts_with("parsing a block") {
-        let message = "this line is not indented like the lines to which it belongs".to_owned();
+        let message = "this line is not indented like the other lines of its block".to_owned();
         let hint = "indent it like the line above, or deeper if it belongs to that line".to_owned();
         finding.message = message;
-        (None, "the indentation of its neighbours".to_owned(), hint)
+        (None, "the indentation of the surrounding lines".to_owned(), hint)
     } else {
         return;
     };

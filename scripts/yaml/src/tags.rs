@@ -1,4 +1,4 @@
-//! Tags of other programs, such as `!!python/tuple` and `!degrees`: refused wherever they stand, never executed.
+//! Tags of other programs, such as `!!python/tuple` and `!degrees`: rejected everywhere, never executed.
 
 use saphyr_parser::Event;
 
@@ -8,13 +8,13 @@ use crate::render::line_of;
 use crate::shown::shortened;
 use crate::source::Source;
 
-/// Most tags of one file that are listed.
+/// Maximum number of tags that are listed per file.
 const TAGS_MAX: usize = 100;
 /// Longest line that a finding carries, in characters.
 const LINE_CHARS_MAX: usize = 1_000;
 
-/// Every tag that is not of YAML's core schema. The parser that keeps places sees all of them, those too that the other
-/// one drops.
+/// A finding for each tag outside YAML's core schema. The parser that keeps places reports all of them, including those that the other
+/// parser drops.
 pub fn foreign_tags(source: &Source) -> Vec<Finding> {
     let mut findings = Vec::new();
     if !source.text.contains('!') {
@@ -32,9 +32,9 @@ pub fn foreign_tags(source: &Source) -> Vec<Finding> {
         let mut finding = Finding::about_file(
             Code::ForeignTag,
             &source.name,
-            format!("the tag `!{}` belongs to another program", shortened(&tag.suffix)),
+            format!("the tag `!{}` is not supported", shortened(&tag.suffix)),
             "a plain value",
-            Some("remove the tag: nothing in a file is ever executed or converted by a tag".to_owned()),
+            Some("remove the tag: tags never execute or convert anything".to_owned()),
         );
         (finding.line, finding.column) = (extent.start.0, extent.start.1 + 1);
         finding.width = 1;

@@ -1,13 +1,13 @@
 //! The sentences of a document.
 
-/// All sentences of a Markdown text, one after the other, as they read: white space is one space, a link is its text, and bold text is
-/// plain. Headings and blocks of code have none. An item of a list and a row of a table begin a sentence; a row has ` | ` between
-/// its cells.
+/// Returns all sentences of a Markdown text in order, as they read: white space becomes one space, a link becomes its text, and bold text
+/// becomes plain. Headings and code blocks are skipped. A list item or a table row begins a sentence; the cells of a row are joined by `
+/// | `.
 pub fn sentences(markdown: &str) -> Vec<String> {
     blocks(markdown).iter().flat_map(|block| split(&plain(block))).collect()
 }
 
-/// Paragraphs, items of lists and rows of tables, each in one line.
+/// Paragraphs, list items and table rows, each on one line.
 fn blocks(markdown: &str) -> Vec<String> {
     let (mut blocks, mut words, mut is_code) = (Vec::new(), Vec::new(), false);
     let mut end = |words: &mut Vec<&str>| {
@@ -40,13 +40,13 @@ fn blocks(markdown: &str) -> Vec<String> {
     blocks
 }
 
-/// The text of an item of a list.
+/// The text of a list item, or `None` for any other line.
 fn item(line: &str) -> Option<&str> {
     let numbered = line.trim_start_matches(|c: char| c.is_ascii_digit());
     line.strip_prefix("- ").or_else(|| numbered.strip_prefix(". ").filter(|_| numbered.len() < line.len()))
 }
 
-/// Without links and bold text.
+/// Removes the markup of links and bold text.
 fn plain(block: &str) -> String {
     let mut text = String::new();
     let mut rest = block;
@@ -67,7 +67,7 @@ fn plain(block: &str) -> String {
     text.replace("**", "")
 }
 
-/// A sentence ends at a full stop or a question mark, if what follows begins like another one.
+/// Splits a block after each full stop, question mark or exclamation mark that is followed by the beginning of a sentence.
 fn split(block: &str) -> Vec<String> {
     let (mut sentences, mut from) = (Vec::new(), 0);
     for (at, _) in block.match_indices(' ') {

@@ -1,4 +1,4 @@
-//! The judge can find what is wrong: one faultless mission, told otherwise in one point after another.
+//! Checks that the judge detects faults: one faultless mission, falsified in one respect after another.
 
 use downbeat_robot::set_log::{LogEntry, MotionKind};
 use serde_json::{Value, json};
@@ -10,7 +10,7 @@ use stage::Ended;
 
 const SECOND: i64 = 1_000_000_000;
 
-/// Two robots, two acts, two scripts each, and nothing befalls them.
+/// Plays two robots, two acts, two scripts each, without any fault.
 fn faultless() -> Played {
     play(Drawn {
         seed: 0,
@@ -42,7 +42,7 @@ fn struck(played: &mut Played, robot: Option<usize>, what: What) {
     played.struck.push(Struck { robot, what, from, until: i64::MAX });
 }
 
-/// A movement that nobody requested, after the end of the mission.
+/// Adds a movement that was not requested, after the end of the mission.
 fn moved(played: &mut Played, motion: MotionKind) {
     let mut last = played.logs[0][0].last().unwrap().clone();
     (last.motion, last.step, last.request_id) = (motion, None, None);
@@ -50,7 +50,7 @@ fn moved(played: &mut Played, motion: MotionKind) {
     played.logs[0][0].push(last);
 }
 
-/// What is changed in what was said and done, and under which name it is found.
+/// The name under which the fault is found, and the falsification of the mission's record.
 type Doctored = (&'static str, fn(&mut Played));
 
 const DOCTORED: &[Doctored] = &[
@@ -97,7 +97,7 @@ const DOCTORED: &[Doctored] = &[
         played.journal.push((at, json!({"record": "stop_confirmed", "robot": "r1"})));
     }),
     ("(stop)", |played| {
-        // As if all of it were later than what was asked for so long ago.
+        // As if the whole mission had happened after the stop, which was requested earlier.
         let (began, code) = (played.sets[0][0].at - 3 * SECOND, Some(0));
         let ended =
             Ok(Ended { code, out: r#"{"outcome":"stopped","robots":[]}"#.to_owned(), told: String::new() });
@@ -142,7 +142,7 @@ fn the_judge_finds_every_lie_and_every_wrong_movement() {
         let whole = played.clone();
         doctor(&mut played);
         let verdict = judge(&played);
-        // On a busy machine the judge sees that a robot is blamed, or has not started, and excuses it.
+        // On a busy machine the judge notices that a robot is blamed, or has not started, and excuses it.
         let excused = match *name {
             "(blame)" => !verdict.busy.is_empty(),
             "(mixed)" => verdict.acts.contains(&"the machine was busy"),

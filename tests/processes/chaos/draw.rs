@@ -1,17 +1,17 @@
-//! A mission and what befalls it, all drawn from one seed.
+//! A mission and its faults, all drawn from one seed.
 
 use std::time::Duration;
 
-/// Steps of one script.
+/// Number of steps of one script.
 pub const STEPS: usize = 4;
-/// Values that one act has to itself.
+/// Number of values that are reserved for one act.
 pub const VALUES: usize = 20;
 /// The device `arm` reaches a value that is higher by this, half a step after `d` is set.
 pub const ARM: f64 = 0.5;
-/// Largest delay that a robot adds to each message, each way.
+/// Maximum delay that a robot adds to each message, in each direction.
 pub const DELAY_MS: u64 = 20;
 
-/// What befalls a robot.
+/// A fault of a robot.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     /// SIGSTOP.
@@ -20,33 +20,33 @@ pub enum Fault {
     Killed,
     /// SIGKILL, and started again on the same port.
     Restarted(Back),
-    /// Its link is closed, and further ones are refused.
+    /// Its link is closed, and new connections are refused.
     Cut,
-    /// Its link is closed, and further ones stand and carry nothing.
+    /// Its link is closed, and new connections stay open and carry nothing.
     Interrupted,
-    /// Its link stands and carries nothing; it is delivered later.
+    /// Its link stays open and carries nothing; messages are delivered later.
     Muted,
-    /// Its link stands, and nothing reaches it.
+    /// Its link stays open, but no message reaches it.
     Deaf,
-    /// Its link stands, and nothing that it says passes.
+    /// Its link stays open, but none of its messages passes.
     Dumb,
-    /// Its link stands and is dead for good; another one would do.
+    /// Its link stays open and is permanently dead; a new connection would work.
     Stranded,
-    /// Each message takes so much longer.
+    /// Each message is delayed by this time.
     Slow(Duration),
 }
 
-/// As what a robot is started again.
+/// The identity of a restarted robot.
 #[derive(Clone, Copy, Debug)]
 pub enum Back {
     Same,
-    /// Its clock shows something else.
+    /// With another clock.
     OtherClock,
     /// Under another id.
     Stranger,
 }
 
-/// What another process does after the scheduler was killed, and how long after.
+/// The action of another process after the scheduler was killed, and its delay.
 #[derive(Clone, Copy, Debug)]
 pub enum Then {
     Nothing,
@@ -55,7 +55,7 @@ pub enum Then {
     ResumeAndStop(Duration, Duration),
 }
 
-/// Something that befalls a mission.
+/// A fault of a mission.
 #[derive(Clone, Copy, Debug)]
 pub enum Strike {
     Robot {
@@ -65,41 +65,41 @@ pub enum Strike {
     },
     SchedulerFrozen(Duration),
     SchedulerKilled(Then),
-    /// `downbeat stop`, and perhaps once more.
+    /// `downbeat stop`, and possibly a second one.
     Stop {
         home: bool,
         again: Option<Duration>,
     },
-    /// `downbeat resume` while the scheduler lives.
+    /// `downbeat resume` while the scheduler is alive.
     ResumeTooSoon,
-    /// `downbeat stop` while the scheduler is frozen, so long after and for so long.
+    /// `downbeat stop` while the scheduler is frozen: the delay of the stop, and the duration of the freeze.
     StopWhileFrozen(Duration, Duration),
 }
 
 #[derive(Clone, Copy, Debug)]
 pub enum When {
-    /// So long after the scheduler was started.
+    /// This long after the start of the scheduler.
     After(Duration),
-    /// So long before the start of an act; negative: after it.
+    /// This long before the start of an act; negative: after it.
     Before { act: usize, millis: i64 },
 }
 
 /// A robot's clock.
 #[derive(Clone, Copy, Debug)]
 pub enum Clock {
-    /// It follows NTP up to so much, in microseconds.
+    /// It follows NTP with an error up to this, in microseconds.
     Ntp(u64),
-    /// It shows so many milliseconds more, and is not corrected.
+    /// It is ahead by this many milliseconds, and is not corrected.
     Measured(u64),
 }
 
-/// What a robot tells of its scripts.
+/// The reports of a robot about its scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tells {
     Everything,
-    /// It answers inquiries, and reports nothing by itself.
+    /// It answers inquiries, but sends no reports.
     WhenAsked,
-    /// It reports, and answers no inquiries.
+    /// It reports, but answers no inquiries.
     ByItself,
     Nothing,
 }
@@ -122,13 +122,13 @@ pub struct Drawn {
     pub queue: usize,
     pub on_failure: &'static str,
     pub on_doubt: &'static str,
-    /// Scripts of each act.
+    /// Number of scripts of each act.
     pub acts: Vec<usize>,
-    /// Between two steps.
+    /// Interval between two steps.
     pub every_ms: usize,
-    /// Under which scripts run, in milliseconds.
+    /// Lease of the scripts, in milliseconds.
     pub lease_ms: u64,
-    /// Of the mission, in milliseconds: a shorter one ends while leases may still run.
+    /// Patience of the mission, in milliseconds: a shorter one ends while leases may still run.
     pub patience_ms: u64,
     pub strikes: Vec<(When, Strike)>,
 }
@@ -140,7 +140,7 @@ impl Drawn {
         // A chain needs a device that holds two scripts.
         let (acts, scripts) = if queue == 1 { (2..=3, 1..=1) } else { (2..=3, 2..=3) };
         let acts: Vec<usize> = (0..rng.usize(acts)).map(|_| rng.usize(scripts.clone())).collect();
-        // One that is sent a chain bit by bit needs scripts of a second.
+        // A device that receives a chain in parts needs scripts of one second.
         let every_ms = if queue > 1 && acts.iter().all(|scripts| *scripts <= queue) { 150 } else { 260 };
         let robots = rng.usize(2..=4);
         let clock = |rng: &mut fastrand::Rng| match rng.u8(0..4) {
@@ -199,13 +199,13 @@ impl Drawn {
         self.clocks.len()
     }
 
-    /// How long it plays without any fault, in milliseconds, with what it takes before the first act.
+    /// Returns the duration of the mission without faults, in milliseconds, including the time before the first act.
     pub fn plays_ms(&self) -> usize {
         let steps: usize = self.acts.iter().map(|scripts| scripts * STEPS).sum();
         900 + 300 * self.acts.len() + steps * self.every_ms
     }
 
-    /// The values to which the devices of a robot are to be set, in order of time.
+    /// Returns the planned values of the devices of a robot, in order of time.
     pub fn values(&self) -> Vec<f64> {
         let of_step = |act, step| [value(act, step), value(act, step) + ARM];
         let of_act =
@@ -213,7 +213,7 @@ impl Drawn {
         self.acts.iter().enumerate().flat_map(of_act).collect()
     }
 
-    /// The initialization block of a robot: the device `d` holds its values, and `arm` moves linearly.
+    /// Returns the initialization block of a robot: the device `d` holds its values, and `arm` moves linearly.
     pub fn init(&self, robot: usize) -> String {
         let queue = self.queue;
         let slows_down =
@@ -253,7 +253,7 @@ impl Drawn {
         )
     }
 
-    /// What a robot's process is told, and what the fleet file says of it. `other`: its clock is another one.
+    /// Returns the arguments of a robot's process, and its keys in the fleet file. `other`: with another clock.
     pub fn setup(&self, robot: usize, other: bool) -> (Vec<String>, &'static str) {
         let seed = self.seed * 8 + robot as u64;
         let (clock, keys) = match self.clocks[robot] {

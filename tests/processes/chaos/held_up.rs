@@ -1,4 +1,4 @@
-//! How long the machine kept this process from running: what a robot or a scheduler does late then is not its own doing.
+//! How long the machine prevented this process from running: delays of a robot or a scheduler at these times are not their fault.
 
 use std::sync::{Mutex, OnceLock};
 use std::time::Duration;
@@ -6,13 +6,13 @@ use std::time::Duration;
 use stage::epoch_nanos;
 
 const EVERY: Duration = Duration::from_millis(5);
-/// A shorter one is none.
+/// Shorter delays are not recorded.
 const LEAST: i64 = 8_000_000;
 
-/// From when to when.
+/// Begin and end of each pause.
 static PAUSES: Mutex<Vec<(i64, i64)>> = Mutex::new(Vec::new());
 
-/// Watches from now on, as long as the process lives.
+/// Starts to record pauses, until the process ends.
 pub fn watch() {
     static ONCE: OnceLock<()> = OnceLock::new();
     ONCE.get_or_init(|| {
@@ -30,7 +30,7 @@ pub fn watch() {
     });
 }
 
-/// The longest pause that reaches into this time, in nanoseconds.
+/// Returns the longest pause that overlaps this time, in nanoseconds.
 pub fn longest(from: i64, until: i64) -> i64 {
     let pauses = PAUSES.lock().unwrap();
     pauses

@@ -1,4 +1,4 @@
-//! Whether what was said of a mission is what the robots' logs say, and whether they did what they may.
+//! Checks whether the reports of a mission agree with the robots' logs, and whether the robots' actions were permitted.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -14,34 +14,34 @@ use super::play::{Kind, Played, Struck, Told, What};
 use stage::{Logged, nanos};
 
 const MILLIS: i64 = 1_000_000;
-/// A robot that is held up longer over a start does not start.
+/// A robot that is delayed longer than this over a start does not start.
 const START_LATE: i64 = 51 * MILLIS;
-/// A step that comes so late on a busy machine, and is reported as late, is excused and counted.
+/// A step with this delay on a busy machine is excused and counted, if it is reported as late.
 const STEP_LATE: i64 = 500 * MILLIS;
-/// Messages that are under way, both ways, and what a process takes to handle them.
+/// Time of messages in flight, in both directions, and of their handling by a process.
 const UNDER_WAY: i64 = (2 * DELAY_MS as i64 + 20) * MILLIS;
-/// A message that is later than so much before the start may take back the start of some robots and not of others: three
-/// round trips, 20 ms, and what its sending takes.
+/// A message that is sent later than this before the start may cancel the start of some robots but not of others: three round trips, 20
+/// ms, and the time to send it.
 const NO_RETURN: i64 = 3 * UNDER_WAY + 40 * MILLIS;
-/// Within which an operator's stop reaches every robot that can be reached, however busy the machine is.
+/// Time within which an operator's stop reaches every reachable robot, however busy the machine is.
 const AT_REST: i64 = 3_000 * MILLIS;
-/// When a scheduler that does not answer is given up by `downbeat stop`.
+/// Time after which `downbeat stop` gives up a scheduler that does not answer.
 const GIVEN_UP: i64 = 1_000 * MILLIS;
-/// A machine that was busy for so long, and so shortly before the end, may make a robot seem silent.
+/// A machine that was busy for this long, within `SHORTLY` before the end, may make a robot seem silent.
 const HELD_UP: i64 = 30 * MILLIS;
 const SHORTLY: i64 = 3_000 * MILLIS;
-/// What starting a process takes on a busy machine.
+/// Time to start a process on a busy machine.
 const PROCESS: i64 = 500 * MILLIS;
 
-/// What is found of a mission.
+/// The findings about a mission.
 #[derive(Default)]
 pub struct Verdict {
     pub wrong: Vec<String>,
-    /// Of each act that was promised: `all`, `none` or why it was mixed.
+    /// For each promised act: `all`, `none` or why it was mixed.
     pub acts: Vec<&'static str>,
-    /// What the machine's being busy excused otherwise.
+    /// Other findings that the busy machine excused.
     pub busy: Vec<String>,
-    /// How many robots were blamed because the scheduler stood still before anything was promised.
+    /// Number of robots that were blamed because the scheduler was suspended before any promise.
     pub greetings: u32,
 }
 
@@ -73,12 +73,12 @@ pub fn judge(played: &Played) -> Verdict {
     judge.verdict
 }
 
-/// Of a direct stop, which knows nothing of what was played before.
+/// Whether this is the report of a direct stop, which has no information about the acts.
 fn is_withdrawal(report: &Value) -> bool {
     report["acts"].is_null()
 }
 
-/// An act as it was promised.
+/// A promised act.
 #[derive(Clone)]
 struct Promise {
     /// Index of its record in the journal.
@@ -89,11 +89,11 @@ struct Promise {
     sent: i64,
     start: i64,
     lease: i64,
-    /// Before the start: silence that begins later may be noticed too late.
+    /// Time before the start: silence that begins later may be noticed too late.
     doubt: i64,
     /// Robots, and when each was left out.
     members: BTreeMap<usize, Option<i64>>,
-    /// The scripts, by the names of their requests.
+    /// The scripts, by their request ids.
     scripts: BTreeMap<String, PromisedScript>,
 }
 
@@ -145,12 +145,12 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
         .collect()
 }
 
-/// Collects what is wrong.
+/// Collects contradictions.
 struct Judge<'a> {
     played: &'a Played,
-    /// The values that each robot set, except on the way home.
+    /// The values that each robot set, except on the move to the default positions.
     sets: Vec<Vec<Logged>>,
-    /// The steps of each robot on the way home.
+    /// The steps of each robot on the move to the default positions.
     home: Vec<Vec<Logged>>,
     promises: Vec<Promise>,
     verdict: Verdict,
@@ -175,13 +175,13 @@ impl Judge<'_> {
         self.faults(robot).any(|struck| struck.from <= until && struck.until >= from)
     }
 
-    /// Its process was killed: what it set last may be missing in its log.
+    /// Whether its process was killed: its log may lack the last values.
     fn lost_its_memory(&self, robot: usize) -> bool {
         self.faults(Some(robot))
             .any(|struck| matches!(struck.what, What::Robot(Fault::Killed | Fault::Restarted(_))))
     }
 
-    /// Every program ends, with the exit code that its report stands for.
+    /// Checks that every program ends, with the exit code that its report implies.
     fn programs(&mut self) {
         for told in &self.played.told {
             let killed =
@@ -221,7 +221,7 @@ impl Judge<'_> {
         told.code() == Some(expected)
     }
 
-    /// Nothing is there to be stopped or resumed before the mission has its journal, and once it has ended.
+    /// Whether a missing report is permitted: before the mission has its journal, and after its end, nothing can be stopped or resumed.
     fn may_have_no_report(&self, told: &Told) -> bool {
         let record = |kind: &str| self.played.journal.iter().find(|(_, record)| record["record"] == kind);
         let before = record("opened").is_none_or(|(at, _)| *at >= told.began);
@@ -236,14 +236,14 @@ impl Judge<'_> {
         }
     }
 
-    /// A mission whose scheduler lives is not there to be resumed. One that was killed lives until it is gone, which takes
-    /// some time on a busy machine.
+    /// Whether the scheduler is alive, so that its mission cannot be resumed. A killed scheduler is alive until its process is gone,
+    /// which takes some time on a busy machine.
     fn lives(&self, resume: &Told) -> bool {
         let run = self.played.told.iter().find(|told| told.kind == Kind::Run);
         run.is_none_or(|run| resume.began < run.gone)
     }
 
-    /// All robots of an act start, or none does.
+    /// Checks that all robots of an act start, or none does.
     fn starts(&mut self) {
         for which in 0..self.promises.len() {
             let cause = self.how_it_started(which);
@@ -277,7 +277,7 @@ impl Judge<'_> {
             return Ok("left out before the start, as on_failure says");
         }
         let (from, until) = (promise.start - promise.doubt - UNDER_WAY / 2, promise.start + START_LATE);
-        // Where a robot answers no inquiries, that it has restarted goes unnoticed.
+        // If a robot answers no inquiries, its restart goes unnoticed.
         let forgot = |robot: usize| {
             !self.played.drawn.tells[robot].answers_inquiries()
                 && self.lost_its_memory(robot)
@@ -303,7 +303,7 @@ impl Judge<'_> {
         Err(format!("(mixed) act {}: {starters:?} started, {missed:?} did not", promise.act))
     }
 
-    /// Stops were sent for whatever reason.
+    /// Whether stops were sent, for any reason.
     fn stopped_within(&self, from: i64, until: i64) -> bool {
         let recorded = self
             .played
@@ -314,7 +314,7 @@ impl Judge<'_> {
         recorded || self.played.told.iter().any(|told| asked(&told))
     }
 
-    /// Nothing twice, everything in order, and nothing that another robot was sent.
+    /// Checks that no value occurs twice, all values are in order, and none belongs to another robot.
     fn log(&mut self, robot: usize) {
         let sets = self.sets[robot].clone();
         let values: Vec<f64> = sets.iter().map(|entry| entry.value).collect();
@@ -341,7 +341,7 @@ impl Judge<'_> {
     fn movements(&mut self, robot: usize) {
         let promised = |id: &str| {
             let (act, script) = self.promises.iter().find_map(|p| Some((p.act, p.scripts.get(id)?)))?;
-            // The mission plans the way home while it plays.
+            // The mission plans the move to the default positions while it plays.
             let acts = self.played.choreography.acts.get(act);
             let planned = acts.into_iter().flat_map(|act| &act.plan.robots);
             let of_robot = planned.filter(|planned| planned.robot == script.robot);
@@ -362,7 +362,7 @@ impl Judge<'_> {
         }
     }
 
-    /// When a step was planned, by the one true clock.
+    /// Returns the planned time of a step, by the one true clock.
     fn due(&self, entry: &Logged) -> Option<i64> {
         let promise = self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request))?;
         let every = self.played.drawn.every_ms;
@@ -371,7 +371,7 @@ impl Judge<'_> {
         Some(promise.start + i64::try_from(step).unwrap() * MILLIS)
     }
 
-    /// Steps come when they were planned, by the one true clock, as far as the skew budget says.
+    /// Checks that steps occur at their planned times by the one true clock, within the skew budget.
     fn in_time(&mut self, robot: usize) {
         for entry in self.sets[robot].clone() {
             let Some(due) = self.due(&entry) else { continue };
@@ -397,14 +397,14 @@ impl Judge<'_> {
         }
     }
 
-    /// How early and how late a robot may start an act, as was stated before; where no report has it, any tolerated error.
+    /// Returns how early and how late a robot may start an act, as stated in advance; without a report, any tolerated error.
     fn budget(&self, robot: usize, entry: &Logged) -> (i64, i64) {
         let unknown = (-60 * MILLIS, 60 * MILLIS);
         let Some(promise) = self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request))
         else {
             return unknown;
         };
-        // It came back with another clock after the budget was stated, or so shortly before that no attempt could show it.
+        // The robot restarted with another clock after the budget was stated, or so shortly before that no attempt could show it.
         let unseen = |struck: &Struck| {
             matches!(struck.what, What::Robot(Fault::Restarted(Back::OtherClock)))
                 && struck.from <= promise.start
@@ -425,14 +425,14 @@ impl Judge<'_> {
         })
     }
 
-    /// Times in which nothing that the mission says reaches a robot.
+    /// Returns the times in which no message of the mission reaches a robot.
     fn unheard(&self, robot: usize) -> Vec<(i64, i64)> {
         let own = self.faults(Some(robot)).filter(|struck| {
             let deaf = [Fault::Cut, Fault::Interrupted, Fault::Muted, Fault::Deaf, Fault::Frozen];
             matches!(struck.what, What::Robot(fault) if deaf.iter().any(|d| std::mem::discriminant(d) == std::mem::discriminant(&fault)))
         });
         let scheduler = self.faults(None);
-        // Another process speaks for the mission.
+        // Until another process sends messages for the mission.
         let heard = |from: i64| {
             let others = self.played.told.iter().filter(|told| told.kind != Kind::Run);
             others.map(|told| told.began).filter(|at| *at >= from).min().unwrap_or(i64::MAX)
@@ -441,8 +441,8 @@ impl Judge<'_> {
         own.map(|struck| (struck.from, struck.until)).chain(silent).collect()
     }
 
-    /// When a robot has last heard of the mission, if the mission sends nothing from this instant on. Messages that a link holds at
-    /// that instant arrive once it passes them, and renew a lease that still runs.
+    /// Returns when a robot last received a message of the mission, if the mission sends nothing after this instant. Messages that a link
+    /// holds at that instant arrive when the link passes them, and renew a lease that still runs.
     fn last_heard(&self, robot: usize, silent_from: i64) -> i64 {
         let holds = |struck: &&Struck| {
             matches!(struck.what, What::Robot(Fault::Muted | Fault::Deaf))
@@ -452,7 +452,7 @@ impl Judge<'_> {
         self.faults(Some(robot)).filter(holds).map(|struck| struck.until).max().unwrap_or(silent_from)
     }
 
-    /// Nothing is done by a robot that has heard nothing for longer than its lease.
+    /// Checks that a robot does nothing after it has received no message for longer than its lease.
     fn leases(&mut self, robot: usize) {
         for (from, until) in self.unheard(robot) {
             let from = self.last_heard(robot, from);
@@ -476,7 +476,7 @@ impl Judge<'_> {
         }
     }
 
-    /// After a robot has confirmed a stop, it plays only scripts that were sent later, for an act that is prepared again.
+    /// Checks that after confirming a stop, a robot plays only scripts that were sent later, for an act that is prepared again.
     fn confirmed(&mut self, robot: usize) {
         let is_stop =
             |record: &Value| record["record"] == "stop_confirmed" && index(&record["robot"]) == robot;
@@ -497,7 +497,7 @@ impl Judge<'_> {
         }
     }
 
-    /// `downbeat stop` brings every robot that it can reach to rest within its bound.
+    /// Checks that `downbeat stop` brings every reachable robot to rest within its limit.
     fn operators_stop(&mut self) {
         for told in self.played.told.iter().filter(|told| told.kind == Kind::Stop && told.code() != Some(2)) {
             let frozen = self.struck_within(None, told.began, told.began + GIVEN_UP);
@@ -542,7 +542,7 @@ impl Judge<'_> {
         }
     }
 
-    /// A robot that still moves when this was said is named, with an instant by which it is at rest.
+    /// Checks that a robot that still moves after the report is named in it, with an instant by which it is at rest.
     fn at_rest(&mut self, told: &Told, row: &Value) {
         let robot = index(&row["robot"]);
         let rests = |entry: &&LogEntry| matches!(entry.motion, MotionKind::Rest | MotionKind::Slow);
@@ -552,7 +552,7 @@ impl Judge<'_> {
         self.say(!moves.is_empty() && stop["state"] != "unconfirmed", || {
             format!("(named) r{robot} did {} steps after {:?} had said of it {stop}", moves.len(), told.kind)
         });
-        // What was under way, or lay in a link that stood, renews a lease that still runs when it arrives.
+        // A message in flight, or one held by a stalled link, renews a lease that still runs when it arrives.
         let held = self.faults(Some(robot)).map(|struck| match struck.what {
             What::Robot(Fault::Muted | Fault::Deaf) => (struck.until - struck.from).min(self.lease()),
             What::Robot(Fault::Slow(delay)) => i64::try_from(delay.as_nanos()).unwrap(),
@@ -566,7 +566,7 @@ impl Judge<'_> {
         });
     }
 
-    /// What is said of one robot, of the acts that this report tells of.
+    /// Checks the report about one robot, for the acts that the report covers.
     fn row(&mut self, outcome: &str, report: &Value, row: &Value) {
         let robot = index(&row["robot"]);
         let acts = report["acts"].as_array().into_iter().flatten();
@@ -584,11 +584,9 @@ impl Judge<'_> {
         let late = all.filter(|entry| entry.set_at - entry.due > MILLIS).count() as u64;
         let torn = u64::from(self.lost_its_memory(robot));
         let certain = row["stop"]["state"] != "unconfirmed" && row["unaccounted"] == 0;
-        self.say(said > set + torn, || {
-            format!("(more) r{robot} is said to have done {said} steps, and did {set}")
-        });
+        self.say(said > set + torn, || format!("(more) r{robot} reportedly did {said} steps, but did {set}"));
         self.say(certain && said < set, || {
-            format!("(fewer) r{robot} is said for certain to have done {said} steps, and did {set}")
+            format!("(fewer) r{robot} certainly did {said} steps by its report, but did {set}")
         });
         self.say(certain && row["started"] == 0 && begun > 0, || {
             format!("(moved) r{robot} is reported as not started, and began {begun} movements")
@@ -598,7 +596,7 @@ impl Judge<'_> {
         });
         let claimed = row["late_steps"].as_u64().unwrap();
         self.say(claimed > late + torn, || {
-            format!("(more) r{robot} is said to be late {claimed} times, and was {late}")
+            format!("(more) r{robot} reportedly had {claimed} late steps, but had {late}")
         });
     }
 
@@ -617,17 +615,17 @@ impl Judge<'_> {
         });
     }
 
-    /// Only robots that something befell have failed, or lost their scripts with the scheduler; all may seem to when this
-    /// machine stood still.
+    /// Checks that only robots with a fault have failed, or lost their scripts with the scheduler. If this machine stalled, all robots
+    /// may seem to have failed.
     fn blame(&mut self, told: &Told, failure: &Value) {
         let robot = index(&failure["robot"]);
         let struck = self.faults(Some(robot)).any(|struck| struck.from <= told.gone);
         let scheduler = self.faults(None).any(|struck| struck.from <= told.gone);
-        // Leases run out while the scheduler stands still.
+        // Leases run out while the scheduler is suspended.
         if struck || (scheduler && failure["failure"] == "script") {
             return;
         }
-        // Before anything was promised the scheduler's own standing still counts as the robots' silence.
+        // Before any promise, a suspended scheduler counts as the robots' silence.
         let promised = self.promises.iter().any(|promise| promise.sent <= told.gone);
         if scheduler && !promised {
             self.verdict.greetings += 1;
@@ -640,7 +638,7 @@ impl Judge<'_> {
         }
     }
 
-    /// It says that all was played: by everybody, but for those that failed.
+    /// Checks a report of complete success: all robots have played everything, except those that failed.
     fn done(&mut self, report: &Value) {
         let failures = report["failures"].as_array().unwrap();
         let rows = report["robots"].as_array().unwrap();
@@ -657,7 +655,8 @@ impl Judge<'_> {
     }
 }
 
-/// Index of an act in the scenario. Its number in the mission is higher if an act was prepared again. `None` for the way home.
+/// Returns the index of an act in the scenario. Its number in the mission is higher if an act was prepared again. `None` for the way
+/// home.
 fn place_of(act: &Value) -> Option<usize> {
     act["act"].as_str().and_then(|name| name.strip_prefix("act-")?.parse().ok())
 }
@@ -666,7 +665,7 @@ fn act_of(entry: &Logged) -> usize {
     (entry.value as usize - 1) / VALUES
 }
 
-/// Which of its act.
+/// Returns the index of the step in its act.
 fn step_of(entry: &Logged) -> usize {
     (entry.value as usize - 1) % VALUES
 }

@@ -1,6 +1,6 @@
-//! Missions of several acts with real processes, while robots, links and schedulers are frozen, killed, cut off and
-//! started again at random moments, and other processes resume and stop them: what was said of each has to agree with what
-//! the robots' own logs say. `DOWNBEAT_CHAOS=300` plays so many missions, `DOWNBEAT_CHAOS_FIRST=17` begins with that one.
+//! Missions of several acts with real processes. Robots, links and schedulers are frozen, killed, cut off and restarted at random
+//! moments, and other processes resume and stop missions. All reports have to agree with the robots' own logs. `DOWNBEAT_CHAOS=300` sets
+//! the number of missions, `DOWNBEAT_CHAOS_FIRST=17` the first one.
 
 #![expect(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
@@ -19,14 +19,14 @@ use draw::Drawn;
 use judge::{Verdict, judge};
 use play::{Kind, Played, play};
 
-/// Missions that are played at once: they sleep most of the time.
+/// Number of missions that are played at once: they sleep most of the time.
 const AT_ONCE: usize = 4;
-/// Of the acts that were promised, so many may start on a part of their robots, for whatever reason.
+/// Maximum share of the promised acts that only a part of their robots starts, for any reason.
 const MIXED_MAX: f64 = 0.12;
-/// Of the missions, so many may be excused somewhere by a machine that was too busy.
+/// Maximum share of missions that are excused in some respect by a busy machine.
 const BUSY_MAX: f64 = 0.15;
 
-/// What came of all missions.
+/// The results of all missions.
 #[derive(Default)]
 struct Tally {
     outcomes: BTreeMap<String, u32>,
@@ -63,10 +63,10 @@ impl Tally {
         println!("acts that were promised:");
         self.acts.iter().for_each(|(what, count)| println!("{count:5}  {what}"));
         println!("{:5}  missions with something late or silent because the machine was busy", self.busy);
-        println!("{:5}  robots blamed because the scheduler stood still in the greeting", self.greetings);
+        println!("{:5}  robots blamed because the scheduler stalled in the greeting", self.greetings);
     }
 
-    /// The share of acts that some robots started and others, that were not left out before, did not.
+    /// Returns the share of acts that some robots started, and others that were not left out before did not.
     fn mixed(&self) -> f64 {
         let of = |counted: &dyn Fn(&str) -> bool| -> u32 {
             self.acts.iter().filter(|(how, _)| counted(how)).map(|(_, count)| count).sum()
@@ -76,7 +76,7 @@ impl Tally {
     }
 }
 
-/// Everything that helps to understand a mission, in the order of time.
+/// Returns everything that helps to understand a mission, in the order of time.
 fn story(played: &Played) -> String {
     let drawn = format!("{:?}", played.drawn);
     let began = played.told[0].began;
@@ -138,7 +138,7 @@ fn whatever_befalls_processes_and_links_reports_and_exit_codes_agree_with_the_ro
     let tally = tally.into_inner().unwrap();
     tally.show(missions);
     assert!(tally.violations.is_empty(), "{}", tally.violations.join("\n\n"));
-    // Few missions have no shares.
+    // With few missions, shares are meaningless.
     let enough = missions >= 50;
     assert!(!enough || tally.mixed() <= MIXED_MAX, "mixed: {:.3} of the acts", tally.mixed());
     let busy = f64::from(tally.busy) / missions as f64;

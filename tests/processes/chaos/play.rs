@@ -1,4 +1,4 @@
-//! Plays a mission with real processes, lets befall it what was drawn, and keeps what everybody said and did.
+//! Plays a mission with real processes, causes the drawn faults, and records all messages and actions.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -13,9 +13,9 @@ use serde_json::Value;
 use super::draw::{Back, Drawn, Fault, Strike, Then, When};
 use stage::{Ended, Logged, Running, Stage, Via, epoch_nanos, nanos, sleep_until};
 
-/// A program may take so much longer than the mission and its faults.
+/// Additional time of a program beyond the mission and its faults.
 const SLACK: Duration = Duration::from_secs(25);
-/// An act whose start is awaited longer does not come.
+/// Maximum wait for the promise of an act.
 const COMES: Duration = Duration::from_secs(15);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,19 +25,19 @@ pub enum Kind {
     Stop,
 }
 
-/// A program that was started, and how it ended.
+/// A started program, and its result.
 #[derive(Clone)]
 pub struct Told {
     pub kind: Kind,
     pub began: i64,
-    /// When its process had ended, by the host's clock.
+    /// End of its process, by the host's clock.
     pub gone: i64,
-    /// What it had said until then, if it hung.
+    /// Its output until then, if it hung.
     pub ended: Result<Ended, String>,
 }
 
 impl Told {
-    /// What it said of robots; where there was nothing to do it says that alone.
+    /// Returns its report about robots; `None` if its report contains no robots.
     pub fn report(&self) -> Option<Value> {
         let said: Value = serde_json::from_str(&self.ended.as_ref().ok()?.out).ok()?;
         Some(said).filter(|said| said["robots"].is_array())
@@ -48,14 +48,14 @@ impl Told {
     }
 }
 
-/// What befell whom, and from when to when.
+/// A fault, its target, and its time.
 #[derive(Clone, Debug)]
 pub struct Struck {
     /// `None`: the scheduler.
     pub robot: Option<usize>,
     pub what: What,
     pub from: i64,
-    /// `i64::MAX`: for good.
+    /// `i64::MAX`: permanently.
     pub until: i64,
 }
 
@@ -83,7 +83,7 @@ pub struct Played {
     pub home_from: Option<i64>,
 }
 
-/// A program that runs. Only its owner reaps it, so its process id stays its own.
+/// A running program. Only its owner reaps it, so its process id stays its own.
 struct Program {
     kind: Kind,
     began: i64,
@@ -110,11 +110,11 @@ impl Program {
     }
 }
 
-/// What the threads of one mission share.
+/// State that the threads of one mission share.
 struct Show<'a> {
     drawn: &'a Drawn,
     stage: Mutex<Stage>,
-    /// In the order in which they were started.
+    /// In the order of their starts.
     programs: Mutex<Vec<Program>>,
     struck: Mutex<Vec<Struck>>,
     home_from: Mutex<Option<i64>>,
@@ -164,7 +164,7 @@ pub fn play(drawn: Drawn) -> Played {
     let programs = std::mem::take(show.programs.get_mut().unwrap());
     let told: Vec<Told> = programs.into_iter().map(|program| program.told(bound)).collect();
     show.end_all_faults();
-    // Whatever a lease still allows is over then.
+    // After this, every lease has ended.
     std::thread::sleep(Duration::from_millis(drawn.lease_ms + 300));
     let stage = show.stage.into_inner().unwrap();
     let (mut sets, mut strangers, mut logs) = (Vec::new(), 0, Vec::new());
@@ -193,7 +193,7 @@ fn compiled(stage: &Stage) -> Choreography {
 }
 
 impl Show<'_> {
-    /// Whether it comes.
+    /// Waits for a moment, and returns whether it occurs.
     fn awaits(&self, when: When) -> bool {
         match when {
             When::After(after) => std::thread::sleep(after.saturating_sub(self.began.elapsed())),
@@ -205,7 +205,7 @@ impl Show<'_> {
         true
     }
 
-    /// Of an act, once that is promised.
+    /// Returns the start of an act, once that is promised.
     fn start_of(&self, act: usize) -> Option<i64> {
         while self.began.elapsed() < COMES {
             let journal = journal(&self.state);
@@ -232,7 +232,7 @@ impl Show<'_> {
     }
 
     fn signal(&self, signal: Signal) {
-        // It is not reaped before all strikes are over.
+        // It is not reaped before all faults are over.
         let _gone = kill_process(self.scheduler, signal);
     }
 
@@ -311,7 +311,8 @@ impl Show<'_> {
         self.note(Some(robot), What::Robot(fault), from, until);
     }
 
-    /// When all has been said, who was cut off or frozen for good goes on: with what it still may do.
+    /// After all reports, ends the faults of robots that are cut off or frozen permanently: they continue with whatever is still
+    /// permitted.
     fn end_all_faults(&mut self) {
         let lasting = |struck: &Struck| match struck.what {
             What::Robot(fault) if struck.until == i64::MAX => Some((struck.robot?, fault)),
@@ -365,7 +366,7 @@ impl Show<'_> {
     }
 }
 
-/// Every record of the mission's journal, with its instant.
+/// Returns every record of the mission's journal, with its instant.
 fn journal(state: &Path) -> Vec<(i64, Value)> {
     let entries = std::fs::read_dir(state).into_iter().flatten().flatten();
     let texts = entries.filter_map(|entry| std::fs::read_to_string(entry.path().join("journal")).ok());

@@ -33,7 +33,7 @@ devices:
       script: {min_value: 0, max_value: 1, granularity: 0.01, max_number_of_steps: 100, control_types: [position]}
 ";
 
-/// A robot as a process of its own, behind a proxy, whose body follows so.
+/// A robot as a separate process, behind a proxy, with a body.
 struct Show {
     session: Session,
     robot: Child,
@@ -70,14 +70,14 @@ impl Show {
         command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
     }
 
-    /// What the robot has logged so far, without a line that is not whole yet.
+    /// Returns the log of the robot, without an incomplete last line.
     fn log(&self) -> Vec<Value> {
         let log = std::fs::read_to_string(self.session.path("log.jsonl")).unwrap_or_default();
         let whole = log.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
         whole.map(|line| serde_json::from_str(line).unwrap()).collect()
     }
 
-    /// What the robot has logged half a second after nobody drives it any longer: an idle machine writes the log within 50 ms.
+    /// Returns the log of the robot half a second after its last command: an idle machine writes the log within 50 ms.
     fn settled_log(&self) -> Vec<Value> {
         std::thread::sleep(Duration::from_millis(500));
         self.log()
@@ -132,8 +132,8 @@ fn a_lag_is_measured_and_written_and_the_device_is_back_where_it_was() {
 fn a_dry_run_moves_nothing_and_says_what_would_move_and_what_not() {
     let show = Show::new(MOVES, BY);
     let ran = show.session.run(&["calibrate", "--dry-run"]);
-    ran.says(0, &["elbow", "angle", "2 deg", "grip: not measured: no sensor shows where it is"]);
-    show.session.run(&["calibrate"]).says(2, &["give --yes"]);
+    ran.says(0, &["elbow", "angle", "2 deg", "grip: not measured: no sensor measures its position"]);
+    show.session.run(&["calibrate"]).says(2, &["add --yes if the movement is safe"]);
     assert_eq!(show.settled_log(), Vec::<Value>::new());
 }
 
@@ -144,11 +144,11 @@ fn what_cannot_be_judged_is_refused_before_anything_moves() {
     noisy.has_not_moved();
     assert!(!noisy.session.path("latency.yaml").exists());
     let elsewhere = Show::new(MOVES, "sensor: angle, from: 30, by: 2");
-    elsewhere.calibrate(&[]).says(1, &["the movement is to begin at 30"]);
+    elsewhere.calibrate(&[]).says(1, &["but the movement starts at 30"]);
     elsewhere.has_not_moved();
 }
 
-/// Every twentieth reading stays out.
+/// Every twentieth reading fails.
 const FORGETFUL: &str = r#"
 value=0; count=0
 while read -r verb device control number rest; do
@@ -172,7 +172,7 @@ fn a_reading_that_stays_out_now_and_then_is_asked_for_again() {
 
 #[test]
 fn a_device_that_does_not_move_is_given_up_soon() {
-    // The sensor of the body shows nothing of it for longer than anything is watched.
+    // The sensor of the body shows no movement for longer than the calibration watches.
     let show = Show::new("latency: 10s, sensor: angle", BY);
     show.calibrate(&[]).says(1, &["the sensor shows no movement"]);
     assert!(show.settled_log().iter().filter(|set| set["motion"] == "ramp").count() < 8);
@@ -202,7 +202,7 @@ fn a_link_that_is_cut_leaves_the_device_at_rest() {
     let running = show.start();
     show.await_movements(2);
     show.proxy.cut();
-    ended(running).says(4, &["not known to be at rest"]);
+    ended(running).says(4, &["may still be moving"]);
     std::thread::sleep(Duration::from_millis(2_500));
     let moves = show.log().len();
     std::thread::sleep(Duration::from_millis(500));

@@ -1,4 +1,4 @@
-//! Actuation latency: robots as processes whose own logs say that commands are sent ahead of motions, and an edge whose driver
+//! Actuation latency: robots as processes whose own logs show that commands are sent before the motions, and an edge whose driver
 //! declares a latency.
 
 use stage::session::Session;
@@ -7,7 +7,7 @@ use stage::{Stage, Via, one_device};
 const PLAY: &str = "scenario: play\nstart_tolerance: 1s\ncues:\n  - {cue: up, at: 0s, robots: all, tracks: \
                     {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}\n";
 const LATENCY: i64 = 60_000_000;
-/// What a busy machine may add to an instant.
+/// Maximum delay that a busy machine may add to an instant.
 const BUSY: i64 = 30_000_000;
 
 #[test]
@@ -23,13 +23,13 @@ fn a_robot_that_moves_60_ms_late_is_commanded_60_ms_earlier() {
     assert_eq!((slow.len(), quick.len()), (2, 2), "{logs:?}");
     for (slow, quick) in slow.iter().zip(quick) {
         assert_eq!(slow.value, quick.value);
-        // When they are due is exact; when they were set is as the machine was busy.
+        // Due times are exact; set times depend on how busy the machine was.
         assert_eq!(quick.due - slow.due, LATENCY, "{logs:?}");
         let apart = quick.at - slow.at;
         assert!((apart - LATENCY).abs() < BUSY, "{apart} ns apart: {logs:?}");
     }
     let report: serde_json::Value = serde_json::from_str(&ran.out).unwrap();
-    // Starts are told relative to the plan: they are simultaneous.
+    // Reported starts are relative to the plan: they are simultaneous.
     assert!(report["spread_ms"].as_f64().unwrap() < 30.0, "{ran}");
 }
 
@@ -41,7 +41,7 @@ fn what_varies_in_a_latency_is_part_of_the_budget_and_shown_apart_from_the_clock
     stage.robot("arm.yaml", Via::Direct);
     let ran = stage.run(&["run", "play.yaml"]);
     assert_eq!(ran.code, Some(0), "{ran}");
-    assert!(ran.out.contains("by the clocks alone, the rest by latencies that vary"), "{ran}");
+    assert!(ran.out.contains("from the clocks alone, the rest from varying latencies"), "{ran}");
     stage.file("tight.yaml", PLAY.replace("start_tolerance: 1s", "start_tolerance: 150ms"));
     let refused = stage.run(&["preflight", "tight.yaml"]);
     assert_ne!(refused.code, Some(0), "{refused}");
@@ -62,11 +62,11 @@ fn plan_and_check_show_which_latency_is_compensated_and_where_it_is_from() {
     session.file("latency.yaml", "latency: {b: {d: {median: 30ms, spread: 2ms}}}\n");
     let plan = session.run(&["plan", "play.yaml"]);
     assert_eq!(plan.code(), 0, "{}", plan.text());
-    for expected in ["first commands 60 ms ahead of motions", "30 ms", "±2 ms", "fleet", "file", "robot"] {
+    for expected in ["first commands 60 ms before the motions", "30 ms", "±2 ms", "fleet", "file", "robot"] {
         assert!(plan.text().contains(expected), "{expected}: {}", plan.text());
     }
     let check = session.run(&["check", "play.yaml"]);
-    let line = "latency compensated for 3 devices, 60 ms at most (1 from the fleet, 1 from the file, 1 from the robot)";
+    let line = "latency compensated for 3 devices, at most 60 ms (1 from the fleet, 1 from the file, 1 from the robot)";
     assert!(check.text().contains(line), "{}", check.text());
     let json = session.run(&["plan", "play.yaml", "--format", "json"]).json();
     let act = &json["acts"][0];

@@ -1,4 +1,4 @@
-//! A mission that is recorded gives back the network on which it was played.
+//! The recording of a mission reproduces the network on which it was played.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use stage::Via;
 use stage::play::CHAIN;
 use stage::session::Session;
 
-/// Two simulated arms, whose messages take 20 to 28 ms each way; one has no NTP.
+/// Returns two simulated arms, whose messages take 20 to 28 ms in each direction; one has no NTP.
 fn recorded() -> Session {
     let session = Session::new();
     session.file(
@@ -37,7 +37,7 @@ fn ms(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// Machines that are busy make delays longer, never shorter.
+/// Checks a range. Busy machines make delays longer, never shorter.
 #[track_caller]
 fn between(value: &Value, least: f64, most: f64) {
     assert!((least..=most).contains(&ms(value)), "{value} is not from {least} to {most}");
@@ -61,7 +61,9 @@ fn a_recording_gives_back_the_delays_and_clocks_that_were_simulated() {
     session
         .run(&["world", "show.mcap", "--output", "world.yaml"])
         .says(0, &["wrote world.yaml: 2 links measured"]);
-    session.run(&["world", "show.mcap", "--output", "world.yaml"]).says(2, &["`world.yaml` exists; --force"]);
+    session
+        .run(&["world", "show.mcap", "--output", "world.yaml"])
+        .says(2, &["`world.yaml` already exists; --force"]);
     session.run(&["world", "show.mcap", "--output", "world.yaml", "--force"]).says(0, &[]);
     session.run(&["world", "show.mcap", "--output", "show.mcap", "--force"]).says(2, &["would replace"]);
     let text = fs::read_to_string(session.path("world.yaml")).unwrap();
@@ -75,8 +77,8 @@ fn a_recording_gives_back_the_delays_and_clocks_that_were_simulated() {
 
     let whole = fs::read(session.path("show.mcap")).unwrap();
     session.file("cut.mcap", &whole[..whole.len() * 2 / 3]);
-    session.run(&["world", "cut.mcap"]).says(2, &["`cut.mcap` is not whole: after ", "--partial measures"]);
-    session.run(&["world", "cut.mcap", "--partial"]).says(0, &["world: show-", "# The file is not whole: "]);
+    session.run(&["world", "cut.mcap"]).says(2, &["`cut.mcap` is incomplete: after ", "--partial measures"]);
+    session.run(&["world", "cut.mcap", "--partial"]).says(0, &["world: show-", "# The file is incomplete: "]);
     session.run(&["world", "none.mcap"]).says(2, &["there is no such file"]);
 }
 

@@ -1,4 +1,4 @@
-//! What the crates offer to be copied works: each example is compiled here and run.
+//! Checks that the crates' examples to copy work: each is compiled here and run.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -7,7 +7,7 @@ use std::sync::{Arc, mpsc};
 
 use downbeat::conformance::{Options, Verdict, examine};
 use downbeat::report::Outcome;
-use downbeat::show::report_text;
+use downbeat::show::{Detail, report_text};
 use downbeat_robot::{Host, HostOptions, serve};
 use tokio::net::TcpListener;
 use urrcp::{
@@ -32,7 +32,7 @@ mod robot;
 #[path = "../../../scheduler/examples/scheduler.rs"]
 mod scheduler;
 
-/// Runs what serves on a free port, on a thread that ends with the tests.
+/// Runs a server on a free port, on a thread that ends with the tests.
 fn served<F: Future>(serve: impl FnOnce(TcpListener) -> F + Send + 'static) -> SocketAddr {
     let (tell, told) = mpsc::channel();
     std::thread::spawn(move || {
@@ -63,7 +63,7 @@ fn the_robot_to_copy_does_what_the_protocol_demands() {
     assert!(failed.is_empty(), "{failed:#?}");
 }
 
-/// Hardware that takes lines and keeps what was set.
+/// Starts hardware that takes lines and records the values that are set.
 fn hardware() -> (SocketAddr, mpsc::Receiver<(String, f64)>) {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -145,7 +145,7 @@ fn the_scheduler_to_copy_plays_a_show() {
         let (_operator, orders) = tokio::sync::mpsc::channel(1);
         runtime.block_on(scheduler::play(&fleet, &scenario, orders)).unwrap()
     };
-    let report = played(play, |report| report_text(report, 100));
+    let report = played(play, |report| report_text(report, Detail::Full, 100));
     let is_whole = matches!(report.outcome, Outcome::Done | Outcome::OutOfTolerance { .. });
     assert!(is_whole && report.robots.iter().all(|robot| robot.steps_done > 0), "{report:#?}");
 }

@@ -1,4 +1,4 @@
-//! Robots with one planted fault each, and the requirements that this must break: these and no others.
+//! Robots with one planted fault each, and exactly the requirements that this fault must break.
 
 mod asking;
 mod codes;
@@ -20,22 +20,22 @@ pub struct Mutant {
     pub robot: Robot,
     pub serving: Serving,
     pub fault: Fault,
-    /// Whether the leases are checked as well, which is waiting for the most part.
+    /// Whether the leases are checked as well, which mostly means waiting.
     pub waits: bool,
-    /// What is checked; empty: everything but the heavy ones.
+    /// The requirements to check; empty: all except the heavy ones.
     pub only: &'static [&'static str],
-    /// What must fail. Why several do, where they do, stands beside it.
+    /// The requirements that must fail. If there are several, a comment next to them explains why.
     pub fails: &'static [&'static str],
 }
 
-/// Which robot stands behind the fault.
+/// The robot behind the fault.
 #[derive(Clone, Copy)]
 pub enum Robot {
     /// One linear device with scripts, two of them in its queue.
     Arm,
     /// A driven wheel, and a sensor.
     Rover,
-    /// The arm, its clock two seconds ahead.
+    /// The arm, with its clock two seconds ahead.
     ClockAhead,
 }
 
@@ -86,7 +86,7 @@ fn malformed() -> Value {
     }})
 }
 
-/// Another code in place of one.
+/// Replaces one error code by another.
 fn recode(passing: &mut Passing, code: &str) -> Then {
     for message in ["availability_response", "control_response"] {
         if let Some(said) = passing.json.pointer_mut(&format!("/{message}/error/code"))
@@ -112,7 +112,7 @@ fn edit(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
-/// Edits what the robot answers and reports.
+/// Edits the robot's answers and reports.
 fn edit_response(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     if let Some(response) = passing.response() {
         edit(response);
@@ -128,18 +128,18 @@ fn declare(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
-/// What the proxy asks on its own, whose answers `unasked` tells from others.
+/// Returns a request of the proxy itself; `unasked` recognises the answer.
 fn presence(link: u64, after: Duration) -> More {
     More { after, link, line: json!({"availability_request": {}}) }
 }
 
-/// Whether this answers what the proxy has asked.
+/// Whether this answers a request of the proxy.
 fn unasked(passing: &Passing) -> bool {
     let response = passing.json.get("availability_response");
     response.is_some_and(|r| r.get("originate_timestamp").is_none() && r["status"] == "OK")
 }
 
-/// Every line from the server that holds this text is passed as `to`.
+/// Replaces `text` by `to` in every line from the server that contains it.
 fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
     if passing.is_from_server(text) {
         Then::Instead(String::from_utf8_lossy(&passing.raw).replace(text, to).into_bytes())
@@ -148,7 +148,7 @@ fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
     }
 }
 
-/// All of them.
+/// Returns all mutants.
 pub fn all() -> Vec<Mutant> {
     let waiting = [
         commands::of_times(),

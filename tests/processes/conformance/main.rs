@@ -1,4 +1,4 @@
-//! The conformance check is checked: right robots pass, and each planted fault fails what it breaks and nothing else.
+//! Tests of the conformance check: correct robots pass, and each planted fault fails exactly the requirements that it breaks.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
@@ -72,7 +72,7 @@ devices:
       position: {min_value: 0.03, max_value: 0.97, granularity: 0.05}
 ";
 
-/// These move megabytes or wait for long; only robots that are to stumble over them are made to.
+/// These move megabytes or wait for long; they are checked only for robots that must fail them.
 const HEAVY: [&str; 5] = ["huge-line", "slow-reader", "deep-nesting", "session-silence", "silent-peers"];
 
 fn options(only: &[&str]) -> Options {
@@ -88,7 +88,7 @@ fn examined(address: SocketAddr, options: Options) -> Examined {
     examine(address, options, Arc::new(AtomicBool::new(false)), &mut |_, _| {}).unwrap()
 }
 
-/// What a right robot is found to be.
+/// Examines a correct robot, and repeats the examination if this machine stalled.
 fn examined_undisturbed(robot: impl Fn() -> SocketAddr, options: Options) -> Examined {
     undisturbed(|| examined(robot(), options.clone()), |examined| told(examined, Verdict::Fail).is_empty())
 }
@@ -166,7 +166,7 @@ fn ahead() -> Settings {
     Settings { clock_offset: Span::from_millis(2_000), ntp_error: None, ..Settings::default() }
 }
 
-/// Which requirements a robot with this fault fails, and what is said of them.
+/// Returns the requirements that a robot with this fault fails, and the messages about them.
 fn failed_by(mutant: &Mutant) -> (BTreeSet<&'static str>, String) {
     let robot = match mutant.robot {
         Robot::Arm => proxy::robot(ARM, Settings::default()),
@@ -185,7 +185,7 @@ fn failed_by(mutant: &Mutant) -> (BTreeSet<&'static str>, String) {
     (failed.map(|judged| judged.requirement).collect(), told(&examined, Verdict::Fail))
 }
 
-/// Robots that are examined at a time: nearly all of it is waiting.
+/// Number of robots that are examined at a time: nearly all of the time is waiting.
 const AT_A_TIME: usize = 8;
 
 #[test]
@@ -203,7 +203,7 @@ fn each_planted_fault_fails_what_it_breaks_and_nothing_else() {
             });
         }
     });
-    // What is wrong while others are examined may be held up by them.
+    // Other examinations may have delayed one that failed.
     let mut report = String::new();
     for mutant in wrong.into_inner().unwrap() {
         let fails = mutant.fails.iter().copied().collect();
@@ -231,7 +231,7 @@ fn what_comes_after_the_death_of_a_robot_is_not_waited_for() {
 fn every_requirement_is_failed_by_some_fault() {
     let mutants = faults::all();
     let mut failed: BTreeSet<_> = mutants.iter().flat_map(|mutant| mutant.fails.iter().copied()).collect();
-    // By doors that ask who one is.
+    // Faults of doors that require a proof.
     failed.extend(sloppy::OF_PROOFS.iter().copied().chain(["roles", "no-certificate"]));
     let missing: Vec<_> = requirements().map(|r| r.name).filter(|name| !failed.contains(name)).collect();
     assert_eq!(missing, Vec::<&str>::new());
@@ -261,7 +261,7 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
         &[
             "availability",
             "pass",
-            "the robot declares no sensor",
+            "the robot has no sensor",
             "2 scripts held",
             "2 pass, 0 fail, 1 not applicable",
         ],
@@ -274,7 +274,12 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
     let wrong = format!("tcp://{}", proxy::faulty(robot, proxy::Serving::All, late));
     session.run(&["conformance", &wrong, "--only", "late"]).says(
         1,
-        &["fail", "sent {\"control_request\":", "came {\"control_response\":", "expected status `Failed`"],
+        &[
+            "fail",
+            "sent {\"control_request\":",
+            "received {\"control_response\":",
+            "expected status `Failed`",
+        ],
     );
     let json = session.run(&["conformance", &wrong, "--only", "late,clock", "--format", "json"]);
     assert_eq!(json.code(), 1);
@@ -287,13 +292,13 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
         (judged[1]["requirement"].as_str(), judged[1]["verdict"].as_str()),
         (Some("late"), Some("fail"))
     );
-    assert!(judged[1]["millis"].is_u64() && judged[1]["why"].as_str().unwrap().contains("came"));
-    session.run(&["conformance", &right, "--only", "lat"]).says(2, &["no requirement `lat`"]);
+    assert!(judged[1]["millis"].is_u64() && judged[1]["why"].as_str().unwrap().contains("received"));
+    session.run(&["conformance", &right, "--only", "lat"]).says(2, &["unknown requirement `lat`"]);
     session.run(&["conformance", "nowhere"]).says(2, &["write tcp://HOST:PORT"]);
     session.run(&["conformance", "tcp://127.0.0.1:1"]).says(1, &["no connection to 127.0.0.1:1"]);
     session
         .run(&["conformance", "--list"])
-        .says(0, &["lease-noise", "A line that is no message renews nothing."]);
+        .says(0, &["lease-noise", "A line that is not a message renews nothing."]);
 }
 
 #[test]
@@ -320,7 +325,7 @@ fn ctrl_c_leaves_the_robot_at_rest() {
     let printed = String::from_utf8_lossy(&ended.stdout);
     assert_eq!(ended.status.code(), Some(3), "{printed}");
     assert!(printed.contains("ended by the operator"), "{printed}");
-    // Whatever was held is held no more.
+    // Held commands are no longer held.
     let after = examined(robot, options(&["queue"]));
     assert_eq!(told(&after, Verdict::Fail), "");
 }

@@ -11,7 +11,7 @@ use downbeat_robot::simulated::{Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostOptions, serve};
 use serde_json::Value;
 
-/// Where a line goes.
+/// Direction of a line.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     ToRobot,
@@ -21,21 +21,21 @@ pub enum Way {
 /// A line on its way through the proxy.
 pub struct Passing {
     pub way: Way,
-    /// Counts connections from 1.
+    /// Number of the connection, from 1.
     pub link: u64,
     pub raw: Vec<u8>,
-    /// Null where it is no JSON. What a fault changes here is sent instead of the line.
+    /// Null if the line is not JSON. If a fault changes it, it is sent instead of the line.
     pub json: Value,
 }
 
 impl Passing {
-    /// The inside of a control request on its way to the robot.
+    /// Returns the content of a control request on its way to the robot.
     pub fn request(&mut self) -> Option<&mut Value> {
         let request = (self.way == Way::ToRobot).then(|| self.json.get_mut("control_request")).flatten();
         request.filter(|request| request.is_object())
     }
 
-    /// The inside of a control response.
+    /// Returns the content of a control response.
     pub fn response(&mut self) -> Option<&mut Value> {
         self.json.get_mut("control_response")
     }
@@ -45,39 +45,39 @@ impl Passing {
     }
 }
 
-/// What becomes of it.
+/// What to do with a line.
 pub enum Then {
     Pass,
     Drop,
-    /// Sent back to where the line came from, instead of passing it.
+    /// Sent back to the sender, instead of passing the line.
     Answer(Value),
-    /// Passed in place of it.
+    /// Passed in place of the line.
     Instead(Vec<u8>),
     After(Duration),
-    /// Passed, and more with it.
+    /// Passed, together with more lines.
     With(Vec<More>),
-    /// Passed the same way on another connection instead.
+    /// Passed in the same direction on another connection.
     On(u64),
     HangUp,
 }
 
-/// A line that the proxy sends to the robot of its own accord.
+/// A line that the proxy itself sends to the robot.
 pub struct More {
     pub after: Duration,
-    /// On which connection.
+    /// Number of the connection.
     pub link: u64,
     pub line: Value,
 }
 
-/// What a fault remembers.
+/// The state of a fault.
 #[derive(Default)]
 pub struct Memory {
     pub seen: HashSet<(u64, String)>,
     pub count: HashMap<u64, usize>,
     pub running: bool,
-    /// Names in the order in which they came.
+    /// Names in the order of their arrival.
     pub order: Vec<String>,
-    /// On which connection a name was heard, and when last.
+    /// The connection on which a name was last received, and the time.
     pub heard: HashMap<String, (u64, Instant)>,
 }
 
@@ -89,17 +89,17 @@ pub enum Serving {
     All,
     /// One connection at a time.
     OneByOne,
-    /// So many connections, then none.
+    /// This number of connections, then none.
     AtMost(u64),
-    /// So many connections at the same time, until their peers close them.
+    /// This number of connections at the same time, until their peers close them.
     AtATime(usize),
-    /// What comes in one piece is taken for a line.
+    /// Each received piece is treated as a line.
     WithoutBuffer,
     /// While one peer does not read, no other is served.
     UnderOneLock,
 }
 
-/// A simulated robot on a socket of its own; it lives as long as the process.
+/// Starts a simulated robot on a socket of its own; it lives as long as the process.
 pub fn robot(yaml: &str, settings: Settings) -> SocketAddr {
     static RUNTIME: OnceLock<tokio::runtime::Runtime> = OnceLock::new();
     let runtime = RUNTIME.get_or_init(|| {
@@ -158,15 +158,15 @@ struct Carrier {
     lock: Option<Arc<Mutex<()>>>,
 }
 
-/// What stands in the line in which a key appears twice.
+/// Prefix of the line in which a key appears twice.
 pub const TWICE: &str = "{\"control_request\":{\"control_value\":0,";
 
 type Writer = Arc<Mutex<TcpStream>>;
-/// By connection: the way to the robot and the way to the server.
+/// By connection: the writers to the robot and to the server.
 type Links = Arc<Mutex<HashMap<u64, (Writer, Writer)>>>;
 
 impl Carrier {
-    /// Ends when both ways have ended.
+    /// Ends when both directions have ended.
     fn start(self, server: TcpStream, robot: SocketAddr) -> std::thread::JoinHandle<()> {
         let robot = TcpStream::connect(robot).unwrap();
         server.set_nodelay(true).unwrap();
@@ -226,7 +226,7 @@ impl Carrier {
     }
 
     fn pass(&self, way: Way, line: &[u8], to: &Writer, back: &Writer) -> bool {
-        // Neither a huge line nor one with a key twice would be the same behind a tree of values.
+        // Neither a huge line nor one with a duplicate key would survive parsing unchanged.
         let huge = line.len() > 1_000_000;
         let twice = String::from_utf8_lossy(line).contains(TWICE);
         let json = if huge || twice { Value::Null } else { serde_json::from_slice(line).unwrap_or_default() };

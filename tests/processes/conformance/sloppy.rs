@@ -1,4 +1,4 @@
-//! A door of a robot with a shared secret that is right but for one fault, and what the conformance test says of it.
+//! The door of a robot with a shared secret that is correct except for one fault, and the findings of the conformance test about it.
 
 use std::collections::HashSet;
 use std::io::{Read, Write};
@@ -19,31 +19,31 @@ use urrcp::{InitializationBlock, Span};
 
 use stage::session::{ARM, Session};
 
-/// What the door does wrong.
+/// The fault of the door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     None,
     /// Plain messages pass.
     Plain,
-    /// Who says nothing is waited for.
+    /// Silent peers are not disconnected.
     Patient,
-    /// Codes of records are not looked at.
+    /// Codes of records are not checked.
     AnyRecord,
-    /// Nor is the operator's proof.
+    /// The operator's proof is not checked.
     AnyProof,
-    /// Nor the end of a claim.
+    /// The expiry of a claim is not checked.
     Expired,
-    /// Nor the robot that is meant.
+    /// The intended robot is not checked.
     AnyRobot,
-    /// One pass counts for all claims.
+    /// One pass is valid for all claims.
     OnePass,
-    /// Its number is the same each time.
+    /// Its random number is the same each time.
     OneNumber,
-    /// Roles are not handed on to the robot.
+    /// Roles are not passed on to the robot.
     NoRoles,
 }
 
-/// A connection of the door, with what it needs to know.
+/// A connection of the door, with its settings.
 #[derive(Clone)]
 struct Door {
     fault: Fault,
@@ -176,7 +176,7 @@ fn plain_robot() -> SocketAddr {
     told.recv().unwrap()
 }
 
-/// The requirements that a door alone can fail.
+/// The requirements that only a door can fail.
 pub const OF_PROOFS: [&str; 10] = [
     "no-plain",
     "proven-in-time",
@@ -190,7 +190,7 @@ pub const OF_PROOFS: [&str; 10] = [
     "repeated-connection",
 ];
 
-/// The requirements that a door with this fault fails.
+/// Returns the requirements that a door with this fault fails.
 fn fails(session: &Session, fault: Fault) -> Vec<&'static str> {
     let secret = Secret::read(&session.path("keys/secrets/arm.secret")).unwrap();
     let site = Site::of_files(Some(&session.path("keys/operators/anna.pem")), None).unwrap();

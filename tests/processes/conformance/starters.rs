@@ -35,7 +35,7 @@ impl Peer {
         self
     }
 
-    /// When the robot hangs up.
+    /// Waits until the robot disconnects, and returns the time.
     fn ended(mut self) -> Instant {
         loop {
             match self.0.read(&mut [0; 4096]) {

@@ -1,4 +1,4 @@
-# Drives by writing what it is told to the file $1. Dies of the value 66.
+# Writes each command to the file $1, and ends at the value 66.
 while read -r verb device control value rest; do
     case "$verb" in
         ping) ;;

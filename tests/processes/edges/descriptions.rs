@@ -1,4 +1,4 @@
-//! What robots behind an edge say of themselves, and what files say of them.
+//! The descriptions of robots behind an edge, from the robots and from files.
 
 use downbeat_robot::driver::{Driver, DriverError, ThriftRobot};
 use urrcp::{ControlType, DeviceId, Setpoint};
@@ -39,7 +39,8 @@ fn a_device_with_two_control_types_or_a_space_is_refused_by_drivers_that_cannot_
     );
     let refused = |driver: &str| session.run(&["edge", "--init", "two.yaml", "--driver", driver]);
     refused("thrift://localhost:1").says(2, &["`two wheels` has several control types"]);
-    refused("program:true").says(2, &["`two wheels` has a space in its id"]);
+    refused("program:true")
+        .says(2, &["the id of device `two wheels` contains a space or a control character"]);
     refused("serial:x").says(2, &["expected sim, thrift://host:port or program:COMMAND"]);
 }
 
@@ -54,7 +55,7 @@ fn a_robot_describes_itself_as_an_init_file_by_either_protocol() {
     let again = session.run(&["fleet", "describe", &format!("tcp://127.0.0.1:{}", edge.1)]);
     assert_eq!(again.out(), told.out());
     assert!(told.out().contains("id: tank-1\n"), "{}", told.out());
-    session.run(&["fleet", "describe", "sim"]).says(2, &["cannot describe itself"]);
+    session.run(&["fleet", "describe", "sim"]).says(2, &["`sim` cannot be described"]);
     session.run(&["fleet", "describe", "thrift://127.0.0.1:1"]).says(1, &["127.0.0.1:1"]);
 }
 
@@ -81,7 +82,7 @@ fn faults_in_the_description_of_a_thrift_robot_are_found_in_either_file() {
         &["DB0020", "fleet.yaml:4:14", "thrift://host:port"],
     );
     let whole = tank("    devices: {shoulder: {granularity: 1}}\n").replace("tank.json", "arm.yaml");
-    check(&whole, &["DB0004", "fleet.yaml:5:5", "`arm.yaml` describes its devices whole"]);
+    check(&whole, &["DB0004", "fleet.yaml:5:5", "`arm.yaml` already describes its devices completely"]);
     session.file("tank.json", TANK.replace("get_sensor_double_value", "get_colour"));
     check(&tank(""), &["DB0020", "tank.json:19:15", "unknown call `get_colour`", "get_sensor_double_value"]);
 }

@@ -1,4 +1,4 @@
-//! Hardware that fails while a start is near, and what the edge says of it.
+//! Hardware that fails while a start is near, and the edge's reports about it.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! Programs that time scripts by themselves: what they log of themselves, compared with what is reported.
+//! Programs that time scripts by themselves: their own logs, compared with the reports.
 
 use std::time::Duration;
 
@@ -10,8 +10,8 @@ use super::{LEAD, await_that, session};
 use stage::session::{Ran, Session};
 use stage::signal;
 
-/// Logs each value with the nanoseconds at which it is set. 66 fails, 77 ends the program. In the mode `mute` it says nothing
-/// of its plans.
+/// Logs each value with the time at which it is set, in nanoseconds. 66 makes it fail, 77 ends the program. In the mode `mute` it sends
+/// no reports about its plans.
 const AHEAD: &str = r#"
 import os, sys, time
 from downbeat_driver import Driver
@@ -75,7 +75,7 @@ struct Rig {
     edge: Edge,
 }
 
-/// A line of the program's log: nanoseconds, and what happened.
+/// A line of the program's log: nanoseconds, and the event.
 type Line = (i64, String);
 
 impl Rig {
@@ -111,7 +111,7 @@ impl Rig {
         self.of(false)
     }
 
-    /// The values that were set.
+    /// Returns the values that were set.
     fn played(&self) -> Vec<String> {
         self.sets().into_iter().map(|(_, what)| what).collect()
     }
@@ -128,7 +128,7 @@ impl Rig {
         self.session.file("play.yaml", scenario);
     }
 
-    /// Plays for a long time, until the third value, and does this then; what the mission says.
+    /// Plays for a long time, and calls `what` after the third value; returns the output of the mission.
     fn meanwhile(&mut self, what: impl FnOnce(&mut Self)) -> String {
         let steps: Vec<_> = (0..60).map(|i| format!("{{at: {}s, to: {}}}", i, i + 1)).collect();
         self.scenario(&steps.join(", "), "{at: 0s, to: 5}");
@@ -165,7 +165,7 @@ fn a_whole_script_is_played_by_the_program_and_the_report_is_its_own_log() {
         "starts after the plan by the driver's own log: {firsts:?} ns, spread {} ns",
         (firsts[0] - firsts[1]).abs()
     );
-    // The edge's log of what was set is what the program says, not what was planned.
+    // The edge's log of set values contains the program's reports, not the plan.
     let (_, said) = rig.edge.end();
     assert!(!said.contains("warning"), "{said}");
     let text = std::fs::read_to_string(rig.session.path("edge.jsonl")).unwrap();
@@ -223,7 +223,7 @@ fn a_program_that_says_nothing_of_its_scripts_leaves_the_mission_unknown_and_not
     let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 2}", "{at: 0s, to: 5}");
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     assert_ne!(ran.json()["outcome"], "done");
-    assert!(ran.text().contains("its driver did not say that it had started"), "{}", ran.text());
+    assert!(ran.text().contains("its driver did not report its start"), "{}", ran.text());
 }
 
 #[test]
@@ -268,7 +268,7 @@ fn a_show_whose_steps_only_the_clock_says_is_not_done() {
     let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 2}", "{at: 0s, to: 5}");
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     assert_eq!(ran.json()["outcome"], "failed", "{}", ran.text());
-    assert!(ran.text().contains("its driver did not observe the end"), "{}", ran.text());
+    assert!(ran.text().contains("its driver did not observe its end"), "{}", ran.text());
 }
 
 #[test]

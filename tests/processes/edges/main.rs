@@ -1,7 +1,7 @@
 //! Edges with real hardware behind them: Thrift robots and programs, driven, broken and restarted.
 //!
-//! The Thrift robot is `tests/processes/thrift/server.py` where `DOWNBEAT_PYTHON` names a Python with the package thriftpy2,
-//! else the one of `thrift_robot`.
+//! The Thrift robot is `tests/processes/thrift/server.py` if `DOWNBEAT_PYTHON` names a Python with the package thriftpy2, otherwise the
+//! one of `thrift_robot`.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
@@ -21,7 +21,7 @@ use stage::session::Session;
 
 const TANK: &str = include_str!("../thrift/tank.json");
 
-/// What was set, as `device value`, without the times in front. A line that is being written is none yet.
+/// Returns the set values, as `device value`, without their times. An incomplete last line is skipped.
 fn sets(session: &Session, log: &str) -> Vec<String> {
     let text = std::fs::read_to_string(session.path(log)).unwrap_or_default();
     let whole = text.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
@@ -33,7 +33,7 @@ fn of(device: &str, sets: &[String]) -> Vec<f64> {
     values.map(|value| value.trim().parse().unwrap()).collect()
 }
 
-/// Waits for what other processes do in their own time; a minute is for machines that do much else.
+/// Waits for a condition of other processes, at most a minute, for busy machines.
 #[track_caller]
 fn await_that(what: &str, holds: impl Fn() -> bool) {
     let begin = Instant::now();
@@ -43,7 +43,7 @@ fn await_that(what: &str, holds: impl Fn() -> bool) {
     }
 }
 
-/// Enough for a machine that does much else.
+/// Sufficient for a busy machine.
 const LEAD: &str = "3s";
 
 const SCENARIO: &str = "scenario: tanks
@@ -94,7 +94,7 @@ fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
     assert_eq!(report["outcome"], "done", "{report:#}");
     for log in ["1.log", "2.log"] {
         let sets = sets(&session, log);
-        // Played, then at the end of the process the speed stops, and the position stays.
+        // Played. At the end of the process the speed goes to zero, and the position stays.
         assert_eq!(of("left", &sets), [40.0, -20.0, 0.0, 0.0], "{sets:?}");
         let way = of("right", &sets);
         assert_eq!((way.first(), way.last()), (Some(&0.0), Some(&10.0)), "{sets:?}");
@@ -109,7 +109,7 @@ fn with_the_addresses_of_two_thrift_robots_swapped_neither_moves() {
         [("tank-2", "2.log"), ("tank-1", "1.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
     let addresses = tanks.each_ref().map(|(_, port)| format!("thrift://127.0.0.1:{port}"));
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
-    let other = ["calls itself `tank-2`, expected `tank-1`", "calls itself `tank-1`, expected `tank-2`"];
+    let other = ["its id is `tank-2`, expected `tank-1`", "its id is `tank-1`, expected `tank-2`"];
     session.run(&["run", "tanks.yaml", "--lead", LEAD]).says(1, &[other[0], other[1], "not started"]);
     for log in ["1.log", "2.log"] {
         assert_eq!(sets(&session, log), Vec::<String>::new());
@@ -139,9 +139,10 @@ fn a_thrift_robot_that_is_not_there_keeps_all_from_starting_and_is_named() {
     drop(gone);
     let addresses = [port, gone_port].map(|port| format!("thrift://127.0.0.1:{port}"));
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
-    session
-        .run(&["run", "tanks.yaml", "--lead", LEAD])
-        .says(1, &["not started", "tank-2", "the hardware is away: no connection to thrift://", "refused"]);
+    session.run(&["run", "tanks.yaml", "--lead", LEAD]).says(
+        1,
+        &["not started", "tank-2", "the hardware is not available: no connection to thrift://", "refused"],
+    );
     assert_eq!(sets(&session, "1.log"), Vec::<String>::new());
     drop(tank);
 }
@@ -168,7 +169,7 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     drop(tank);
     let ran = stage::session::Ran(running.wait_with_output().unwrap());
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
-    assert!(ran.text().contains("the hardware is away"), "{}", ran.text());
+    assert!(ran.text().contains("the hardware is not available"), "{}", ran.text());
     let (_tank, _) = Tank::start(&session, "2.log", port);
     edge.await_hardware();
     assert_eq!(sets(&session, "2.log"), Vec::<String>::new(), "the restarted robot was moved");
@@ -177,7 +178,7 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     assert_eq!(ran.code(), 0, "{}", ran.text());
     let (code, said) = edge.end();
     assert_eq!(code, Some(0), "{said}");
-    assert!(said.contains("tank-1: the hardware is back"), "{said}");
+    assert!(said.contains("tank-1: the hardware is available again"), "{said}");
     let sets = sets(&session, "2.log");
     assert_eq!(of("left", &sets), [40.0, -20.0, 0.0], "{sets:?}");
     assert_eq!(of("right", &sets), [0.0, 10.0], "{sets:?}");
@@ -209,7 +210,7 @@ fn a_run_names_the_hardware_of_its_own_that_it_could_not_bring_to_rest() {
     await_that("the second step", || of("left", &sets(&session, "1.log")).contains(&-20.0));
     drop(tank);
     let ran = stage::session::Ran(running.wait_with_output().unwrap());
-    ran.says(4, &["the devices of `tank-1` may not be at rest: the hardware is away"]);
+    ran.says(4, &["the devices of `tank-1` may not be at rest: the hardware is not available"]);
 }
 
 #[test]

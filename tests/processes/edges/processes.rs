@@ -13,7 +13,7 @@ use stage::session::{Session, root};
 use stage::thrift_robot;
 use stage::{ended_by_a_hang_up, signal};
 
-/// A Thrift robot of either kind; gone with the value.
+/// A Thrift robot of either kind; it ends when this is dropped.
 pub enum Tank {
     Python(Child),
     Rust(thrift_robot::ThriftRobot),
@@ -25,7 +25,7 @@ impl Tank {
         Self::start_as("tank-1", session, log, port)
     }
 
-    /// With an id of its own.
+    /// The same with an id of its own.
     pub fn start_as(id: &str, session: &Session, log: &str, port: u16) -> (Self, u16) {
         let log = session.path(log);
         let tank = TANK.replace("\"tank-1\"", &format!("\"{id}\""));
@@ -49,7 +49,7 @@ impl Tank {
 }
 
 impl Tank {
-    /// It keeps its connection and does nothing more.
+    /// Keeps its connection and does nothing more.
     pub fn freeze(&self) {
         match self {
             Self::Python(child) => signal(child, Signal::STOP),
@@ -78,7 +78,7 @@ pub fn end(child: &mut Child) {
     let _reaped = child.wait();
 }
 
-/// An edge as a process, ended with the value.
+/// An edge as a process, which ends when this is dropped.
 pub struct Edge(pub Child, pub u16);
 
 impl Edge {
@@ -86,11 +86,11 @@ impl Edge {
         Self::start_with(session, init, driver, &[])
     }
 
-    /// With further arguments.
+    /// The same with further arguments.
     pub fn start_with(session: &Session, init: &str, driver: &str, args: &[&str]) -> Self {
         let mut command = ended_by_a_hang_up();
         command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
-        // What permission there is differs from machine to machine, and is told.
+        // The permissions differ from machine to machine, and are reported.
         command.args(["--realtime", "off"]).args(args);
         let command = command.current_dir(session.path(".")).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
@@ -108,12 +108,12 @@ impl Edge {
         });
     }
 
-    /// As Ctrl-C in its terminal, or the service manager.
+    /// Terminates it as the service manager does, and checks that it succeeds without output.
     pub fn terminate(self) {
         assert_eq!(self.end(), (Some(0), String::new()));
     }
 
-    /// Its exit code and what it said.
+    /// Returns its exit code and its output.
     pub fn end(self) -> (Option<i32>, String) {
         self.ends_by(Signal::TERM)
     }

@@ -37,8 +37,8 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
     edge.await_hardware();
     let (code, said) = edge.end();
     assert_eq!(code, Some(0), "{said}");
-    let away = "tank-1: the hardware is away: the program `sh drive.sh driven.txt` has ended";
-    assert!(said.contains(away) && said.contains("tank-1: the hardware is back"), "{said}");
+    let away = "tank-1: the hardware is not available: the program `sh drive.sh driven.txt` has ended";
+    assert!(said.contains(away) && said.contains("tank-1: the hardware is available again"), "{said}");
     let expected = "hello\nread battery\nset left position 40\nset left position -20\nset left position 0\n";
     assert!(driven().starts_with(expected), "{}", driven());
     assert!(driven().ends_with("set left position 66\nhello\n"), "the end moved it: {}", driven());
@@ -77,18 +77,18 @@ fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resu
     let there = |args: &[&str]| Ran(session.command(args).current_dir(elsewhere.path()).output().unwrap());
     let before = driven();
     there(&["stop"])
-        .says(4, &["tank-1: stop NOT confirmed; a program drove it, and a stop starts no program"]);
+        .says(4, &["tank-1: stop NOT confirmed; it was driven by a program, which a stop does not start"]);
     assert_eq!(driven(), before, "the stop started it");
-    // Another program than before is started only if the operator names the file.
+    // A changed program is started only if the operator names the file.
     let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
     session.file("fleet.yaml", fleet.replace("sh drive.sh", "touch other; sh drive.sh"));
-    let not_started = ["no program is started: ", "says another program for robot `tank-1`", "--fleet "];
+    let not_started = ["no program is started: ", "names a different program for robot `tank-1`", "--fleet "];
     there(&["resume"]).says(4, &not_started);
     assert_eq!(driven(), before, "the resume started it");
     session.file("fleet.yaml", fleet);
     if rustix::process::geteuid().is_root() {
         std::os::unix::fs::chown(session.path("fleet.yaml"), Some(65_534), None).unwrap();
-        there(&["resume"]).says(4, &["says which programs to start, and is not yours alone"]);
+        there(&["resume"]).says(4, &["names programs to start, but other users own it or can write to it"]);
         assert_eq!(driven(), before, "the resume started it");
     }
     let named = session.path("fleet.yaml");
@@ -113,14 +113,14 @@ fn a_program_that_a_killed_scheduler_drove_is_started_again_by_a_resume_from_ano
     let elsewhere = tempfile::TempDir::new().unwrap();
     let resumed = session.command(&["resume"]).current_dir(elsewhere.path()).output().unwrap();
     let resumed = stage::session::Ran(resumed);
-    // What it held has ended with the process that drove it: the program is reached, and brought to rest.
+    // The held commands ended with the process that drove the robot: the program is reached, and brought to rest.
     assert!(!resumed.text().contains("cannot open drive.sh"), "{}", resumed.text());
     resumed.says(1, &["tank-1: stop confirmed"]);
     let after = driven().split_once("set left position -20\n").unwrap().1.to_owned();
     assert!(after.contains("hello\n") && !after.contains("set"), "it was moved: {after}");
 }
 
-/// A program drives a wheel, and the edge is sent these signals, one after another. What the program was told.
+/// A program drives a wheel, and the edge is sent these signals, one after another. Returns the input of the program.
 fn driven_until(signals: &[Signal]) -> (Option<i32>, String) {
     let session = Session::new();
     session.file("drive.sh", DRIVE).file("wheel.yaml", WHEEL);
@@ -175,7 +175,7 @@ fn signals_that_ask_for_nothing_do_not_end_an_edge() {
     assert_eq!(code, Some(0));
 }
 
-/// A Python with the package for drivers on its path; `None` where Rust alone has to do for these tests.
+/// Returns a Python with the driver package on its path; `None` if Python is missing: these tests then use only Rust.
 pub fn python() -> Option<String> {
     let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     Command::new(&python).arg("--version").output().ok()?;
@@ -211,7 +211,7 @@ fn the_python_package_for_drivers_passes_its_own_tests() {
     assert!(ran.status.success() && said.contains("OK"), "{said}");
 }
 
-/// Tells its latency and a reading, takes frames, and fails when it is told 66.
+/// Reports its latency and a reading, takes frames, and fails on the value 66.
 const SECOND: &str = r#"
 import sys, threading, time
 from downbeat_driver import Driver
@@ -256,14 +256,15 @@ fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_it
         )
     };
     session.file("fleet.yaml", &fleet).file("play.yaml", play(20));
-    let line = "give it `latency: {left: 42ms, right: 42ms}` in the fleet file";
-    let declares = ["it declares another latency: `left` 42 ms where 0 ms is compensated", line];
+    let line = "set `latency: {left: 42ms, right: 42ms}` in the fleet file";
+    let declares =
+        ["its declared latency differs from the compensated one: `left` 42 ms instead of 0 ms", line];
     session.run(&["preflight", "play.yaml"]).says(0, &declares);
     session.run(&["run", "play.yaml", "--lead", LEAD]).says(0, &[&["play: done"][..], &declares].concat());
     assert_eq!(driven(), "left=1 right=2\nleft=20 right=3\nleft=0\n");
     session.file("fleet.yaml", fleet.replace("tank.json,", "tank.json, latency: {left: 42ms, right: 42ms},"));
     let same = session.run(&["preflight", "play.yaml"]);
-    assert!(same.code() == 0 && !same.text().contains("declares another latency"), "{}", same.text());
+    assert!(same.code() == 0 && !same.text().contains("its declared latency differs"), "{}", same.text());
     session.file("fleet.yaml", &fleet);
     session.file("play.yaml", play(66));
     let ran = session.run(&["run", "play.yaml", "--lead", LEAD]);
@@ -271,7 +272,7 @@ fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_it
     assert!(ran.text().contains("the hardware reports a fault: emergency stop"), "{}", ran.text());
     let (_, said) = edge.end();
     for expected in [
-        "latency, which missions are told: left 42 ms, right 42 ms",
+        "latency, which is reported to missions: left 42 ms, right 42 ms",
         "the SDK greets left",
         "fault: emergency stop",
     ] {
@@ -288,11 +289,11 @@ fn a_program_that_declares_what_it_cannot_is_told_what_is_wrong() {
     );
     let mut edge = Edge::start(&session, "tank.json", "program:sh drive.sh");
     let mut said = BufReader::new(edge.0.stderr.take().unwrap()).lines().map_while(Result::ok);
-    let warning = said.find(|line| line.contains("a latency of `wing`, which this robot does not have"));
+    let warning = said.find(|line| line.contains("latency_ms names `wing`, which this robot does not have"));
     assert!(warning.is_some(), "the edge ended without the warning");
 }
 
-/// Answers nothing more after the value 66, and refuses the value 55.
+/// Stops answering after the value 66, and refuses the value 55.
 const MOODY: &str = r#"while read -r verb device control value; do
     case "$value" in
         66) sleep 60 ;;
@@ -302,7 +303,7 @@ const MOODY: &str = r#"while read -r verb device control value; do
 done
 "#;
 
-/// Plays one value on `left`, the last one of its script, with the program `MOODY`. What the mission and the edge say.
+/// Plays one value on `left`, the last one of its script, with the program `MOODY`. Returns the outputs of the mission and of the edge.
 fn one_value(value: i32) -> (Ran, String) {
     let session = session();
     session.file("moody.sh", MOODY);
@@ -321,7 +322,7 @@ fn a_program_that_never_acknowledges_its_last_value_leaves_the_mission_unknown_a
     let (ran, said) = one_value(66);
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     // The edge waits for an answer as long as the mission waits for the end, so either may be the first to give up.
-    let why = ["it is unknown whether the hardware took the last value", "no report of the end of `left`"];
+    let why = ["the hardware may not have accepted the last value", "no report of the end of `left`"];
     assert!(why.iter().any(|why| ran.text().contains(why)), "{}", ran.text());
     assert!(said.contains("did not answer `set left position 66` within 1 s"), "{said}");
 }
@@ -329,13 +330,17 @@ fn a_program_that_never_acknowledges_its_last_value_leaves_the_mission_unknown_a
 #[test]
 fn a_value_that_a_program_refuses_reads_as_refused() {
     let (ran, said) = one_value(55);
-    let refused = "the hardware refused position 55 of `left`: the program says: too hot";
+    let refused = "the hardware refused position 55 of `left`: the program reported: too hot";
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
-    assert!(ran.text().contains(refused) && !ran.text().contains("hardware is away"), "{}", ran.text());
+    assert!(
+        ran.text().contains(refused) && !ran.text().contains("hardware is not available"),
+        "{}",
+        ran.text()
+    );
     assert!(said.contains(&format!("tank-1: {refused}")), "{said}");
 }
 
-/// Hardware that takes longer to start than a program has by default, 10 s.
+/// Hardware that takes longer to start than a program may take by default, 10 s.
 const SLOW: &str = r#"
 import sys, time
 from downbeat_driver import Driver
@@ -352,7 +357,7 @@ class Slow(Driver):
 Slow().run()
 "#;
 
-/// A fleet of one robot behind a program that starts slowly.
+/// Returns a fleet of one robot behind a program that starts slowly.
 fn slow(python: &str) -> Session {
     let session = session();
     session.file("slow.py", SLOW);

@@ -1,4 +1,4 @@
-//! A server that speaks with one edge.
+//! A server with one edge.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Write};
@@ -13,10 +13,10 @@ use urrcp::{
 
 use super::processes::Edge;
 
-/// A server that speaks with one edge and does not look after its time.
+/// A server that sends messages to one edge, without clock synchronization.
 pub struct Server {
     edge: BufReader<TcpStream>,
-    /// Said of the script while something else was waited for.
+    /// Responses about the script that arrived during a wait for other messages.
     said: VecDeque<ControlResponse>,
     /// When the script of this server starts.
     start: SystemTime,
@@ -41,7 +41,7 @@ impl Server {
         serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: `{line}`"))
     }
 
-    /// What the edge says next of the script.
+    /// Returns the edge's next response about the script.
     pub fn response(&mut self) -> ControlResponse {
         if let Some(said) = self.said.pop_front() {
             return said;
@@ -63,7 +63,7 @@ impl Server {
         }
     }
 
-    /// Sends a script for `left`: these values at these milliseconds, from so many after now.
+    /// Sends a script for `left`: these values at these milliseconds, with a start in `lead` milliseconds.
     pub fn script(&mut self, lead: u64, steps: &[(f64, f64)]) {
         let step = |(millis, value): &(f64, f64)| Step {
             offset: Millis::new(*millis).unwrap(),
@@ -82,13 +82,13 @@ impl Server {
         assert_eq!(self.response().status, Status::Accepted);
     }
 
-    /// Sleeps until so long before the start.
+    /// Sleeps until this long before the start.
     pub fn await_start_less(&self, millis: u64) {
         let at = self.start - Duration::from_millis(millis);
         std::thread::sleep(at.duration_since(SystemTime::now()).unwrap_or_default());
     }
 
-    /// Why the script fails, which it has to, without a start.
+    /// Returns the error of the script, which must fail without a start.
     pub fn fails_unstarted(&mut self) -> ControlError {
         let failed = self.response();
         assert_eq!(failed.status, Status::Failed, "{failed:?}");

@@ -53,7 +53,7 @@ fn robots_that_are_sent_home_while_an_act_is_prepared_again_are_reported_as_thei
     }
 }
 
-/// Two acts of three seconds that follow each other at once.
+/// Returns a stage with two acts of three seconds that follow each other at once.
 fn two_acts() -> Stage {
     let stage = Play { script: 20, ..CHAIN }.stage(&[Via::Direct; 3]);
     let track = |from: u32| {

@@ -1,4 +1,4 @@
-//! What a robot claims is compared with what is possible: none of these lies ends in `done`.
+//! A robot's claims are compared with what is possible: none of these lies ends in `done`.
 
 use serde_json::{Value, json};
 
@@ -8,7 +8,7 @@ use stage::{Ended, Stage, Via};
 /// Ten steps, one every 100 ms, with a tolerance of 100 ms.
 const PLAY: Play = Play { steps: 10, tolerance: "100ms", ..LONG };
 
-/// Plays on two robots, of which the first one says something else than it does.
+/// Plays on two robots, the first of which reports something else than it does.
 fn played(lie: fn(&mut Value)) -> (Stage, Ended) {
     let stage = PLAY.stage(&[Via::Proxy, Via::Direct]);
     stage.robots[0].link.as_ref().unwrap().rewrite(lie);
@@ -24,7 +24,7 @@ fn response(message: &mut Value) -> Option<&mut Value> {
     message.get_mut("control_response")
 }
 
-/// The time of the event that a response reports, later by so much.
+/// Delays the reported event time of a response.
 fn later(response: &mut Value, millis: i64) {
     let Some(at) = response["event_timestamp"].as_str().map(stage::nanos) else { return };
     let at = urrcp::Timestamp::<urrcp::Robot>::from_nanos(at + millis * 1_000_000);
@@ -99,13 +99,13 @@ fn nothing_has_started_a_minute_ago_or_in_a_minute() {
     claims(lie, "ahead", ("device", json!("d")));
 }
 
-/// Both say so: the starts are together, and not when they were planned.
+/// Both robots report it: the starts are simultaneous, but not when they were planned.
 #[test]
 fn starts_that_are_off_their_plan_are_out_of_tolerance_even_together() {
     let stage = PLAY.stage(&[Via::Proxy, Via::Proxy]);
     for robot in &stage.robots {
         robot.link.as_ref().unwrap().rewrite(|message| {
-            // Reported when that can have been.
+            // Reported at a plausible time.
             if let Some(response) = response(message).filter(|r| r["status"] == "Started") {
                 std::thread::sleep(std::time::Duration::from_millis(344));
                 later(response, 344);

@@ -1,4 +1,4 @@
-//! What becomes of acts that wait: the report names every act of the scenario, and what was skipped is no success.
+//! The fate of acts that wait: the report names every act of the scenario, and a skipped act is no success.
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -11,7 +11,7 @@ const RANGE: &str = "  - id: range
       sensor: {min_value: 0, max_value: 4}
 ";
 
-/// Three acts of which the second waits for this.
+/// Plays three acts, the second of which waits for this.
 fn played(wait: &str) -> (Stage, Ended) {
     let cues = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}]";
     let mut stage = Stage::new();
@@ -54,7 +54,7 @@ fn an_act_whose_sensor_never_reads_what_it_waits_for_is_skipped_and_the_mission_
     let text = stage.run(&["run", "show.yaml"]);
     assert!(text.out.contains("show: done, but skipped `two`"), "{text}");
     assert!(
-        text.out.contains("act `two`: skipped: `r0/range` below 0.5 did not come within 400 ms"),
+        text.out.contains("act `two`: skipped: `r0/range` below 0.5 did not occur within 400 ms"),
         "{text}"
     );
     assert!(text.out.contains("act `three`: not reached"), "{text}");
@@ -66,7 +66,7 @@ fn an_operator_who_does_not_say_go_in_time_is_named() {
     assert_eq!(ended.code, Some(5), "{ended}");
     assert_eq!(course(&ended), fates([("one", "played"), ("two", "timed_out"), ("three", "played")]));
     assert_eq!(ended.report()["course"][1]["awaited"], "the operator's go");
-    assert!(ended.told.is_empty() || ended.told.contains("did not come within"), "{ended}");
+    assert!(ended.told.is_empty() || ended.told.contains("did not occur within"), "{ended}");
 }
 
 #[test]
@@ -93,7 +93,7 @@ fn an_act_that_is_stopped_while_it_plays_is_not_called_withdrawn_though_its_robo
         format!("scenario: show\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: all, tracks: {{d: [{tracks}]}}}}]\n"),
     );
     stage.robot("robot.yaml", Via::Proxy);
-    // Nor can it be asked.
+    // The robot answers no inquiries either.
     stage.robots[0].link.as_ref().unwrap().leave_out(&["inquiry"]);
     let running = stage.begin(&["run", "show.yaml", "--format", "json", "--patience", "1s"], [0], 5);
     stage.robots[0].freeze();

@@ -1,4 +1,4 @@
-//! Missions whose messages travel as MessagePack, with robots and scheduler as real processes.
+//! Missions whose messages are encoded in MessagePack, with robots and scheduler as real processes.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -18,7 +18,7 @@ cues:
       shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}, {at: 600ms, to: 45}]
 ";
 
-/// A simulated robot in a process of its own; it ends with the value.
+/// A simulated robot in a process of its own, which ends when this is dropped.
 struct Robot {
     process: Child,
     port: u16,
@@ -44,7 +44,7 @@ impl Drop for Robot {
     }
 }
 
-/// What went through a relay, each way.
+/// The bytes that passed a relay, in each direction.
 #[derive(Clone, Default)]
 struct Overheard {
     to_robot: Arc<Mutex<Vec<u8>>>,
@@ -60,8 +60,8 @@ impl Overheard {
     }
 }
 
-/// Listens in a robot's place and hands on what comes; what the robot says is changed on the way. The threads end with
-/// the connection, the first with the process.
+/// Listens instead of a robot and forwards the bytes; those from the robot are changed. The threads end with the connection, the first
+/// with the process.
 fn relay(robot: u16, change: fn(Vec<u8>) -> Vec<u8>) -> (u16, Overheard) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -92,7 +92,7 @@ fn carry(mut from: TcpStream, mut to: TcpStream, heard: &Mutex<Vec<u8>>, change:
     let _closed_already = to.shutdown(std::net::Shutdown::Both);
 }
 
-/// A fleet of these ports, two robots that are to be written to in MessagePack.
+/// Writes a fleet of these ports: two robots that receive MessagePack.
 fn fleet(session: &Session, handshake: &str, ports: [u16; 2]) {
     let robot = |(id, port)| {
         format!("  r{id}: {{init: arm.yaml, address: 'tcp://127.0.0.1:{port}', encoding: msgpack}}\n")
@@ -152,7 +152,7 @@ fn without_a_handshake_the_file_says_what_a_robot_understands() {
     check_done(&session);
     let all = [Overheard::messages(&overheard.to_robot), Overheard::messages(&overheard.to_server)].concat();
     assert!(all.len() >= 4);
-    // The connection for stops is checked in what every robot understands.
+    // The connection for stops is checked in the encoding that every robot supports.
     let of_mission = |(_, message): &&(Encoding, Message)| match message {
         Message::AvailabilityRequest(request) => request.session.is_some(),
         Message::AvailabilityResponse(response) => response.originate_timestamp.is_some(),
@@ -174,8 +174,8 @@ fn a_robot_that_does_not_list_the_encoding_is_refused_and_never_hears_it() {
     fleet(&session, "full", [port, robots[1].port]);
     let says = [
         "r0",
-        "it lists no encoding `msgpack` (besides JSON: `cbor`)",
-        "`encoding: json` is understood by every robot",
+        "it does not support the encoding `msgpack`, which the fleet file requires (besides JSON: `cbor`)",
+        "every robot supports `encoding: json`",
     ];
     session.run(&["preflight", "test.yaml"]).says(1, &says);
     session.run(&["run", "test.yaml"]).says(1, &says);

@@ -1,7 +1,6 @@
-//! Two robots with hundreds of devices and megabytes of scripts: what is asked before the start does not grow with what was
-//! sent.
+//! Two robots with hundreds of devices and megabytes of scripts: the questions before the start do not grow with the scripts.
 //!
-//! `DOWNBEAT_LARGE_SHOWS=20` plays it so many times while every core is kept busy.
+//! `DOWNBEAT_LARGE_SHOWS=20` sets the number of repetitions, while every core is kept busy.
 #![expect(clippy::print_stdout, reason = "a test may print")]
 
 use stage::busy::with_cores_busy;

@@ -12,7 +12,7 @@ enum Clocks {
     GoBack,
 }
 
-/// A time zone, in POSIX form, whose clocks show UTC or one hour more, and change at this instant.
+/// Returns a time zone, in POSIX form, whose clocks show UTC or one hour more, and change at this instant.
 fn zone(clocks: Clocks, at: DateTime<Utc>) -> String {
     let rule = |local: DateTime<Utc>| format!("{}/{}", local.ordinal0(), local.format("%H:%M:%S"));
     let months = TimeDelta::days(120);
@@ -61,7 +61,7 @@ fn a_start_that_clocks_skip_is_refused_with_the_nearest_times() {
     let after = time(change + TimeDelta::hours(1));
     let skipped = format!("{at} does not exist on ");
     let nearest = format!(" and {after}");
-    let parts = [&*skipped, "the nearest times that exist are ", &nearest];
+    let parts = [&*skipped, "the nearest existing times are ", &nearest];
     let session = evening("wait: done");
     run_in(&zone, &session, &["run", "evening.yaml", "--at", &at]).says(2, &parts);
     let session = evening(&format!("wait: {{time: \"{at}\"}}"));

@@ -34,7 +34,7 @@ pub fn evening(wait: &str) -> Session {
     session
 }
 
-/// Starts a mission and waits until it says this.
+/// Starts a mission and waits until it prints this text.
 fn start(session: &Session, args: &[&str], says: &str) -> Process {
     start_command(session.command(args), says).0
 }
@@ -47,7 +47,7 @@ pub fn start_command(mut command: Command, says: &str) -> (Process, String) {
     while !told.contains(says) {
         assert!(lines.read_line(&mut told).unwrap() > 0, "never said `{says}`:\n{told}");
     }
-    // Whatever else it says must not block it.
+    // Further output must not block it.
     std::thread::spawn(move || lines.lines().count());
     (child, told)
 }
@@ -130,7 +130,7 @@ fn a_rehearsal_is_slower_with_fewer_robots_from_a_later_act() {
     session.run(&["dry-run", "evening.yaml", "--only", "middle"]).says(2, &["does not move `middle`"]);
     session
         .run(&["dry-run", "evening.yaml", "--from", "intermezzo"])
-        .says(2, &["no act `intermezzo`", "`opening`"]);
+        .says(2, &["unknown act `intermezzo`", "`opening`"]);
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
     let _sim = on_tcp(&session);
     let first = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
     session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission `evening@", "robot `right`"]);
-    // A scheduler on another machine, which has no journal of the first, is told by the robots.
+    // A scheduler on another machine, without the journal of the first mission, learns of it from the robots.
     let mut elsewhere = session.command(&["run", "evening.yaml"]);
     let elsewhere = Ran(elsewhere.env("DOWNBEAT_STATE", session.path("elsewhere")).output().unwrap());
     elsewhere.says(1, &["not started", "`left` belongs to another session", "end it with `downbeat stop`"]);
@@ -229,7 +229,7 @@ fn a_mission_whose_scheduler_was_killed_is_resumed_to_its_end() {
     let session = Session::new();
     let _sim = on_tcp(&session);
     session.file("long.yaml", LONG);
-    let child = start(&session, &["run", "long.yaml"], "every lease reaches over the start");
+    let child = start(&session, &["run", "long.yaml"], "starting `");
     await_moves(&session, &["sim.jsonl"]);
     drop(child);
     session.run(&["missions"]).says(0, &["cut off"]);
@@ -242,11 +242,11 @@ fn a_mission_whose_scheduler_was_killed_is_stopped() {
     let session = Session::new();
     let _sim = on_tcp(&session);
     session.file("long.yaml", LONG);
-    let child = start(&session, &["run", "long.yaml"], "every lease reaches over the start");
+    let child = start(&session, &["run", "long.yaml"], "starting `");
     await_moves(&session, &["sim.jsonl"]);
     drop(child);
     session.run(&["stop"]).says(0, &["left: stop confirmed", "right: stop confirmed"]);
-    // Nothing is left to resume, and the robots are free.
+    // No mission can be resumed, and the robots are free.
     session.run(&["resume"]).says(2, &["no mission was cut off"]);
     session.run(&["run", "long.yaml"]).says(0, &["long: done"]);
 }
@@ -361,7 +361,7 @@ fn joins_late(session: &Session, init: &str, port: u16) -> Ran {
     let await_line = |text: &str| await_that(text, || std::fs::read_to_string(&told).unwrap().contains(text));
     await_line("waits for the operator's go");
     let _right = robot_of(session, init, "right", port);
-    await_line("right: back");
+    await_line("right: reconnected");
     session.run(&["go"]).says(0, &[]);
     finished(child)
 }
@@ -387,7 +387,7 @@ fn a_link_that_breaks_in_mid_mission_is_made_again_and_the_mission_goes_on() {
     let child = start(&session, &["run", "long.yaml", "--format", "json"], "");
     await_moves(&session, &["left.jsonl", "right.jsonl"]);
     link.interrupt();
-    // The outage lasts for this time.
+    // Duration of the outage.
     std::thread::sleep(Duration::from_millis(5));
     link.open();
     let ran = finished(child);
@@ -411,11 +411,11 @@ fn two_missions_play_at_once_on_robots_of_their_own() {
 #[test]
 fn a_start_that_has_passed_or_is_too_soon_is_refused_with_the_earliest_safe_one() {
     let session = evening("wait: done");
-    let refused = ["not sent: a start at ", "has passed", "the earliest safe start was"];
+    let refused = ["not sent: the start at ", "has passed", "the earliest safe start was"];
     session.run(&["run", "evening.yaml", "--at", "2020-01-01T00:00:00Z"]).says(1, &refused);
     session
         .run(&["run", "evening.yaml", "--record", "no/such.mcap"])
         .says(2, &["the folder does not exist", "mkdir -p no"]);
-    let no_sensor = ["there is no sensor `left/lid`"];
+    let no_sensor = ["unknown sensor `left/lid`"];
     session.run(&["dry-run", "evening.yaml", "--reading", "left/lid=1"]).says(2, &no_sensor);
 }

@@ -1,4 +1,4 @@
-//! What `preflight` and `fleet ping` show before a show: readings, clocks, hardware, each where it belongs.
+//! The output of `preflight` and `fleet ping` before a show: readings, clocks and hardware, each in its place.
 
 use serde_json::{Value, json};
 
@@ -8,7 +8,7 @@ const SCENARIO: &str = "scenario: test
 cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 10}, {at: 1s, to: 0}]}}]
 ";
 
-/// The arm can tell where it stands, and has two further sensors.
+/// Returns a session whose arm can report its position, and has two further sensors.
 fn session(left: &str, right: &str) -> Session {
     let session = Session::new();
     let arm = ARM.replace("      script:", "      sensor: {min_value: 0, max_value: 90}\n      script:")
@@ -25,7 +25,7 @@ fn session(left: &str, right: &str) -> Session {
 const SIM: &str = "address: sim";
 const A_MINUTE_AHEAD: &str = "address: sim, simulate: {clock_offset: 60s, ntp_error: none}";
 
-/// What a check said of a robot.
+/// Returns the result of a check of a robot.
 fn verdict(ran: &Ran, robot: &str, check: &str) -> Value {
     let report = ran.json();
     let rows = report["preflight"]["rows"].as_array().unwrap();

@@ -20,7 +20,7 @@ cues:
       shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}, {at: 600ms, to: 45}]
 ";
 
-/// Six robots, each a process; they end with the value.
+/// Six robots, each a process; they end when this is dropped.
 struct Fleet {
     session: Session,
     robots: Vec<Child>,
@@ -65,7 +65,7 @@ impl Fleet {
         line.trim().rsplit(':').next().unwrap().parse().unwrap_or_else(|_| panic!("no port in `{line}`"))
     }
 
-    /// The log of a robot so far.
+    /// Returns the log of a robot so far.
     fn log(&self, id: usize) -> String {
         std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap()
     }
@@ -82,19 +82,19 @@ impl Fleet {
         await_that("a move of each robot", || self.moved() == 6);
     }
 
-    /// Asserts that no robot sets a value of a script, neither until now nor within `window`.
+    /// Asserts that no robot has set a value of a script, or does so within `window`.
     #[track_caller]
     fn assert_none_moves(&self, window: Duration) {
         std::thread::sleep(window);
         assert_eq!(self.moved(), 0);
     }
 
-    /// A mission in which all robots move. Starts it again if its report states that this machine was too slow.
+    /// Starts a mission in which all robots move. Starts it again if its report states that this machine was too slow.
     #[track_caller]
     fn playing(&self) -> Child {
         for _ in 0..ATTEMPTS {
             let mut scheduler = self.run_in_background(&[]);
-            await_line(&mut scheduler, "all have accepted");
+            await_line(&mut scheduler, "all robots have accepted");
             await_that("moves, or an end", || self.moved() == 6 || scheduler.try_wait().unwrap().is_some());
             if scheduler.try_wait().unwrap().is_none() {
                 return scheduler;
@@ -189,7 +189,7 @@ fn if_one_of_six_is_not_there_none_starts_and_the_report_names_it() {
 fn if_the_scheduler_is_killed_before_the_commitment_none_starts() {
     let fleet = Fleet::start(&[]);
     let mut scheduler = fleet.run_in_background(&["--lead", "5s"]);
-    await_line(&mut scheduler, "all have accepted");
+    await_line(&mut scheduler, "all robots have accepted");
     scheduler.kill().unwrap();
     scheduler.wait().unwrap();
     fleet.assert_none_moves(Duration::from_secs(6));

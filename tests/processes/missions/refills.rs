@@ -1,5 +1,5 @@
-//! Chains of scripts longer than what a device holds, through several acts: every value of every script is set once, in
-//! order, whichever act its script belongs to and however many the acts before it had.
+//! Chains of scripts longer than a device's queue, through several acts: every value of every script is set once, in order, whichever act
+//! its script belongs to and however many scripts the earlier acts had.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -9,32 +9,32 @@ use serde_json::Value;
 use stage::play::{CHAIN, Play};
 use stage::{Stage, Via};
 
-/// Steps of one script.
+/// Number of steps of one script.
 const STEPS: u32 = 4;
 const ACTS: usize = 3;
-/// Devices of one robot.
+/// Number of devices of one robot.
 const DEVICES: usize = 8;
 
-/// How many scripts a device has in each act.
+/// Number of scripts of a device in each act.
 type Chains = [u32; ACTS];
 
-/// Whether the robots tell what becomes of their scripts.
+/// Whether the robots report the progress of their scripts.
 #[derive(Clone, Copy)]
 enum Reports {
     Told,
     Untold,
 }
 
-/// Three acts, all as long, that every device fills with its scripts from the first to the last moment.
+/// Three acts of the same length, which every device fills with its scripts from the first to the last moment.
 struct Matrix {
     queue: u32,
-    /// Of an act, in milliseconds; as few as a chain of four may have that the device has to be sent bit by bit.
+    /// Length of an act, in milliseconds: the shortest that permits a chain of four scripts that the device receives in parts.
     act: u32,
     reports: Reports,
     chains: Vec<Chains>,
 }
 
-/// The shortest acts in which `check` lets a device with this queue be sent four scripts.
+/// Returns the length of the shortest acts for which `check` permits four scripts on a device with this queue.
 fn shortest_act(queue: u32) -> u32 {
     match queue {
         2 => 4_032,
@@ -71,7 +71,7 @@ impl Matrix {
         format!("id: robot\napi_version: '1'\nreports: {reports}\ndevices:\n{devices}")
     }
 
-    /// Which robot and device plays a chain.
+    /// Returns the devices of a robot, and their chains.
     fn of_robot(&self, robot: usize) -> impl Iterator<Item = (String, Chains)> {
         let chains = self.chains.iter().skip(robot * DEVICES).take(DEVICES);
         chains.enumerate().map(|(d, chains)| (format!("d{d}"), *chains))
@@ -110,7 +110,7 @@ impl Matrix {
         stage
     }
 
-    /// What the logs say that was not planned.
+    /// Returns the deviations of the logs from the plan.
     fn deviations(&self, stage: &Stage) -> BTreeMap<String, String> {
         let mut deviations = BTreeMap::new();
         for robot in 0..self.robots() {
@@ -165,7 +165,7 @@ impl Matrix {
     }
 }
 
-/// What a device is set to in an act: no value comes twice.
+/// Returns the values of a device in an act: no value occurs twice.
 fn values(act: usize, scripts: u32) -> impl Iterator<Item = f64> {
     let first = 1 + 30 * u32::try_from(act).unwrap();
     (first..first + STEPS * scripts).map(f64::from)
@@ -186,7 +186,7 @@ fn every_chain_plays_to_its_end_on_devices_that_hold_four_scripts() {
     Matrix::of(4, Reports::Told, all_chains()).plays_to_the_end();
 }
 
-/// Alone the act after is sent as early as these devices have room, not when the slowest of many has.
+/// With the same chains on all devices, the next act is sent as soon as they have room, not when the slowest of many has.
 #[test]
 fn a_fleet_whose_devices_all_have_the_same_chains_plays_to_its_end() {
     let alone: [(u32, Chains); 8] = [

@@ -9,7 +9,7 @@ use stage::quiet::{await_that, stays};
 use stage::terminal::Terminal;
 use stage::{Process, Running, Stage, Via, epoch_nanos, one_device};
 
-/// Two robots whose default state is far from where their script takes them.
+/// Returns two robots whose default state is far from the positions of their script.
 fn stage() -> Stage {
     let mut stage = Stage::new();
     let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
@@ -27,7 +27,7 @@ fn playing(stage: &Stage) -> Running {
     stage.begin(&["run", "play.yaml"], 0..stage.robots.len(), 5)
 }
 
-/// Neither goes to its default state, nor on.
+/// Checks that no robot continues, or moves to its default state.
 #[track_caller]
 fn stand_where_they_were(stage: &Stage) {
     let by_now = epoch_nanos();
@@ -115,7 +115,7 @@ fn the_key_for_home_moves_robots_home_that_have_stopped_already_once_all_have_co
     }
 }
 
-/// Nothing answers for the scheduler: `stop` stops the robots itself, and the scheduler has to learn of it.
+/// The scheduler does not answer: `stop` stops the robots itself, and the scheduler must learn of it.
 #[track_caller]
 fn is_stopped_past_the_scheduler(stage: &Stage, mission: Running) {
     let stopped = stage.run(&["stop"]);
@@ -168,7 +168,7 @@ fn a_resumed_mission_that_was_stopped_moves_no_robot() {
     stage.robots[1].freeze();
     let mut stopping = stage.start(&["stop"]);
     stage.await_record(r#""record":"stop_confirmed""#);
-    // It would take the mission up itself.
+    // Otherwise it would resume the mission itself.
     stopping.process.kill();
     mission.process.kill();
     stage.robots[1].thaw();
@@ -179,7 +179,7 @@ fn a_resumed_mission_that_was_stopped_moves_no_robot() {
     stand_where_they_were(&stage);
 }
 
-/// A robot that a program of the scheduler's own drives.
+/// Returns a robot that is driven by a program of the scheduler.
 fn driven() -> Stage {
     let stage = Stage::new();
     let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
@@ -192,7 +192,7 @@ fn driven() -> Stage {
     stage
 }
 
-/// What its program was told.
+/// Returns the input of its program.
 fn told(stage: &Stage) -> String {
     std::fs::read_to_string(stage.path("driven.txt")).unwrap_or_default()
 }
@@ -297,7 +297,7 @@ fn hardware_that_a_killed_scheduler_drove_is_not_said_to_have_stopped_and_does_n
     mission.process.kill();
     let stopped = stage.run(&["stop"]);
     assert_eq!(stopped.code, Some(4), "{stopped}");
-    assert!(stopped.out.contains("w: stop NOT confirmed; a program drove it"), "{stopped}");
+    assert!(stopped.out.contains("w: stop NOT confirmed; it was driven by a program"), "{stopped}");
     assert!(!told(&stage).contains("set d position 0\n"), "{}", told(&stage));
 }
 
@@ -313,7 +313,7 @@ fn a_terminal_without_a_display_takes_words_and_does_not_take_every_line_for_a_g
     let mut process = Process(command.spawn().unwrap());
     watched.shows("waits for", SOON);
     terminal.type_keys("start\n");
-    watched.shows("is not a command", SOON);
+    watched.shows("unknown command `start`", SOON);
     terminal.type_keys("\n");
     stage.robots.iter().for_each(|robot| robot.await_sets(1, SOON));
     terminal.type_keys("stop\n");

@@ -63,7 +63,7 @@ fn a_mission_that_an_operator_stops_after_a_crash_was_stopped() {
     assert!(journals(&session).contains(r#""record":"ended","outcome":"stopped""#), "{}", stopped.text());
 }
 
-/// Two acts. The second one takes longer than a resumption.
+/// Returns two acts, the second of which takes longer than a resumption.
 fn with_a_long_finale() -> (Session, Process) {
     let session = evening("");
     let text = std::fs::read_to_string(session.path("evening.yaml")).unwrap();
@@ -98,7 +98,7 @@ fn a_plan_of_which_another_act_was_edited_is_not_resumed() {
     let (opening, finale) = text.split_once("- act: finale").unwrap();
     session.file("evening.yaml", format!("{opening}- act: finale{}", finale.replace("to: 0}", "to: 10}")));
     let changed =
-        "this is not the plan with which the mission began: the scenario or the fleet has changed since";
+        "the plan differs from the one with which the mission began: the scenario or the fleet has changed";
     session.run(&["resume"]).says(1, &[changed, "restore the files", "`downbeat stop`"]);
     session.file("evening.yaml", &text);
     session.run(&["resume"]).says(0, &["evening: done"]);
@@ -117,8 +117,7 @@ fn a_robot_that_was_left_out_before_the_crash_is_reported_with_its_failure_and_i
     let link = Proxy::to(right);
     let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
     session.file("fleet.yaml", fleet.replace(&right.to_string(), &link.port.to_string()));
-    let (child, _) =
-        start_command(session.command(&["run", "without.yaml"]), "every lease reaches over the start");
+    let (child, _) = start_command(session.command(&["run", "without.yaml"]), "starting `");
     await_that("a step", || {
         let log = std::fs::read_to_string(session.path("right.jsonl")).unwrap_or_default();
         log.lines().filter_map(stage::Logged::read).filter(|entry| entry.motion == "set").count() > 1

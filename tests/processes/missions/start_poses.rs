@@ -6,12 +6,12 @@ use rustix::process::Signal;
 use stage::quiet::await_that;
 use stage::{Stage, Via, with_devices};
 
-/// Two robots with a joint that moves linearly, at most 60 degrees per second.
+/// Returns two robots with a joint that moves linearly, at most 60 degrees per second.
 fn stage() -> Stage {
     stage_with(Via::Direct)
 }
 
-/// The same, where the second robot is reached so.
+/// The same, with this connection to the second robot.
 fn stage_with(second: Via) -> Stage {
     let mut stage = Stage::new();
     let joint = "  - id: joint
@@ -67,7 +67,7 @@ fn an_approach_moves_devices_to_their_first_positions_at_no_more_than_their_spee
     let before = left_at_80(&stage);
     let too_fast = stage.run(&["run", "back.yaml", "--approach", "1s"]);
     assert_eq!(too_fast.code, Some(1), "{too_fast}");
-    assert!(too_fast.told.contains("cannot get to their first positions in 1 s"), "{too_fast}");
+    assert!(too_fast.told.contains("cannot reach their first positions in 1 s"), "{too_fast}");
     let played = stage.run(&["run", "back.yaml", "--approach", "3s", "--record", "back.mcap"]);
     assert_eq!(played.code, Some(0), "{played}");
     let page = stage.run(&["report", "back.mcap", "--html", "back.html", "--scenario", "back.yaml"]);
@@ -86,7 +86,7 @@ fn an_approach_moves_devices_to_their_first_positions_at_no_more_than_their_spee
     }
 }
 
-/// Whether this process ignores a signal, and so do the programs that it starts. A shell makes programs in the background ignore Ctrl-C.
+/// Whether this process, and the programs that it starts, ignore a signal. A shell makes programs in the background ignore Ctrl-C.
 fn is_ignored(signal: Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap();
@@ -150,7 +150,7 @@ fn at_the_end_of_a_show_devices_move_home_at_no_more_than_their_speed() {
     assert_eq!(home.code, Some(0), "{home}");
 }
 
-/// The command that plays `back` after an approach and starts it in `seconds`, with the instant of that start.
+/// Returns the command that plays `back` after an approach and starts it in `seconds`, with the instant of that start.
 fn in_seconds(seconds: i64) -> ([String; 6], i64) {
     let start = chrono::Utc::now() + chrono::TimeDelta::seconds(seconds);
     let args = ["run", "back.yaml", "--approach", "3s", "--at", &start.to_rfc3339()].map(str::to_owned);

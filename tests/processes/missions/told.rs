@@ -1,11 +1,11 @@
-//! What is told of stops, leases and starts is what happened to real processes.
+//! Reports about stops, leases and starts agree with the events in real processes.
 
 use rustix::process::Signal;
 
 use stage::play::{LONG, Play, SHORT};
 use stage::{Robot, Stage, Via, sleep_until};
 
-/// The script of the first robot, which nothing reaches any more, ends after the stop was sent.
+/// The script of the first robot, which no message reaches any longer, ends after the stop was sent.
 #[track_caller]
 fn check_that_a_late_ok_confirms_nothing(keys: &'static [&'static str]) {
     let stage = Play { steps: 14, ..LONG }.stage(&[Via::Proxy, Via::Direct]);
@@ -73,13 +73,13 @@ fn steps_that_were_later_than_is_tolerated_are_named_and_are_no_success() {
     stage.robots[1].thaw();
     let ended = running.ended();
     assert_eq!(ended.code, Some(6), "{ended}");
-    let headline = ended.out.starts_with("play: played to its end, but steps were up to ");
+    let headline = ended.out.starts_with("play: played to the end, but steps were up to ");
     assert!(headline && ended.out.contains("start_tolerance is 100 ms"), "{ended}");
     let line = ended.out.lines().find(|line| line.starts_with("r1: "));
     assert!(line.is_some_and(|line| line.contains(" of `d` late by more than 1 ms, ")), "{ended}");
 }
 
-/// The second robot is frozen once both have set so many values, and the operator stops the mission.
+/// Freezes the second robot once both have set this number of values, and stops the mission as an operator.
 #[track_caller]
 fn check_that_no_lease_is_printed(stage: &Stage, sets: usize) {
     let mut running = stage.begin(&["run", "play.yaml", "--patience", "1s"], 0..stage.robots.len(), sets);

@@ -11,10 +11,10 @@ use stage::{Running, Stage, Via};
 const LEAD: &str = "1500ms";
 /// A request that takes this long arrives before its start, and its pending lease reaches beyond the start.
 const UNDER_WAY: Duration = Duration::from_millis(1_300);
-/// By then an act that begins at all has begun.
+/// After this time, an act that begins at all has begun.
 const AFTER_THE_START: Duration = Duration::from_secs(3);
 
-/// Plays to robots of which the first gets its requests late. `meanwhile` is done to the scheduler once they are under way.
+/// Plays to robots, the first of which receives its requests late. `meanwhile` is applied to the scheduler once they are in flight.
 fn played_late(meanwhile: impl FnOnce(&mut Running)) -> (Stage, Running) {
     let stage = Play { steps: 16, ..SHORT }.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
     let link = stage.robots[0].link.as_ref().unwrap();

@@ -1,5 +1,5 @@
-//! Missions of six robots of which strangers attack one: none starts late, the report is true, and neither the scheduler nor
-//! the robot takes more memory than it may.
+//! Missions of six robots while strangers attack one of them: none starts late, the report is true, and neither the scheduler nor the
+//! robot exceeds its memory limit.
 
 use std::io::Write;
 use std::net::{Shutdown, TcpStream};
@@ -19,22 +19,22 @@ use stage::{Ended, Stage, Via};
 const MEGABYTES_MAX: u64 = 200;
 const STRANGERS: usize = 14;
 
-/// What a stranger sends, again and again until it is hung up on; then it comes again.
+/// The messages of a stranger, which repeats them until it is disconnected, and then connects again.
 #[derive(Clone, Copy, Debug)]
 enum Attack {
-    /// Asks for the description and reads no answer.
+    /// Requests the description and reads no answer.
     Unread,
     /// Scripts of 8 MB.
     LongScripts,
     /// Lines that are no messages.
     Noise,
-    /// Takes a place and sends a byte now and then.
+    /// Takes a place and occasionally sends a byte.
     Drip,
-    /// Asks for readings, more than a robot can remember.
+    /// Requests more readings than a robot can remember.
     Readings,
-    /// A command that lies a year ahead.
+    /// A command that starts in a year.
     NextYear,
-    /// A stop whose time has not come, so that whatever comes before it would be too old.
+    /// A stop with a future timestamp, so that all earlier messages would be too old.
     FutureStop,
     /// The mission's session by its name, without its key: to claim the robot, to stop it, and to renew its leases.
     Session,
@@ -83,7 +83,7 @@ impl Attack {
         }
     }
 
-    /// Attacks until it is hung up on, or has sent so much that it may come again.
+    /// Attacks until it is disconnected, or has sent enough bytes to connect again.
     fn once(self, port: u16, state: &State) -> std::io::Result<()> {
         let mut stream = TcpStream::connect(("127.0.0.1", port))?;
         stream.set_write_timeout(Some(Duration::from_secs(1)))?;
@@ -104,7 +104,7 @@ impl Attack {
 #[derive(Default)]
 struct State {
     over: AtomicBool,
-    /// How often a stranger has sent all that it sends, or as much as was taken.
+    /// Number of complete attacks, or of those that were taken in part.
     attacks: AtomicUsize,
 }
 
@@ -142,9 +142,9 @@ impl Attackers {
 
 const PLAY: Play = Play { steps: 20, on_failure: "without", ..SHORT };
 
-#[expect(clippy::print_stdout, reason = "what it took is shown where it is asked for")]
+#[expect(clippy::print_stdout, reason = "prints its figures with --nocapture")]
 fn is_played_next_to(attack: Attack, stage: impl Fn() -> Stage) {
-    // The logs of an attempt for which this machine was too slow would be those of the next one, too.
+    // A new stage per attempt: otherwise the logs of an attempt for which this machine was too slow would affect the next one.
     let play = || {
         let stage = stage();
         let (ended, peak) = next_to(attack, &stage);
@@ -161,14 +161,14 @@ fn is_played_next_to(attack: Attack, stage: impl Fn() -> Stage) {
     let starts = || stage.robots.iter().map(|robot| robot.sets()[0].at);
     let spread = starts().max().unwrap() - starts().min().unwrap();
     println!("{attack:?}: scheduler {peak} MB, robot {robot} MB, starts within {} us", spread / 1_000);
-    // A mission that is called done has started within its tolerance of a second, by the robots' own reports.
+    // A mission with the outcome `done` has started within its tolerance of a second, by the robots' own reports.
     assert!(spread < 2_000_000_000, "{attack:?}: {spread} ns");
 }
 
-/// Plays the mission next to an attack. Returns its end, and the most memory of the scheduler in megabytes.
+/// Plays the mission next to an attack. Returns its result, and the peak memory usage of the scheduler in megabytes.
 fn next_to(attack: Attack, stage: &Stage) -> (Ended, u64) {
     let attackers = || Attackers::start(attack, stage.robots[0].port());
-    // A free robot without keys may be claimed by anybody, and then the mission does not begin.
+    // Anyone may claim a free robot without keys, and then the mission does not begin.
     let before = (!matches!(attack, Attack::Session)).then(attackers);
     before.iter().for_each(Attackers::are_under_way);
     let mut run = stage.start(&["run", "play.yaml", "--format", "json"]);

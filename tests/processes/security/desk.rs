@@ -1,4 +1,4 @@
-//! Operators who share a computer say stop and go to a mission with an identity: their certificates decide.
+//! Operators that share a computer control a mission with an identity by stop and go: their certificates decide.
 
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ acts:
     cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 60s, to: 10}]}}]
 ";
 
-/// Anna's mission, whose act waits for a go.
+/// Starts Anna's mission, whose act waits for a go.
 fn anna_waits() -> (Site, Child) {
     let site = Site::new();
     site.session.file("waits.yaml", WAITS);
@@ -25,7 +25,7 @@ fn anna_waits() -> (Site, Child) {
     let mut playing = site.session.command(&["run", "waits.yaml", "--format", "json"]);
     let playing = playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let begun = Instant::now();
-    while !by(&site.session, None, &["go", "two"]).text().contains("no act is called `two`") {
+    while !by(&site.session, None, &["go", "two"]).text().contains("unknown act `two`") {
         assert!(begun.elapsed() < Duration::from_secs(30), "no mission listens");
         std::thread::sleep(Duration::from_millis(50));
     }
@@ -41,7 +41,7 @@ fn by(session: &Session, identity: Option<&str>, args: &[&str]) -> Ran {
     Ran(command.output().unwrap())
 }
 
-/// Says go until the fleet is checked.
+/// Gives a go, and repeats it until the fleet has been checked.
 fn go(session: &Session, identity: &str) -> Ran {
     let begun = Instant::now();
     loop {
@@ -63,10 +63,12 @@ fn journal(site: &Site) -> String {
 fn each_operator_of_a_desk_says_what_its_roles_permit_and_is_named() {
     let (site, mut playing) = anna_waits();
     let session = &site.session;
-    go(session, "keys/operators/bert.pem").says(1, &["operator bert may observe, and a go takes drive"]);
-    go(session, "keys/operators/dora.pem").says(1, &["operator dora may stop, and a go takes drive"]);
-    go(session, "keys/operators/fay.pem").says(1, &["its certificate does not count here", "evoked"]);
-    go(session, "others/operators/dora.pem").says(1, &["its certificate does not count here"]);
+    go(session, "keys/operators/bert.pem")
+        .says(1, &["operator bert may observe, but a go requires the role drive"]);
+    go(session, "keys/operators/dora.pem")
+        .says(1, &["operator dora may stop, but a go requires the role drive"]);
+    go(session, "keys/operators/fay.pem").says(1, &["its certificate is not valid here", "evoked"]);
+    go(session, "others/operators/dora.pem").says(1, &["its certificate is not valid here"]);
     go(session, "keys/operators/nobody.pem").says(1, &["nobody.pem"]);
     assert_eq!(site.moved(), 0);
     go(session, "keys/operators/cleo.pem").says(0, &["`one` begins"]);
@@ -78,15 +80,15 @@ fn each_operator_of_a_desk_says_what_its_roles_permit_and_is_named() {
     }
     let moved = site.moved();
     for (identity, reason) in [
-        ("keys/operators/bert.pem", "operator bert may observe, and a stop takes stop"),
-        ("keys/operators/cleo.pem", "operator cleo may observe, drive, and a stop takes stop"),
-        ("keys/robots/r0.pem", "its certificate does not count here"),
-        ("others/operators/dora.pem", "its certificate does not count here"),
+        ("keys/operators/bert.pem", "operator bert may observe, but a stop requires the role stop"),
+        ("keys/operators/cleo.pem", "operator cleo may observe, drive, but a stop requires the role stop"),
+        ("keys/robots/r0.pem", "its certificate is not valid here"),
+        ("others/operators/dora.pem", "its certificate is not valid here"),
     ] {
         by(session, Some(identity), &["stop"]).says(4, &["refused", reason]);
     }
     assert_eq!(site.moved(), moved);
-    assert!(playing.try_wait().unwrap().is_none(), "anna's mission goes on");
+    assert!(playing.try_wait().unwrap().is_none(), "anna's mission continues");
     by(session, Some("keys/operators/dora.pem"), &["stop"]).says(0, &[]);
     let anna = Ran(playing.wait_with_output().unwrap());
     assert_eq!(anna.code(), 3, "{}", anna.text());

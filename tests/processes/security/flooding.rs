@@ -1,4 +1,4 @@
-//! Missions with a robot that says far more than it was asked for, or answers questions that were never asked.
+//! Missions with a robot that sends far more than was requested, or answers questions that were never asked.
 
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
@@ -9,10 +9,10 @@ use stage::play::{Play, SHORT};
 use stage::raw::{Flood, Floods, Raw};
 use stage::{Ended, Stage, Via};
 
-/// Megabytes that the scheduler's process may take, whatever a robot sends.
+/// Memory limit of the scheduler's process in megabytes, whatever a robot sends.
 const MEGABYTES_MAX: u64 = 200;
 
-/// Robots as processes, and further ones at these ports.
+/// Starts robots as processes, and adds further ones at these ports.
 fn stage(play: &Play, robots: usize, further: &[(&str, u16)]) -> Stage {
     let stage = play.stage(&vec![Via::Direct; robots]);
     let mut fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
@@ -25,7 +25,7 @@ fn stage(play: &Play, robots: usize, further: &[(&str, u16)]) -> Stage {
     stage
 }
 
-/// Runs it to its end; also the most memory that it took, in megabytes, and how long it ran.
+/// Runs it to its end; also returns its peak memory usage in megabytes, and its duration.
 fn watched(stage: &Stage, args: &[&str]) -> (Ended, u64, Duration) {
     let began = Instant::now();
     let mut run = stage.start(args);
@@ -44,9 +44,9 @@ fn failures_of<'a>(report: &'a Value, robot: &str) -> Vec<&'a Value> {
 }
 
 #[test]
-#[expect(clippy::print_stdout, reason = "what it took is shown where it is asked for")]
+#[expect(clippy::print_stdout, reason = "prints its figures with --nocapture")]
 fn a_robot_that_floods_is_named_and_costs_neither_memory_nor_time() {
-    // It accepts connections and says nothing, so that the others are waited for as long as patience lasts.
+    // It accepts connections and sends nothing, so that the others must wait until patience ends.
     let mute = TcpListener::bind("127.0.0.1:0").unwrap();
     let mute = ("mute", mute.local_addr().map(|at| (mute, at.port())).unwrap());
     for flood in Flood::ALL {
@@ -73,7 +73,7 @@ fn a_robot_that_floods_is_named_and_costs_neither_memory_nor_time() {
 }
 
 #[test]
-#[expect(clippy::print_stdout, reason = "what it took is shown where it is asked for")]
+#[expect(clippy::print_stdout, reason = "prints its figures with --nocapture")]
 fn a_robot_that_floods_while_it_plays_is_left_out_and_connected_to_again_only_to_be_stopped() {
     let play = Play { steps: 30, on_failure: "without", ..SHORT };
     for flood in Flood::ALL {
@@ -86,7 +86,7 @@ fn a_robot_that_floods_while_it_plays_is_left_out_and_connected_to_again_only_to
         let failures = report["failures"].as_array().unwrap();
         assert!(failures.iter().all(|failure| failure["robot"] == "raw"), "{ended}");
         let first = match flood {
-            // It says that it is not available, and that counts.
+            // It reports that it is not available, and that takes precedence.
             Flood::Failures => "not_available",
             _ => "flooding",
         };
@@ -127,13 +127,16 @@ fn an_answer_to_a_question_that_was_never_asked_delays_nobody() {
     assert_eq!(report["outcome"], "not_started", "{ended}");
     let failures = failures_of(&report, "r0");
     let text = failures[0]["text"].as_str().unwrap();
-    assert!(text.contains("came that answer none, or whose times cannot be true"), "{ended}");
+    assert!(
+        text.contains("(answers ignored because they answer no request or have impossible times: "),
+        "{ended}"
+    );
     assert!(failures_of(&report, "r1").is_empty(), "{ended}");
     assert!(report["robots"][0]["ignored_answers"].as_u64().unwrap() > 0, "{ended}");
     assert!(report["robots"][0]["clock"].is_null(), "{ended}");
 }
 
-/// The keys of sessions in what a robot was sent.
+/// Returns the keys of sessions in the messages to a robot.
 fn keys(raw: &Raw) -> Vec<String> {
     let kinds = ["availability_request", "inquiry", "control_request"];
     let sessions = kinds.iter().flat_map(|kind| raw.heard(kind));

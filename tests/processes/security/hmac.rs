@@ -1,5 +1,5 @@
-//! Robots that share a secret with their authority, as processes: ours, and the one to copy in C. Every attempt of others moves
-//! nothing.
+//! Robots that share a secret with their authority, as processes: Downbeat's own, and the one to copy in C. No attempt of others moves
+//! anything.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -31,25 +31,25 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
 
     // Without the role.
     fleet("bert");
-    site.refused(&["operator bert may observe, and this takes drive"]);
+    site.refused(&["operator bert may observe, but this requires the role drive"]);
     site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
     fleet("dora");
-    site.refused(&["operator dora may stop, and this takes drive"]);
+    site.refused(&["operator dora may stop, but this requires the role drive"]);
 
-    // With roles that the pass does not vouch for.
+    // With roles that the pass does not prove.
     let own = std::fs::read_to_string(passes("bert")).unwrap();
     std::fs::write(passes("bert"), own.replace(" observe ", " observe,drive ")).unwrap();
     fleet("bert");
-    site.refused(&["the robot does not know the secret that your pass is made from"]);
+    site.refused(&["the robot does not have the secret of your pass: copy its secret to it"]);
     std::fs::write(passes("bert"), own).unwrap();
 
-    // Another robot than the one that is meant.
+    // Another robot than the intended one.
     let mut swapped = site.addresses("hmac");
     swapped.swap(0, 1);
     site.fleet(&swapped, "anna");
-    site.refused(&["it is robot r1, another than your pass is for"]);
+    site.refused(&["it is robot r1, but your pass is for a different robot"]);
 
-    // By other ways than the robot's.
+    // By other protocols than the robot's.
     site.fleet(&site.addresses("tcp"), "anna");
     site.refused(&["r0"]);
     site.fleet(&site.addresses("tls"), "anna");
@@ -64,7 +64,8 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
         let mut command = site.session.command(args);
         Ran(command.env("DOWNBEAT_IDENTITY", "others/operators/anna.pem").output().unwrap())
     };
-    other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["the robot does not know the secret"]);
+    other(&["run", "test.yaml", "--patience", "3s"])
+        .says(1, &["the robot does not have the secret of your pass"]);
     // Without a pass for one of them.
     site.session.run(&["keys", "revoke", "r1", "--keys", "others"]).says(0, &["revoked 1"]);
     other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["you have no pass for robot r1"]);
@@ -73,9 +74,9 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
     let text = std::fs::read_to_string(site.session.path("fleet.yaml")).unwrap();
     let (_, nameless) = text.split_once("revoked: keys/revoked.pem\n").unwrap();
     site.session.file("fleet.yaml", nameless);
-    site.refused(&["name your identity file"]);
+    site.refused(&["the robot requires your identity: set `identity` in the fleet file"]);
 
-    // Revoked, while the robots run on; others still may. Its passes are deleted, so a copy of them is used.
+    // Revoked while the robots continue to run; other operators are still permitted. Its passes are deleted, so a copy of them is used.
     let copy = std::fs::read(passes("cleo")).unwrap();
     site.session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &["keys/revoked.serials"]);
     fleet("cleo");
@@ -86,13 +87,13 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
     site.refused(&["your pass is revoked"]);
 
     assert_eq!(site.moved(), moved);
-    assert!(site.logged(0).contains("a peer that does not prove who it is is hung up on"));
+    assert!(site.logged(0).contains("a peer that does not prove its identity is disconnected"));
     fleet("anna");
     site.run().says(0, &["test: done"]);
     assert_eq!(site.moved(), 2 * moved);
 }
 
-/// The conformance test at one of the robots.
+/// Runs the conformance test on one of the robots.
 fn conforms(site: &Site, requirement: &str) {
     let only = format!("no-plain,proven-in-time,altered,repeated,reordered,roles,session,{requirement}");
     let address = &site.addresses("hmac")[0];
@@ -128,14 +129,14 @@ fn a_robot_without_a_secret_is_no_robot_with_one() {
     let _open = Process(open);
     let mut describe = session.command(&["fleet", "describe", &format!("hmac://{listen}")]);
     let described = describe.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap();
-    Ran(described).says(1, &["what listens there does not speak hmac"]);
-    // A secret that others may read is none, and a list says nothing without one.
+    Ran(described).says(1, &["the program at this address does not use hmac"]);
+    // A secret that other users can read is refused, and a list has no effect without one.
     let secret = session.path("keys/secrets/arm.secret");
     let all = std::os::unix::fs::PermissionsExt::from_mode(0o644);
     std::fs::set_permissions(&secret, all).unwrap();
     let robot =
         ["robot", "--init", "arm.yaml", "--listen", "127.0.0.1:0", "--secret", "keys/secrets/arm.secret"];
-    session.run(&robot).says(2, &["others may read this key (mode 644)"]);
+    session.run(&robot).says(2, &["other users can read this key (mode 644)"]);
     session.run(&["robot", "--init", "arm.yaml", "--revoked", "keys/revoked.serials"]).says(2, &["--secret"]);
 }
 
@@ -154,17 +155,17 @@ fn simulated_robots_of_a_fleet_have_their_secrets_too_and_passes_that_end_soon_a
     let mut sim = session.command(&["sim", "--keys", "keys"]).stdout(Stdio::piped()).spawn().unwrap();
     listens(&mut sim);
     let _sim = Process(sim);
-    session.run(&["fleet", "ping"]).says(0, &["arm", "the certificate of operator anna counts for"]);
-    // The identity alone was renewed on this machine.
+    session.run(&["fleet", "ping"]).says(0, &["arm", "the certificate of operator anna expires in"]);
+    // Only the identity was renewed on this machine.
     let passes = std::fs::read(session.path("keys/operators/anna.passes")).unwrap();
     session.run(&["keys", "renew", "--operator", "anna"]).says(0, &["365 days"]);
     session.run(&["fleet", "ping"]).says(0, &["arm"]);
     std::fs::write(session.path("keys/operators/anna.passes"), passes).unwrap();
-    session.run(&["fleet", "ping"]).says(0, &["the pass for robot arm counts for"]);
+    session.run(&["fleet", "ping"]).says(0, &["the pass for robot arm expires in"]);
     session.run(&["keys", "list"]).says(0, &["has a secret"]);
 }
 
-/// Builds what is in the starter's folder.
+/// Builds a program of the starter's folder.
 fn built(session: &Session, program: &str) -> PathBuf {
     let from = root().join("robot/starters/c");
     let built = session.path(program);
@@ -190,16 +191,19 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     let said = listens(&mut robot);
     let _robot = Process(robot);
     let address = format!("hmac://{}", said.rsplit(' ').next().unwrap().trim());
-    // Which robot it is, it says itself.
+    // The robot itself reports its id.
     let operators = Operators::of(&session, "arm-2", &address, "anna");
     let by = |operator: &str, args: &[&str]| operators.by(operator, args);
     operators.scenario("short", "400ms");
     operators.scenario("long", "60s");
     by("anna", &["run", "short.yaml"]).says(0, &["short: done"]);
-    by("bert", &["run", "short.yaml"]).says(1, &["operator bert may observe, and this takes drive"]);
-    by("dora", &["run", "short.yaml"]).says(1, &["operator dora may stop, and this takes drive"]);
+    by("bert", &["run", "short.yaml"])
+        .says(1, &["operator bert may observe, but this requires the role drive"]);
+    by("dora", &["run", "short.yaml"]).says(1, &["operator dora may stop, but this requires the role drive"]);
     by("bert", &["fleet", "ping"]).says(0, &["arm-2"]);
-    session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
+    session
+        .run(&["run", "short.yaml"])
+        .says(1, &["the robot requires your identity: set `identity` in the fleet file"]);
     operators.fleet(&address.replace("hmac", "tcp"));
     by("anna", &["run", "short.yaml", "--patience", "2s"]).says(1, &["arm-2"]);
     operators.fleet(&address);
@@ -208,7 +212,7 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     let requirements = "no-plain,altered,repeated,reordered,wrong-secret,expired-claim,other-robot,forged-roles,repeated-connection,roles";
     by("anna", &[&conformance[..], &[requirements]].concat()).says(0, &["10 pass, 0 fail"]);
 
-    // Who may stop stops the mission of another, and is named.
+    // An operator with the role stops the mission of another, and is named.
     let playing = operators.playing("anna", "long.yaml");
     by("bert", &["stop", "--fleet", "fleet.yaml", "--patience", "1s"]).says(4, &["arm-2"]);
     by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"]).says(0, &["arm-2: stop confirmed"]);
@@ -217,19 +221,19 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     // The authority has made another secret, which the robot does not have.
     let passes = std::fs::read(session.path("keys/operators/anna.passes")).unwrap();
     session.run(&["keys", "secret", "--renew", "arm-2"]).says(0, &[]);
-    by("anna", &["run", "short.yaml"]).says(1, &["the robot does not know the secret"]);
+    by("anna", &["run", "short.yaml"]).says(1, &["the robot does not have the secret of your pass"]);
 
-    // Revoked while it runs on.
+    // Revoked while the robot continues to run.
     session.run(&["keys", "revoke", "--operator", "anna"]).says(0, &[]);
     session.file("keys/operators/anna.passes", &passes);
     let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
     std::fs::set_permissions(session.path("keys/operators/anna.passes"), private).unwrap();
     by("anna", &["run", "short.yaml"]).says(1, &["your pass is revoked"]);
     let logged = std::fs::read_to_string(session.path("err")).unwrap();
-    assert!(logged.contains("a peer that does not prove who it is is hung up on"), "{logged}");
+    assert!(logged.contains("a peer that does not prove its identity is disconnected"), "{logged}");
 }
 
-/// An operator who says lines to a robot, and hears lines.
+/// An operator that exchanges lines with a robot.
 struct Spoken {
     socket: TcpStream,
     sealing: Sealing,
@@ -257,7 +261,7 @@ impl Spoken {
         Self { socket, sealing, opening, heard: Vec::new() }
     }
 
-    /// The answer to a line.
+    /// Sends a line and returns the answer.
     fn says(&mut self, line: &str) -> String {
         let mut records = Vec::new();
         self.sealing.seal(format!("{line}\n").as_bytes(), &mut records);

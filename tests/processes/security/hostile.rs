@@ -1,4 +1,4 @@
-//! A mission with a robot that writes what is no message.
+//! A mission with a robot that writes invalid messages.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
@@ -15,7 +15,7 @@ cues:
       shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}]
 ";
 
-/// A fleet of a simulated arm and one that answers requests so; `None` is no answer.
+/// Returns a fleet of a simulated arm and a robot with these answers to requests; `None` is no answer.
 fn beside(answer: impl Fn(&str) -> Option<String> + Send + 'static) -> Session {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -42,14 +42,14 @@ fn beside(answer: impl Fn(&str) -> Option<String> + Send + 'static) -> Session {
     session
 }
 
-/// One that is available and then describes itself by this line.
+/// Returns a fleet with a robot that is available and then describes itself by this line.
 fn described(line: String) -> Session {
     beside(move |request| {
         if request.contains("initialization_request") { Some(line.clone()) } else { Some(available(request)) }
     })
 }
 
-/// The robot's clock is the server's.
+/// Returns an answer of an available robot, whose clock is the server's.
 fn available(request: &str) -> String {
     let asked = request.split("\"timestamp\":\"").nth(1).and_then(|rest| rest.split('"').next());
     let originate = asked.map(|asked| format!(r#""originate_timestamp":"{asked}","#)).unwrap_or_default();
@@ -81,25 +81,25 @@ fn no_robot_moves_when_one_describes_itself_beyond_the_limits() {
     );
     check_refused(block, "32001 devices, expected 1 to 32000");
     check_refused("x".repeat(17 * 1024 * 1024), "a line longer than 16777216 bytes");
-    check_refused(r#"{"initialization_block":"#.repeat(100_000), "not JSON");
+    check_refused(r#"{"initialization_block":"#.repeat(100_000), "invalid JSON at column");
 }
 
 /// Sets the window's title, clears the screen, writes to the clipboard, and forges a line that an operator would believe.
 const EVIL: &str = "\u{1b}]0;pwned\u{7}\u{1b}[2J\u{1b}[H\u{1b}]52;c;cHduZWQ=\u{7}\n\u{1b}[32mall robots: default state confirmed\u{1b}[0m\r\n\u{9b}2J\u{202e}";
 
-/// What reaches a terminal of a command about this fleet.
+/// Returns the terminal output of a command about this fleet.
 fn on_terminal(session: &Session, args: &[&str]) -> Watched {
     let terminal = Terminal::new(100, 30);
     let watched = terminal.watch();
     let mut command = session.command(args);
     terminal.attach(&mut command);
     command.status().unwrap();
-    // What the process wrote last may still be on its way.
+    // The last output of the process may still be in flight.
     terminal.settle(&watched);
     watched
 }
 
-/// Nothing of [`EVIL`] is obeyed; that there was something can be seen.
+/// Checks that the terminal executes nothing of [`EVIL`], but shows that there was something.
 #[track_caller]
 fn check_harmless(watched: &Watched, seen: &str) {
     let raw = watched.raw();
@@ -107,11 +107,11 @@ fn check_harmless(watched: &Watched, seen: &str) {
         assert!(!raw.contains(sequence), "{sequence:?} reaches the terminal: {raw:?}");
     }
     let screen = watched.screen();
-    assert!(!screen.lines().any(|line| line.trim_start().starts_with("all robots")), "{screen}");
+    assert!(!screen.lines().any(|line| line.trim_start().starts_with("all robots:")), "{screen}");
     assert!(screen.contains(seen), "`{seen}` is not shown:\n{screen}");
 }
 
-/// A robot whose answers to availability requests are failures with this reason.
+/// Returns a fleet with a robot whose answers to availability requests are failures with this reason.
 fn unavailable(reason: &str) -> Session {
     let error = serde_json::json!({"code": "internal", "message": reason});
     let range =
@@ -157,9 +157,9 @@ fn no_description_of_a_robot_is_obeyed_by_a_terminal() {
     }
 }
 
-/// A scenario whose names are [`EVIL`].
+/// Returns a scenario whose names are [`EVIL`].
 fn evil_names() -> Session {
-    // YAML takes these characters only in escapes.
+    // YAML accepts these characters only in escapes.
     let evil =
         serde_json::json!(EVIL).to_string().replace('\u{9b}', "\\u009b").replace('\u{202e}', "\\u202e");
     let session = Session::new();
@@ -177,7 +177,7 @@ fn evil_names() -> Session {
 #[test]
 fn no_name_in_a_file_is_obeyed_by_a_terminal() {
     let session = evil_names();
-    // Says nothing of a scenario's names where it finds nothing.
+    // It does not print a scenario's names if it finds nothing.
     check_harmless(&on_terminal(&session, &["check", "evil.yaml"]), "no errors");
     let all = [
         &["check", "bad.yaml"][..],

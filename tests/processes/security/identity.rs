@@ -1,4 +1,4 @@
-//! The robot that moves is the one that was meant: robots as processes at addresses that lead to another one.
+//! The robot that moves is the intended one: robots as processes at addresses that lead to another robot.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use stage::quiet::stays;
 use stage::session::Session;
 use stage::{Ended, Stage, Via};
 
-/// A fleet file of robots, each with the index of the robot whose port it is given, and with further keys.
+/// Writes a fleet file of robots, each with the index of the robot whose port it gets, and with further keys.
 fn addresses(stage: &Stage, places: &[(usize, usize, &str)]) {
     let row = |(robot, at, more): &(usize, usize, &str)| {
         let port = stage.robots[*at].port();
@@ -48,7 +48,7 @@ fn with_two_addresses_swapped_neither_robot_moves() {
     let stage = swapped(&SHORT);
     for command in [&["preflight", "play.yaml"][..], &["run", "play.yaml"]] {
         let ended = stage.run(command);
-        says(&ended, 1, &["calls itself `r1`", "calls itself `r0`"]);
+        says(&ended, 1, &["its id is `r1`", "its id is `r0`"]);
     }
     let ended = stage.run(&["run", "play.yaml", "--format", "json"]);
     assert_eq!(ended.report()["outcome"], "not_started", "{ended}");
@@ -62,8 +62,8 @@ fn with_two_addresses_swapped_neither_robot_moves() {
 #[test]
 fn a_ping_shows_that_two_addresses_are_swapped() {
     let stage = swapped(&SHORT);
-    says(&stage.run(&["fleet", "ping"]), 1, &["calls itself `r1`", "calls itself `r0`"]);
-    says(&stage.run(&["fleet", "show"]), 1, &["calls itself `r1`"]);
+    says(&stage.run(&["fleet", "ping"]), 1, &["its id is `r1`", "its id is `r0`"]);
+    says(&stage.run(&["fleet", "show"]), 1, &["its id is `r1`"]);
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn without_a_handshake_no_robot_says_its_id_and_preflight_says_so() {
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     stage.file("fleet.yaml", format!("handshake: skip\n{fleet}"));
     says(&stage.run(&["preflight", "play.yaml"]), 0, &["`handshake: skip`", "`downbeat fleet ping`"]);
-    says(&stage.run(&["fleet", "ping"]), 1, &["calls itself `r1`"]);
+    says(&stage.run(&["fleet", "ping"]), 1, &["its id is `r1`"]);
 }
 
 /// The proxy of `r0` leads to `r2` once both play.
@@ -136,7 +136,7 @@ fn the_same_robot_that_comes_back_goes_on() {
     stage.robots.iter().for_each(|robot| play.was_played_by(robot));
 }
 
-/// A mission whose scheduler was killed while it played, and whose robot `r0` is another one now.
+/// Returns a mission whose scheduler was killed while it played, and whose robot `r0` was replaced by another one.
 fn left_behind() -> Stage {
     let mut stage = Play { running: "20s", ..LONG }.stage(&[Via::Direct, Via::Direct]);
     let mut run = stage.begin(&["run", "play.yaml"], [0], 5);
@@ -150,13 +150,13 @@ fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
     let stage = left_behind();
     let since = stage.robots[0].log().len();
     let stopped = stage.run(&["stop", "--patience", "2s"]);
-    says(&stopped, 4, &["r0", "another robot", "calls itself `stranger`", "r0: stop NOT confirmed"]);
+    says(&stopped, 4, &["r0", "another robot", "its id is `stranger`", "r0: stop NOT confirmed"]);
     says(&stopped, 4, &["r1: stop confirmed"]);
-    // Also where several missions may be meant, with the missions' results.
+    // Also if several missions are possible targets, with the missions' results.
     let again = stage.run(&["stop", "--all", "--patience", "2s"]);
     says(&again, 4, &["  r0: stop NOT confirmed"]);
     assert!(again.out.contains("  r0: another robot answers at its address"), "{again}");
-    // It belongs to nobody and would take a stop: it was sent none.
+    // It belongs to no session and would accept a stop: it was sent none.
     assert!(stage.robots[0].log_since(since).is_empty(), "{:?}", stage.robots[0].log());
 }
 
@@ -176,7 +176,7 @@ fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is
     let stopped = stage.run(&["stop", "--patience", "2s"]);
     says(&stopped, 4, &["r0: stop NOT confirmed", "r1: stop confirmed"]);
     stage.await_rest();
-    // Its steps would come every 200 ms.
+    // Its steps would occur every 200 ms.
     let sets = stays(Duration::from_secs(1), || stage.robots[0].sets().len());
     assert!(sets < 180, "it played on to its end: {sets} of 200");
 }

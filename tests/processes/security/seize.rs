@@ -9,18 +9,18 @@ use stage::operators::{Operators, fails_with};
 use stage::session::{ARM, Ran, Session};
 use stage::site::Site;
 
-/// Anna's: the arms go up and stay there for a minute.
+/// Anna's scenario: the arms go up and stay there for a minute.
 const LONG: &str = "scenario: long
 start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 60s, to: 10}]}}]
 ";
-/// Eva's: to another place.
+/// Eva's scenario: to another place.
 const OTHER: &str = "scenario: other
 start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 100ms, to: 30}, {at: 400ms, to: 20}]}}]
 ";
 
-/// Anna plays on all robots, and eva may seize.
+/// Starts Anna's mission on all robots; Eva may seize.
 fn anna_plays(scheme: &'static str) -> (Site, Child) {
     let site = Site::with(scheme);
     site.session.run(&["keys", "operator", "eva", "--role", "drive,seize"]).says(0, &["eva"]);
@@ -62,13 +62,14 @@ fn robots_are_taken(scheme: &'static str) {
     let (site, mut playing) = anna_plays(scheme);
     let moved = site.moved();
     let session = &site.session;
-    by(session, "bert", &["preflight", "other.yaml"]).says(1, &["bert may observe, and this takes drive"]);
+    by(session, "bert", &["preflight", "other.yaml"])
+        .says(1, &["bert may observe, but this requires the role drive"]);
     by(session, "cleo", &["preflight", "other.yaml"])
         .says(1, &["belongs to another session", "`seize`", "run --seize"]);
     by(session, "cleo", &["run", "other.yaml"]).says(1, &["belongs to another session", "run --seize"]);
     by(session, "cleo", &["run", "other.yaml", "--seize"])
-        .says(1, &["operator cleo may observe, drive, and this takes seize"]);
-    // Without asking for it eva takes none either, nor for a mission that would not start.
+        .says(1, &["operator cleo may observe, drive, but this requires the role seize"]);
+    // Without `--seize`, Eva seizes no robot; with it, none for a mission that would not start.
     by(session, "eva", &["run", "other.yaml"]).says(1, &["belongs to another session"]);
     let fleet = said(&site, "fleet.yaml");
     let mut elsewhere = site.addresses(scheme);
@@ -86,7 +87,7 @@ fn robots_are_taken(scheme: &'static str) {
         .says(1, &["s3: `battery` reads 50", "r0: not available", "belongs to another session"]);
     session.file("fleet.yaml", fleet);
     assert_eq!(site.moved(), moved, "no robot was moved");
-    assert!(playing.try_wait().unwrap().is_none(), "anna's mission goes on");
+    assert!(playing.try_wait().unwrap().is_none(), "anna's mission continues");
 
     by(session, "eva", &["run", "other.yaml", "--seize"]).says(0, &["other: done"]);
     let anna = Ran(playing.wait_with_output().unwrap());
@@ -97,16 +98,18 @@ fn robots_are_taken(scheme: &'static str) {
     for robot in ["r0", "r1", "r2"] {
         let stop = report["robots"].as_array().unwrap().iter().find(|row| row["robot"] == robot).unwrap();
         let state = stop["stop"]["state"].as_str().unwrap();
-        // One that anna's mission stopped before eva's question came was free by then.
+        // A robot that Anna's mission stopped before Eva's request arrived was already free.
         let taken = failures.iter().any(|failure: &Value| {
             failure["robot"] == robot
-                && failure["text"].as_str().is_some_and(|text| text.contains("taken by operator eva"))
+                && failure["text"].as_str().is_some_and(|text| {
+                    text.contains("taken by operator eva") || text.contains("taken over by operator eva")
+                })
         });
         assert!(if taken { state == "taken_over" } else { state == "confirmed" }, "{robot}: {report}");
         assert!(!taken || code == 4, "{code}: {report}");
         let log = said(&site, &format!("{robot}.log"));
         assert!(!taken || log.contains("seized by operator eva, taken from operator anna"), "{log}");
-        // To the default state first, and then where eva's scenario says.
+        // First to the default state, and then to the positions of Eva's scenario.
         let values: Vec<f64> = said(&site, &format!("{robot}.jsonl"))
             .lines()
             .filter_map(|line| serde_json::from_str::<Value>(line).unwrap()["value"].as_f64())
@@ -114,8 +117,10 @@ fn robots_are_taken(scheme: &'static str) {
         assert_eq!(values.last(), Some(&20.0), "{values:?}");
     }
     assert!(failures.iter().any(|f| f.to_string().contains("taken by operator eva")), "{report}");
-    assert!(said(&site, "r0.log").contains("operator cleo may observe, drive, and this takes seize"));
-    // Nothing is left of it: anna plays again, once eva has gone.
+    assert!(
+        said(&site, "r0.log").contains("operator cleo may observe, drive, but this requires the role seize")
+    );
+    // Afterwards Anna can play again, once Eva has gone.
     site.session.run(&["run", "test.yaml", "--approach", "1s"]).says(0, &["test: done"]);
 }
 
@@ -126,7 +131,7 @@ fn where_nothing_is_proven_no_robot_is_seized() {
     let scenario = "scenario: s\nstart_tolerance: 1s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 100ms, to: 45}]}}]\n";
     session.file("s.yaml", scenario);
     session.run(&["run", "s.yaml", "--seize"]).says(2, &["--seize", "handshake: skip"]);
-    // Robots of its own process are no other's.
+    // Robots of its own process belong to no other session.
     session.file("fleet.yaml", "robots: {left: {init: arm.yaml, address: sim}}\n");
     session.run(&["run", "s.yaml", "--seize"]).says(0, &["s: done"]);
 }
@@ -143,8 +148,8 @@ fn the_robot_to_copy_in_python_is_seized_by_who_may() {
     operators.scenario("short", "400ms");
     let mut playing = operators.playing("anna", "long.yaml");
     by(session, "cleo", &["run", "short.yaml", "--seize"])
-        .says(1, &["operator cleo may drive, observe, and this takes seize"]);
-    assert!(playing.try_wait().unwrap().is_none(), "anna's mission goes on");
+        .says(1, &["operator cleo may drive, observe, but this requires the role seize"]);
+    assert!(playing.try_wait().unwrap().is_none(), "anna's mission continues");
     by(session, "eva", &["run", "short.yaml", "--seize"]).says(0, &["short: done"]);
     fails_with(playing, "taken by operator eva");
 }

@@ -1,4 +1,4 @@
-//! Nobody moves a robot without permission: robots as processes that hear only operators of their authority, and every attempt of
+//! Only permitted operators move a robot: robots as processes that accept only operators of their authority, and every attempt of
 //! others, which moves nothing.
 
 use std::process::Stdio;
@@ -11,7 +11,7 @@ use stage::session::{Ran, Session};
 use stage::site::{LONG_SCRIPT, SCENARIO, Site, listens, on_the_way, python_robot};
 use stage::{Process, free_port};
 
-/// What the conformance test asks of robots that ask who one is.
+/// The conformance requirements for robots that require a proof of identity.
 const REQUIREMENTS: &str = "no-plain,proven-in-time,altered,repeated,reordered,no-certificate,roles";
 
 #[test]
@@ -30,16 +30,16 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
 
     // Without the role.
     site.fleet(&site.addresses("tls"), "bert");
-    site.refused(&["operator bert may observe, and this takes drive"]);
+    site.refused(&["operator bert may observe, but this requires the role drive"]);
     site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
     site.fleet(&site.addresses("tls"), "dora");
-    site.refused(&["operator dora may stop, and this takes drive"]);
+    site.refused(&["operator dora may stop, but this requires the role drive"]);
 
-    // Another robot than the one that is meant.
+    // Another robot than the intended one.
     let mut swapped = site.addresses("tls");
     swapped.swap(0, 1);
     site.fleet(&swapped, "anna");
-    site.refused(&["its certificate is that of robot r1, expected robot r0"]);
+    site.refused(&["its certificate belongs to robot r1, expected robot r0"]);
 
     // Without TLS, to a robot that has it.
     site.fleet(&site.addresses("tcp"), "anna");
@@ -57,20 +57,20 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
             .output()
             .unwrap())
     };
-    other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["another authority"]);
+    other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["a different authority"]);
 
     // Without a name.
     let fleet = std::fs::read_to_string(site.session.path("fleet.yaml")).unwrap();
     let (_, nameless) = fleet.split_once("revoked: keys/revoked.pem\n").unwrap();
     site.session.file("fleet.yaml", nameless);
-    site.refused(&["name your identity file"]);
+    site.refused(&["the robot requires your identity: set `identity` in the fleet file"]);
 
-    // Revoked, while the robots run on; others still may.
+    // Revoked while the robots continue to run; other operators are still permitted.
     site.session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &["copy"]);
     site.fleet(&site.addresses("tls"), "cleo");
     site.refused(&["revoked"]);
     assert_eq!(site.moved(), moved);
-    assert!(site.logged(0).contains("a peer that does not prove who it is is hung up on"));
+    assert!(site.logged(0).contains("a peer that does not prove its identity is disconnected"));
     site.fleet(&site.addresses("tls"), "anna");
     site.run().says(0, &["test: done"]);
     assert_eq!(site.moved(), 2 * moved);
@@ -142,7 +142,7 @@ fn who_may_stop_stops_the_missions_of_others_and_is_named_in_their_reports() {
         assert!(begun.elapsed().as_secs() < 30, "nothing moves");
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
-    // Another terminal, which knows of no mission.
+    // Another terminal, without a journal of the mission.
     let stop = |operator: &str| {
         let mut command = site.session.command(&["stop", "--fleet", "fleet.yaml", "--patience", "3s"]);
         let identity = format!("keys/operators/{operator}.pem");
@@ -177,16 +177,13 @@ fn certificates_that_end_soon_are_told_of_weeks_ahead() {
     let mut sim = session.command(&["sim", "--keys", "keys"]).stdout(Stdio::piped()).spawn().unwrap();
     listens(&mut sim);
     let _sim = Process(sim);
-    // Days count as whole ones, and times of certificates as whole seconds: in the same second 9 days are left.
+    // Days count as whole ones, and times of certificates as whole seconds: in the same second, 9 days remain.
     std::thread::sleep(std::time::Duration::from_millis(1_100));
     session.run(&["preflight", "s.yaml"]).says(
         0,
-        &[
-            "certificate counts for 11 days more: `downbeat keys renew arm`",
-            "operator anna counts for 8 more days",
-        ],
+        &["its certificate expires in 11 days: `downbeat keys renew arm`", "operator anna expires in 8 days"],
     );
-    session.run(&["keys", "list"]).says(0, &["counts for 11 days", "counts for 8 days"]);
+    session.run(&["keys", "list"]).says(0, &["valid for 11 days", "valid for 8 days"]);
 }
 
 #[test]
@@ -203,12 +200,15 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     operators.scenario("short", "400ms");
     operators.scenario("long", "60s");
     by("anna", &["run", "short.yaml"]).says(0, &["short: done"]);
-    by("bert", &["run", "short.yaml"]).says(1, &["operator bert may observe, and this takes drive"]);
+    by("bert", &["run", "short.yaml"])
+        .says(1, &["operator bert may observe, but this requires the role drive"]);
     by("bert", &["fleet", "ping"]).says(0, &["arm-1"]);
     let conformance =
         ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
     by("anna", &conformance).says(0, &["7 pass, 0 fail"]);
-    session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
+    session
+        .run(&["run", "short.yaml"])
+        .says(1, &["the robot requires your identity: set `identity` in the fleet file"]);
     let playing = operators.playing("anna", "long.yaml");
     by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"]).says(0, &["arm-1: stop confirmed"]);
     fails_with(playing, "stopped by operator dora");
@@ -218,11 +218,11 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
 fn what_is_altered_repeated_or_reordered_on_the_way_ends_the_connection_and_moves_nothing() {
     let site = Site::new();
     site.session.file("test.yaml", LONG_SCRIPT);
-    // The first long record is that of the operator's certificate, the second that of the script.
+    // The first long record carries the operator's certificate, the second the script.
     on_the_way(&site, Wire::Tls, 2);
 }
 
-/// A robot whose TLS asks nobody for a certificate: it answers the first line of each connection.
+/// Starts a robot whose TLS requests no certificate: it answers the first line of each connection.
 fn asks_nobody(identity: &std::path::Path) -> std::net::SocketAddr {
     use std::io::{BufRead, BufReader, Write};
 
@@ -260,5 +260,5 @@ fn a_robot_that_asks_for_no_certificate_fails_the_conformance_test() {
     let mut command =
         session.command(&["conformance", &address, "--only", "no-certificate", "--patience", "1s"]);
     let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
-    ran.says(1, &["no answer, and the robot to hang up", "0 pass, 1 fail"]);
+    ran.says(1, &["no answer, and the robot to close the connection", "0 pass, 1 fail"]);
 }

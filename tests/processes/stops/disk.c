@@ -1,4 +1,4 @@
-/* A disk that stands still while the file $STALL_DISK exists, and has no room under $DOWNBEAT_STATE while $FULL_DISK does.
+/* A disk that stalls while the file $STALL_DISK exists, and has no room under $DOWNBEAT_STATE while $FULL_DISK does.
    Preloaded into the program under test. Once something waits for the disk, there is a file $STALL_DISK.waits. */
 #define _GNU_SOURCE
 #include <dlfcn.h>

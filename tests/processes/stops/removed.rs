@@ -6,7 +6,7 @@ use std::time::Duration;
 use stage::quiet::{await_that, stays};
 use stage::{Ended, Running, Stage, Via, one_device};
 
-/// Two robots without a lease that play for half a minute, a step every 300 ms.
+/// Returns two robots without a lease that play for half a minute, a step every 300 ms.
 fn stage() -> Stage {
     let steps: Vec<_> = (0..100).map(|step| format!("{{at: {}ms, to: {step}}}", step * 300)).collect();
     let mut stage = Stage::new();
@@ -22,7 +22,7 @@ fn stage() -> Stage {
     stage
 }
 
-/// The folders of the missions in a state folder.
+/// Returns the folders of the missions in a state folder.
 fn missions(state: &Path) -> Vec<PathBuf> {
     let Ok(missions) = std::fs::read_dir(state) else { return Vec::new() };
     missions.flatten().map(|mission| mission.path()).collect()
@@ -37,7 +37,7 @@ fn await_found_again(stage: &Stage) {
     });
 }
 
-/// A stop by `downbeat stop` that the robots confirm. Their logs prove it.
+/// Stops the mission by `downbeat stop`, and checks that the robots confirm it. Their logs prove it.
 #[track_caller]
 fn is_stopped(stage: &Stage, mission: Running) -> Ended {
     let stop = stage.run(&["stop"]);
@@ -61,10 +61,10 @@ fn a_mission_whose_state_folder_is_removed_says_so_and_is_stopped_by_downbeat_st
     let stage = stage();
     let mut mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     std::fs::remove_dir_all(stage.path("state")).unwrap();
-    mission.line("was removed or replaced, and is written again");
+    mission.line("was removed or replaced and has been restored");
     await_found_again(&stage);
     let ended = is_stopped(&stage, mission);
-    assert!(ended.out.contains("the journal was removed or replaced, and written again"), "{ended}");
+    assert!(ended.out.contains("the journal was removed or replaced, and was restored"), "{ended}");
     let journal = stage.journals();
     for record in ["\"opened\"", "\"prepared\"", "\"committed\"", "\"ended\""] {
         assert!(journal.contains(record), "{record} is missing in {journal}");
@@ -77,7 +77,7 @@ fn a_mission_whose_state_folder_is_moved_away_is_listed_and_stopped_at_its_old_p
     let mission = stage.begin(&["run", "long.yaml", "--format", "json"], [0, 1], 2);
     std::fs::rename(stage.path("state"), stage.path("elsewhere")).unwrap();
     await_found_again(&stage);
-    // A command that finds the moved folder sees that the mission still runs, and does not resume it.
+    // A command that finds the moved folder detects that the mission still runs, and does not resume it.
     let mut resume = stage.command(&["resume"]);
     let resume = resume.env("DOWNBEAT_STATE", stage.path("elsewhere")).output().unwrap();
     assert_eq!(resume.status.code(), Some(2), "{}", String::from_utf8_lossy(&resume.stderr));
@@ -123,6 +123,6 @@ fn a_mission_that_cannot_write_its_journal_again_stops_its_robots() {
     let ended = mission.ended();
     assert_eq!(ended.code, Some(1), "{ended}");
     let said = ended.said();
-    assert!(said.contains("was removed or replaced, and cannot be written again"), "{said}");
+    assert!(said.contains("was removed or replaced and cannot be restored"), "{said}");
     stage.await_rest();
 }

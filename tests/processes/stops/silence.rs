@@ -1,5 +1,5 @@
-//! Robots that go quiet and links that stand still or break for a moment, while real processes play: what is certain has
-//! consequences in time, and what is not certain breaks nothing.
+//! Robots that fall silent and links that stall or break for a moment, while real processes play: certain failures have consequences in
+//! time, and uncertain ones break nothing.
 
 use std::time::Duration;
 
@@ -13,10 +13,10 @@ fn failed_robots(report: &Value) -> Vec<&str> {
     failures.iter().map(|failure| failure["robot"].as_str().unwrap()).collect()
 }
 
-/// Forty seconds in one script: ten times as long as silence may take to be noticed, and what follows from it to be done.
+/// Forty seconds in one script: ten times the time to notice silence and to handle it.
 const FORTY_SECONDS: Play = Play { steps: 200, every_ms: 200, ..LONG };
 
-/// Freezes the second of two robots as soon as both play, and sees the first one stopped before its script is over.
+/// Freezes the second of two robots as soon as both play, and checks that the first one is stopped before its script is over.
 #[track_caller]
 fn check_that_silence_is_noticed(play: &Play, within: Duration) {
     let stage = play.stage(&[Via::Direct, Via::Direct]);
@@ -72,7 +72,7 @@ fn check_that_none_starts(before: i64) {
     assert!(ended.out.contains("play: not started") && ended.code != Some(0), "{ended}");
 }
 
-/// The link of the first robot stands still for 0.6 s under a lease of 2 s.
+/// The link of the first robot stalls for 0.6 s under a lease of 2 s.
 #[track_caller]
 fn check_that_a_pause_of_the_link_is_survived(play: &Play) {
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
@@ -102,7 +102,7 @@ fn an_act_of_three_scripts_that_are_all_held_survives_a_link_that_stands_still()
     check_that_a_pause_of_the_link_is_survived(&Play { queue: 3, ..CHAIN });
 }
 
-/// A request that contains this value is lost, and with it the link, for 50 ms.
+/// A request that contains this value is lost, and the link is down for 50 ms.
 #[track_caller]
 fn check_that_a_lost_script_is_sent_again(value: u32) {
     let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
@@ -152,7 +152,7 @@ fn a_connection_that_is_reset_during_the_greeting_is_made_again_within_the_patie
     stage.robots.iter().for_each(|robot| SHORT.was_played_by(robot));
 }
 
-/// The first robot knows a part of the protocol only.
+/// The first robot supports only a part of the protocol.
 #[track_caller]
 fn check_that_it_plays_without(keys: &'static [&'static str]) {
     let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
@@ -176,7 +176,7 @@ fn a_robot_that_answers_no_inquiries_plays_all_its_scripts() {
 fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
     let mut stage = FORTY_SECONDS.stage(&[Via::Proxy, Via::Direct]);
     let running = stage.begin(&["run", "play.yaml", "--format", "json", "--patience", "2s"], [0], 3);
-    // Its proxy goes on listening.
+    // Its proxy continues to listen.
     stage.robots[0].kill();
     let ended = running.ended();
     let set = stage.robots[1].sets().len();
@@ -184,7 +184,7 @@ fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
     assert_eq!(failed_robots(&ended.report()), ["r0"], "{ended}");
 }
 
-/// From sending to the start, in milliseconds.
+/// Returns the time from sending to the start, in milliseconds.
 fn lead(act: &Value) -> f64 {
     act["lead"].as_object().unwrap().values().filter_map(Value::as_f64).sum()
 }
@@ -210,12 +210,12 @@ fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
     let ended = held_up::played(play, Ended::said);
     assert_eq!(ended.code, Some(0), "{ended}");
     let leads: Vec<f64> = ended.report()["acts"].as_array().unwrap().iter().map(lead).collect();
-    // The first act was prepared before the pause: how long its lead is shows how busy this machine is.
+    // The first act was prepared before the pause: the length of its lead shows how busy this machine is.
     let bound = leads[0] + 2_000.0;
     assert!(leads.iter().all(|lead| *lead < bound), "leads of {leads:?} ms\n{ended}");
 }
 
-/// A first act in which the first robot is lost, and a second one that is sent while the first plays.
+/// Plays a first act in which the first robot is lost, and a second one that is sent while the first plays.
 #[track_caller]
 fn check_that_no_act_is_played_twice(lose: fn(&mut Robot)) {
     let mut stage = Play { queue: 2, ..LONG }.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
@@ -227,7 +227,7 @@ fn check_that_no_act_is_played_twice(lose: fn(&mut Robot)) {
         "scenario: play\nstart_tolerance: 1s\non_failure: without\nstop_condition: {running: 600ms}\nacts:\n";
     stage.file("play.yaml", format!("{head}{}{}", act(1, 900), act(3, 3_000)));
     let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "1s"]);
-    // The second act is committed some 70 ms before the first ends, whose end is never reported.
+    // The second act is committed about 70 ms before the end of the first, whose end is never reported.
     stage.await_record(r#""record":"committed","number":1"#);
     lose(&mut stage.robots[0]);
     let ended = running.ended();

@@ -1,4 +1,4 @@
-//! `downbeat stop` and `downbeat go` with real processes: they obey whatever has become of files, journals and schedulers.
+//! `downbeat stop` and `downbeat go` with real processes: they work whatever has happened to files, journals and schedulers.
 
 use std::io::{Seek, SeekFrom, Write};
 use std::time::{Duration, Instant};
@@ -26,13 +26,13 @@ fn plays(name: &str, robots: &str) -> String {
     plays.replace("STOP", "{running: none}").replace("STEPS", &steps)
 }
 
-/// So many steps, one every so many milliseconds.
+/// Returns `count` steps, one every `millis` milliseconds.
 fn steps(count: u32, millis: u32) -> String {
     let steps = (0..count).map(|step| format!("{{at: {}ms, to: {step}}}", step * millis));
     steps.collect::<Vec<_>>().join(", ")
 }
 
-/// So many robots, each a process of its own, and a scenario for all of them.
+/// Returns this number of robots, each a process of its own, and a scenario for all of them.
 fn stage(robots: usize) -> Stage {
     let mut stage = Stage::new();
     stage.file("robot.yaml", one_device(2, 100, 200)).file("long.yaml", plays("long", "all"));
@@ -42,7 +42,7 @@ fn stage(robots: usize) -> Stage {
     stage
 }
 
-/// A mission whose scheduler was killed while all robots play.
+/// Returns a mission whose scheduler was killed while all robots play.
 fn cut_off(robots: usize) -> Stage {
     let stage = stage(robots);
     let mut mission = stage.begin(&["run", "long.yaml"], 0..robots, 2);
@@ -50,14 +50,14 @@ fn cut_off(robots: usize) -> Stage {
     stage
 }
 
-/// No robot sets a value of its script any more. Its steps come every 300 ms.
+/// Checks that no robot sets a value of its script any longer. Its steps are 300 ms apart.
 #[track_caller]
 fn all_rest(stage: &Stage) {
     stage.await_rest();
     stays(Duration::from_millis(1_000), || sets(stage));
 }
 
-/// How many values of scripts each robot has set.
+/// Returns the number of script values that each robot has set.
 fn sets(stage: &Stage) -> Vec<usize> {
     stage.robots.iter().map(|robot| robot.sets().len()).collect()
 }
@@ -105,7 +105,7 @@ fn after_a_crash_a_robot_that_was_taken_out_of_the_fleet_file_is_stopped() {
 fn after_a_crash_robots_are_stopped_at_the_addresses_at_which_they_were_sent_their_scripts() {
     let mut stage = cut_off(2);
     let old = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
-    // Another robot, at rest, bears the address that the file says from now on.
+    // From now on, another robot, at rest, has the address in the file.
     stage.robot("robot.yaml", Via::Direct);
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     let address = |id: &str| {
@@ -114,7 +114,15 @@ fn after_a_crash_robots_are_stopped_at_the_addresses_at_which_they_were_sent_the
     };
     stage.file("fleet.yaml", old.replace(&address("r1"), &address("r2")));
     let refused = stage.run(&["resume"]);
-    says(&refused, 1, &["robot `r1` was sent its scripts at", "`downbeat stop`"]);
+    says(
+        &refused,
+        1,
+        &[
+            "the scripts of robot `r1` were sent to",
+            "but its address in the fleet file is now",
+            "`downbeat stop`",
+        ],
+    );
     says(&stage.run(&["stop"]), 0, &BOTH);
     all_rest(&stage);
 }
@@ -152,11 +160,11 @@ fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
     stage.robots[1].freeze();
     let first = stage.start(&["stop", "--patience", "30s"]);
     await_that("the first stop", || stage.run(&["missions"]).out.contains("running"));
-    // Where it listens there is one socket, and one more for each that it has accepted.
+    // There is one listening socket, and one more for each accepted connection.
     await_that("its socket", || control_sockets(&stage) == 1);
     let second = stage.start(&["stop", "--patience", "30s"]);
     await_that("the second stop", || control_sockets(&stage) == 2);
-    // Longer than a mission may stand still.
+    // Longer than a mission may stall.
     std::thread::sleep(Duration::from_secs(4));
     stage.robots[1].thaw();
     for stop in [first, second] {
@@ -167,7 +175,7 @@ fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
     all_rest(&stage);
 }
 
-/// How many sockets there are at the places where missions of this stage listen.
+/// Returns the number of sockets at the control paths of the missions of this stage.
 fn control_sockets(stage: &Stage) -> usize {
     let state = stage.path("state").to_str().unwrap().to_owned();
     let sockets = std::fs::read_to_string("/proc/net/unix").unwrap();
@@ -182,7 +190,7 @@ fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
     let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
     let name = missions[0]["mission"].as_str().unwrap();
     let args = ["stop", name, "--forget", "--patience", "500ms"];
-    let forgotten = "forgotten: the mission counts as ended, though r0 has not confirmed its stop";
+    let forgotten = "forgotten: the mission is considered ended, although r0 has not confirmed its stop";
     says(&stage.run(&args), 4, &["r0: stop NOT confirmed", forgotten]);
     says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
 }
@@ -195,7 +203,7 @@ fn old_journals_are_not_read_however_long_they_are() {
     let journal = std::fs::read(cut_off.join("journal")).unwrap();
     let begin = journal.split_inclusive(|byte| *byte == b'\n').next().unwrap();
     for old in ["a", "b", "c"] {
-        // More than would fit into memory: most of it is a hole in the file.
+        // Larger than the memory: most of it is a hole in the file.
         std::fs::create_dir(folder(old)).unwrap();
         let mut file = std::fs::File::create(folder(old).join("journal")).unwrap();
         file.write_all(begin).unwrap();
@@ -207,10 +215,10 @@ fn old_journals_are_not_read_however_long_they_are() {
         file.write_all(b"\n").unwrap();
     }
     says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: stop confirmed"]);
-    // What follows removes them.
+    // The next mission removes them.
     stage.run(&["run", "long.yaml", "--lead", "1ms"]);
     let left = ["a", "b", "c"].iter().filter(|old| folder(old).exists()).count();
-    assert!(left <= 1, "only the newest may be so long");
+    assert!(left <= 1, "only the newest may be this long");
 }
 
 #[test]
@@ -243,7 +251,7 @@ fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
     let stage = stage(0);
     stage.file("fleet.yaml", "robots: {s: {init: robot.yaml, address: sim}}\n");
     stage.file("long.yaml", plays("long", "s"));
-    let mut mission = stage.start_until(&["run", "long.yaml"], "every lease reaches over the start");
+    let mut mission = stage.start_until(&["run", "long.yaml"], "starting `");
     mission.process.kill();
     says(&stage.run(&["stop"]), 0, &["s: was simulated in the scheduler's own process"]);
     says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
@@ -325,11 +333,11 @@ fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
     let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     mission.process.signal(Signal::STOP);
     let began = Instant::now();
-    let sent = "was sent SIGTERM; if it continues, it ends";
-    says(&stage.run(&["stop"]), 0, &["it does not answer within 1 s", sent, BOTH[0], BOTH[1]]);
+    let sent = "was sent SIGTERM; if it continues, it will end";
+    says(&stage.run(&["stop"]), 0, &["no answer within 1 s", sent, BOTH[0], BOTH[1]]);
     assert!(began.elapsed() < Duration::from_secs(20));
     all_rest(&stage);
-    // Once it goes on, it does not move them again.
+    // After it continues, it does not move them again.
     mission.process.signal(Signal::CONT);
     let ended = mission.ended();
     assert_eq!(ended.code, Some(3), "{ended}");
@@ -355,11 +363,11 @@ fn a_go_to_a_scheduler_that_stands_still_fails_and_does_not_count_later() {
     stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
     let mission = stage.start_until(&["run", "acts.yaml"], "`two` waits for the operator's go");
     mission.process.signal(Signal::STOP);
-    says(&stage.run(&["go"]), 1, &["it does not answer within 1 s"]);
+    says(&stage.run(&["go"]), 1, &["no answer within 1 s"]);
     mission.process.signal(Signal::CONT);
-    let again = || stage.run(&["go", "three"]).to_string().contains("no act is called `three`");
+    let again = || stage.run(&["go", "three"]).to_string().contains("unknown act `three`");
     await_that("an answer of the scheduler", again);
-    // The first step of the act would come about 400 ms after a go.
+    // The first step of the act would occur about 400 ms after a go.
     stays(Duration::from_millis(1_000), || sets(&stage));
     says(&stage.run(&["go", "two"]), 0, &["`two` begins"]);
     assert_eq!(mission.ended().code, Some(0));
@@ -384,9 +392,9 @@ fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() 
     let mut mission = stage.begin(&["run", "acts.yaml"], [0], 2);
     says(&stage.run(&["go"]), 1, &["`two` waits until `one` has ended"]);
     says(&stage.run(&["go", "one"]), 1, &["`one` does not wait for the operator now"]);
-    says(&stage.run(&["go", "three"]), 1, &["no act is called `three`"]);
+    says(&stage.run(&["go", "three"]), 1, &["unknown act `three`"]);
     mission.line("`two` waits for the operator's go");
-    // Said once the act before has ended, and not while it plays.
+    // Printed once the previous act has ended, and not while it plays.
     let said = epoch_nanos();
     stage.robots[0].await_sets(20, Duration::from_secs(20));
     let sets = stage.robots[0].sets();
@@ -434,7 +442,7 @@ fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
     all_rest(&stage);
 }
 
-/// The name of the only mission that was cut off.
+/// Returns the name of the only mission that was cut off.
 fn cut_off_name(stage: &Stage) -> String {
     let missions = stage.run(&["missions", "--format", "json"]);
     let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
@@ -449,7 +457,7 @@ fn await_end_of_lease(stage: &Stage) {
     await_that("the end of the lease", || stage.robots[0].rests());
 }
 
-/// A mission that was cut off, with its name, and one that drives its robot by now.
+/// Returns a mission that was cut off, with its name, and one that meanwhile drives its robot.
 fn taken_over() -> (Stage, String, Running) {
     let stage = stage(1);
     let old = plays("old", "all").replace("{running: none}", "{running: 1s}");
@@ -466,7 +474,7 @@ fn taken_over() -> (Stage, String, Running) {
 fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was_cut_off() {
     let (stage, old, new) = taken_over();
     let stopped = stage.run(&["stop", &old, "--patience", "1s"]);
-    let taken = ["r0: not stopped: another mission drives it by now", "r0: belongs to another session"];
+    let taken = ["r0: not stopped: another mission already drives it", "r0: belongs to another session"];
     let taken = taken.map(|part| part.replace("r0: belongs", "`r0` belongs"));
     says(&stopped, 4, &[&taken[0], &taken[1]]);
     assert!(!stopped.out.contains("lease"), "{stopped}");
@@ -477,7 +485,7 @@ fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was
     assert_ne!(resumed.code, Some(0), "{resumed}");
     says(&resumed, resumed.code.unwrap(), &["belongs to another session"]);
     assert!(!format!("{}{}", resumed.out, resumed.told).contains("its lease ends"), "{resumed}");
-    // The other mission is left alone.
+    // The other mission is not affected.
     let before = stage.robots[0].sets().len();
     stage.robots[0].await_sets(before + 3, Duration::from_secs(20));
     says(&stage.run(&["stop"]), 0, &["r0: stop confirmed"]);

@@ -1,5 +1,5 @@
-//! The operator's stop, with robots and scheduler as processes, while one thing after another in and round the scheduler
-//! stands still: every robot that can be reached is at rest at once by its own log, and the others are named.
+//! The operator's stop, with robots and scheduler as processes, while one thing after another in and around the scheduler stalls: every
+//! reachable robot is at rest at once by its own log, and the others are named.
 
 mod background;
 mod cell;

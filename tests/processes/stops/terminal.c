@@ -52,7 +52,7 @@ int main(int count, char **arguments)
     fclose(file);
     while (waitpid(child, &status, WNOHANG) == 0) {
         struct pollfd readable = {master, POLLIN, 0};
-        /* An output that nobody takes is as stopped as by Ctrl-S once the terminal's memory is full; this is at once. */
+        /* Stops an output immediately, as an unread terminal or Ctrl-S does once the terminal's memory is full. */
         if (stopped == 1) {
             int terminal = open(ptsname(master), O_RDWR | O_NOCTTY);
             tcflow(terminal, TCOOFF);

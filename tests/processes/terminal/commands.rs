@@ -1,4 +1,4 @@
-//! What single commands say and with which code they end, where nothing or something unusual is there for them.
+//! The output and exit codes of single commands in empty or unusual situations.
 
 use std::fs::File;
 
@@ -51,11 +51,11 @@ fn several_missions_run_and_were_cut_off() {
     }
     let go = stage.run(&["go"]);
     assert_eq!(go.code, Some(2), "{go}");
-    assert!(go.told.contains("several missions run, name one of them"), "{go}");
+    assert!(go.told.contains("several missions run; name one of them"), "{go}");
     one.process.kill();
     two.process.kill();
     let resume = stage.run(&["resume"]);
-    assert!(resume.told.contains("several missions were cut off, name one of them"), "{resume}");
+    assert!(resume.told.contains("several missions were cut off; name one of them"), "{resume}");
 }
 
 #[test]
@@ -63,7 +63,7 @@ fn a_scenario_without_acts_says_so_where_one_is_asked_for() {
     let session = Session::new();
     session.file("hello.yaml", SCENARIO);
     let ran = session.run(&["dry-run", "hello.yaml", "--act", "finale"]);
-    ran.says(2, &["there is no act `finale`", "leave out --act"]);
+    ran.says(2, &["unknown act `finale`", "leave out --act"]);
     assert!(!ran.text().contains("``"), "{}", ran.text());
 }
 
@@ -100,7 +100,7 @@ fn a_robot_whose_log_cannot_be_written_says_so_at_once_and_is_no_success_in_the_
     );
     await_that("the robot's port", || std::net::TcpStream::connect(&address).is_ok());
     let ran = stage.run(&["run", "play.yaml"]);
-    assert_eq!(ran.code, Some(0), "the robot goes on: {ran}");
+    assert_eq!(ran.code, Some(0), "the robot continues: {ran}");
     let says = || std::fs::read_to_string(&told).unwrap();
     await_that("the error", || says().contains("error: cannot write the log /dev/full: No space left"));
     kill_process(Pid::from_child(&robot.0), Signal::TERM).unwrap();
@@ -147,7 +147,7 @@ fn a_stop_because_of_a_wait_that_ran_out_names_the_act_and_its_wait() {
     let cues = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}]";
     stage.file("show.yaml", format!("scenario: show\nstart_tolerance: 1s\nacts:\n  - {{act: one, {cues}}}\n  - {{act: two, wait: {{for: operator, timeout: 300ms}}, {cues}}}\n"));
     let ended = stage.run(&["run", "show.yaml"]);
-    let stopping = "stopping all robots: `two` skipped: the operator's go did not come within 300 ms";
+    let stopping = "stopping all robots: `two` skipped: the operator's go did not occur within 300 ms";
     assert!(ended.told.contains(stopping), "{ended}");
 }
 
@@ -163,7 +163,7 @@ fn a_start_that_was_claimed_and_is_not_believed_is_not_called_a_start() {
     let ended = stage.run(&["run", "play.yaml", "--patience", "2s"]);
     assert!(ended.out.contains("before the script was sent"), "{ended}");
     assert!(ended.out.contains("1/1 claimed"), "{ended}");
-    assert!(ended.out.contains("r0: when it says that it started is not believed"), "{ended}");
+    assert!(ended.out.contains("r0: its reported start time is impossible"), "{ended}");
     assert!(!ended.out.contains("no robot reported a start"), "{ended}");
 }
 
@@ -187,8 +187,8 @@ fn a_mission_in_the_background_that_waits_for_its_time_has_begun() {
     assert_eq!(stopped.code, Some(0), "{stopped}");
 }
 
-/// Ways in which every command fails, with the code of that kind of fault: 2 where arguments or files cannot be read or name what
-/// is not there, 1 where something is wrong with what was read, or nobody answers.
+/// Ways in which every command fails, with the exit code of that kind of fault. 2: arguments or files cannot be read, or name something
+/// that does not exist. 1: the content of a file is wrong, or no robot answers.
 const FAILURES: [(u8, &str); 52] = [
     (2, "frobnicate"),
     (2, "check"),
@@ -224,7 +224,7 @@ const FAILURES: [(u8, &str); 52] = [
     (2, "import midi nowhere.mid"),
     (2, "man /proc/x"),
     (2, "init /proc/x"),
-    // A file that a file names is missing, or one is in the way.
+    // A file that another file names is missing, or an existing one is in the way.
     (2, "check hello.yaml --fleet without-robot.yaml"),
     (2, "check without-moves.yaml"),
     (2, "check without-table.yaml"),
@@ -282,7 +282,16 @@ fn a_chart_of_the_plan_is_for_people_only() {
     session.file("chart.yaml", arm);
     let fleet = root().join("tests/sessions/findings/folder/fleet.yaml");
     let args = ["plan", "chart.yaml", "--fleet", fleet.to_str().unwrap(), "--gantt"];
-    session.run(&args).says(0, &["raise * ━━━", "left    ━━━", "┊0.5 s", "* critical"]);
+    session.run(&args).says(
+        0,
+        &[
+            "raise * ━━━",
+            "left    ━━━",
+            "┊0.5 s",
+            "◆ a mark, *",
+            "critical path: it determines when the act ends",
+        ],
+    );
     let json = session.run(&[&args[..], &["--format", "json"]].concat());
     assert_eq!(json.code(), 2);
     assert!(json.json()["error"].as_str().unwrap().contains("--gantt"), "{}", json.text());

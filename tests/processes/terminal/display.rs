@@ -43,14 +43,14 @@ impl OnTerminal {
         Self { terminal, before, watched, process }
     }
 
-    /// A mission of many seconds that plays.
+    /// Starts a mission of many seconds, and waits until it plays.
     fn playing(stage: &Stage) -> Self {
         let mission = Self::start(stage.command(&["run", "play.yaml"]), 100);
         mission.watched.shows("playing", SOON);
         mission
     }
 
-    /// Waits until the terminal is as before, or is not.
+    /// Waits until the terminal's settings are as before, or are not.
     fn is_as_before(&self, wanted: bool) -> bool {
         (0..6_000).any(|_| {
             std::thread::sleep(Duration::from_millis(10));
@@ -58,7 +58,7 @@ impl OnTerminal {
         })
     }
 
-    /// Its exit code, and what stands on the terminal in the end.
+    /// Returns its exit code, and the final text on the terminal.
     fn ended(mut self) -> (Option<i32>, String) {
         let code = self.process.0.wait().unwrap().code();
         self.terminal.settle(&self.watched);
@@ -114,10 +114,10 @@ fn a_scheduler_that_stands_still_is_ended_by_a_second_ctrl_c_and_the_terminal_is
     let mut mission = OnTerminal::start(command, 100);
     mission.watched.shows("playing", SOON);
     stage.file("stand-still", "");
-    await_that("the standstill", || stage.run(&["go"]).to_string().contains("it does not answer within 1 s"));
+    await_that("the standstill", || stage.run(&["go"]).to_string().contains("no answer within 1 s"));
     assert_ne!(mission.terminal.settings(), mission.before);
     mission.process.signal(Signal::INT);
-    // Two signals that the process has not read yet would be one.
+    // Two signals that the process has not read yet would be merged into one.
     await_that("the stop of the robots", || stage.robots.iter().all(|robot| robot.rests()));
     mission.process.signal(Signal::INT);
     assert_eq!(mission.process.0.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
@@ -161,10 +161,10 @@ fn without_colours_the_display_only_moves() {
 fn in_a_pipe_or_on_a_narrow_terminal_there_are_lines_alone() {
     let session = evening();
     let ran = session.run(&["run", "evening.yaml", "--act", "opening"]);
-    ran.says(0, &["all have accepted", "evening: done"]);
+    ran.says(0, &["all robots have accepted", "evening: done"]);
     assert!(!ran.text().contains("played") && !ran.text().contains('\u{1b}'), "{}", ran.text());
     let narrow = OnTerminal::start(session.command(&["run", "evening.yaml", "--act", "opening"]), 50);
     let (code, screen) = narrow.ended();
     assert_eq!(code, Some(0));
-    assert!(screen.contains("all have accepted") && !screen.contains("s stop"), "{screen}");
+    assert!(screen.contains("all robots have accepted") && !screen.contains("s stop"), "{screen}");
 }

@@ -1,4 +1,4 @@
-//! What is printed holds up nothing, and what cannot be printed is no success.
+//! Output delays nothing, and output that cannot be printed is no success.
 
 use std::fs::File;
 use std::process::Stdio;
@@ -11,12 +11,12 @@ use stage::session::{Session, arm_at};
 use stage::terminal::{Terminal, fill};
 use stage::{Process, Stage, Via};
 
-/// Two robots that play for 40 seconds without a lease, whatever the scheduler does.
+/// Returns two robots that play for 40 seconds without a lease, whatever the scheduler does.
 fn stage() -> Stage {
     Play { steps: 200, every_ms: 200, running: "none", ..LONG }.stage(&[Via::Direct, Via::Direct])
 }
 
-/// A mission whose output is not read plays, and stops when it is told to.
+/// Checks that a mission whose output is not read plays, and stops on command.
 #[track_caller]
 fn check_that_it_plays_and_stops(out: Stdio, err: Stdio) {
     let stage = stage();
@@ -45,7 +45,7 @@ fn a_terminal_that_stands_still_holds_up_no_mission() {
     check_that_it_plays_and_stops(terminal.end(), terminal.end());
 }
 
-/// The writing end of a pipe that is full and is not read, with its reading end.
+/// Returns the writing end of a full pipe that is not read, with its reading end.
 fn full_pipe() -> (File, File) {
     let (reader, writer) = rustix::pipe::pipe().unwrap();
     let writer = File::from(writer);
@@ -92,7 +92,7 @@ cues:
     tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}]}
 ";
 
-/// How this command ends when standard output is on a full disk, and what it says of it.
+/// Checks the exit code and the message of this command if standard output is on a full disk.
 #[track_caller]
 fn check_on_a_full_disk(args: &[&str], code: i32) {
     let session = Session::new();
@@ -173,7 +173,7 @@ fn a_recording_that_fails_hides_no_robot_whose_stop_is_not_confirmed() {
     let ended = running.ended();
     assert_eq!(ended.code, Some(4), "{ended}");
     assert!(ended.out.contains("r1: stop NOT confirmed"), "{ended}");
-    assert!(ended.out.contains("the recording is not whole: No space left"), "{ended}");
+    assert!(ended.out.contains("the recording is incomplete: No space left"), "{ended}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-/* A program whose first thread stands still once the file $STAND_STILL exists. Preloaded into the program under test. */
+/* A program whose first thread stalls once the file $STAND_STILL exists. Preloaded into the program under test. */
 #define _GNU_SOURCE
 #include <stdlib.h>
 #include <sys/syscall.h>

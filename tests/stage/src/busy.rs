@@ -10,7 +10,7 @@ impl Drop for SetWhenDropped<'_> {
     }
 }
 
-/// Keeps so many cores busy as long as this takes, also when it panics.
+/// Keeps `cores` cores busy while `measure` runs, also if it panics.
 pub fn with_cores_busy<T>(cores: usize, measure: impl FnOnce() -> T) -> T {
     let enough = AtomicBool::new(false);
     std::thread::scope(|scope| {

@@ -1,4 +1,4 @@
-//! Programs and libraries in C that tests need, compiled once.
+//! C programs and libraries that tests need, compiled once.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -7,13 +7,13 @@ use std::sync::{LazyLock, Mutex};
 
 use tempfile::TempDir;
 
-/// The compiler's flags for a library that is preloaded.
+/// Compiler flags for a preloaded library.
 pub const SHARED: &[&str] = &["-shared", "-fPIC"];
 
 static FOLDER: LazyLock<TempDir> = LazyLock::new(|| TempDir::new().unwrap());
 static COMPILED: LazyLock<Mutex<HashMap<String, PathBuf>>> = LazyLock::new(Mutex::default);
 
-/// What this source below `tests/` is compiled to.
+/// Compiles this source below `tests/`, and returns the path of the result.
 pub fn compiled(source: &str, flags: &[&str]) -> PathBuf {
     let mut compiled = COMPILED.lock().unwrap();
     let compile = || {

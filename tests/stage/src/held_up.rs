@@ -1,26 +1,26 @@
-//! Missions for which this machine was too slow, by Downbeat's own report.
+//! Missions for which this machine was too slow, according to Downbeat's own report.
 //!
-//! A test may play a mission again for these reasons and for no other: a failure that has another reason is a fault.
+//! A test may play a mission again only for these reasons: any other failure is a fault.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// A sentence or word of a report, and the outcome or failure that it stands for.
+/// A sentence or word of a report, and the outcome or failure that it indicates.
 const REASONS: [(&str, &str); 8] = [
     ("a late command is never started", "failure `late` of a robot on this machine"),
-    ("this machine was held up", "outcome `decision_late`"),
-    ("this machine or its disk was held up", "outcome `commitment_late`"),
+    ("this machine was delayed", "outcome `decision_late`"),
+    ("this machine or its disk was delayed", "outcome `commitment_late`"),
     ("_late\":{\"by_ms\"", "outcome `decision_late` or `commitment_late`"),
-    ("played to its end, but steps were up to", "late steps of a robot on this machine"),
+    ("played to the end, but steps were up to", "late steps of a robot on this machine"),
     ("\"steps_late\":{\"late_ms\"", "late steps of a robot on this machine"),
     ("the link to it is too slow", "failure `too_slow` on a link of this machine"),
     ("\"failure\":\"too_slow\"", "failure `too_slow` on a link of this machine"),
 ];
 
-/// The number of times that a mission is played at the most.
+/// Maximum number of times that a mission is played.
 pub const ATTEMPTS: usize = 5;
 
-/// The reason for which this machine was too slow, if a report names one.
+/// Returns the reason why this machine was too slow, if a report contains one.
 pub fn reason(report: &str) -> Option<&'static str> {
     // Sentences may be wrapped and JSON may be indented.
     let without_spaces = |text: &str| text.split_whitespace().collect::<String>();
@@ -28,7 +28,7 @@ pub fn reason(report: &str) -> Option<&'static str> {
     REASONS.iter().find(|(words, _)| report.contains(&without_spaces(words))).map(|(_, reason)| *reason)
 }
 
-/// The reason for which this machine was too slow to start a mission at all: nothing has moved.
+/// Returns the reason why this machine was too slow to start a mission at all: nothing has moved.
 fn reason_of_no_start(report: &str) -> Option<&'static str> {
     reason(report).filter(|reason| reason.starts_with("outcome"))
 }
@@ -88,7 +88,7 @@ fn only_a_machine_that_is_reported_as_too_slow_is_a_reason_to_play_again() {
         let last = played(play, Clone::clone);
         (count, last)
     };
-    let slow = "show: not started: this machine or its disk was held up, the commitment came too late";
+    let slow = "show: not started: this machine or its disk was delayed, and the commitment came too late";
     assert_eq!(attempts(&["show: done"]).0, 1);
     assert_eq!(attempts(&["show: failed and stopped", "show: done"]).0, 1);
     assert_eq!(attempts(&[slow, "show: done"]), (2, "show: done".to_owned()));
@@ -105,7 +105,7 @@ fn a_mission_that_is_played_again_leaves_only_its_last_attempt_behind() {
     let play = || {
         count += 1;
         std::fs::create_dir(state.path().join(count.to_string())).unwrap();
-        ["this machine was held up", "show: done"][count - 1]
+        ["this machine was delayed", "show: done"][count - 1]
     };
     assert_eq!(played_in(state.path(), play, |report| (*report).to_owned()), "show: done");
     assert_eq!(missions(state.path()), ["2", "earlier"].map(|name| state.path().join(name)).into());

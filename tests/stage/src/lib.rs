@@ -1,4 +1,4 @@
-//! Robots and schedulers as processes on loopback, what the robots' logs say they did, and links that fail when told to.
+//! Robots and schedulers as processes on loopback, the logs of the robots, and links that fail on command.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::print_stderr, reason = "missions that are played again are counted")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
@@ -35,7 +35,7 @@ use tempfile::TempDir;
 
 use crate::session::program;
 
-/// A process that is killed when it is let go.
+/// A process that is killed when it is dropped.
 pub struct Process(pub Child);
 
 impl Process {
@@ -43,7 +43,7 @@ impl Process {
         self::signal(&self.0, signal);
     }
 
-    /// The most memory that it has taken, in megabytes; 0 once it is gone.
+    /// Returns its peak memory usage, in megabytes; 0 once it has ended.
     pub fn memory(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap_or_default();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -65,7 +65,7 @@ impl Drop for Process {
     }
 }
 
-/// A process that was sent STOP stands still on return: the system stops its threads one by one.
+/// Sends a signal. A process that was sent STOP has stopped when this returns: the system stops its threads one by one.
 pub fn signal(child: &Child, signal: Signal) {
     let pid = Pid::from_child(child);
     kill_process(pid, signal).unwrap();
@@ -75,31 +75,31 @@ pub fn signal(child: &Child, signal: Signal) {
     }
 }
 
-/// How a robot is reached.
+/// The connection to a robot.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Via {
     Direct,
     Proxy,
 }
 
-/// A robot's process, and those that ran before it under the same id.
+/// A robot's process, and the earlier ones with the same id.
 pub struct Robot {
     pub id: String,
     pub link: Option<Proxy>,
     process: Process,
     init: String,
-    /// What its process is told besides.
+    /// Further arguments of its process.
     args: Vec<String>,
-    /// What the fleet file says of it besides.
+    /// Further keys of the robot in the fleet file.
     keys: &'static str,
     port: u16,
     logs: Vec<PathBuf>,
 }
 
-/// With this in the environment, robots speak TLS alone, so that any trial can be made with it.
+/// With this in the environment, robots accept only TLS, so that any trial can run with TLS.
 const BY_TLS: &str = "DOWNBEAT_TLS";
 
-/// A folder with robots that run, the fleet file that names them, and scenarios.
+/// A folder with running robots, the fleet file that lists them, and scenarios.
 pub struct Stage {
     folder: TempDir,
     pub robots: Vec<Robot>,
@@ -111,7 +111,7 @@ impl Stage {
         Self::by(std::env::var_os(BY_TLS).is_some())
     }
 
-    /// One whose robots have keys, and hear only the operator of the fleet file.
+    /// Creates a stage whose robots have keys, and accept only the operator of the fleet file.
     pub fn with_keys() -> Self {
         Self::by(true)
     }
@@ -130,7 +130,7 @@ impl Stage {
         assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     }
 
-    /// What a robot's process is told besides: its key, where it has one.
+    /// Adds the key to the arguments of a robot's process, if the stage uses TLS.
     fn with_key(&self, id: &str, mut args: Vec<String>) -> Vec<String> {
         let key = format!("keys/robots/{id}.pem");
         if self.by_tls && !args.contains(&key) {
@@ -151,7 +151,7 @@ impl Stage {
         self
     }
 
-    /// Starts a robot of this initialization block and adds it to the fleet file; returns its index.
+    /// Starts a robot with this initialization block and adds it to the fleet file; returns its index.
     pub fn robot(&mut self, init: &str, via: Via) -> usize {
         self.robot_with(init, via, Vec::new(), "")
     }
@@ -170,7 +170,7 @@ impl Stage {
         self.robots.len() - 1
     }
 
-    /// Starts a robot with an id of its own, which the fleet file does not name; returns its port.
+    /// Starts a robot with an id of its own, which is not listed in the fleet file; returns its port.
     pub fn robot_called(&mut self, id: &str, init: &str, args: Vec<String>) -> u16 {
         // Another robot may have the same id.
         let log = self.path(&format!("{id}-called-{}.jsonl", self.robots.len()));
@@ -194,13 +194,13 @@ impl Stage {
         self.file("fleet.yaml", format!("{identity}robots:\n{rows}groups:\n  all: [{}]\n", ids.join(", ")));
     }
 
-    /// Ends a robot's process and starts it again on the same port, remembering nothing.
+    /// Ends a robot's process and starts it again on the same port, without any memory.
     pub fn restart(&mut self, index: usize) {
         let id = self.robots[index].id.clone();
         self.replace(index, &id);
     }
 
-    /// Ends a robot's process; a robot with an id of its own takes over its port. Its log is the newest of the old one's.
+    /// Ends a robot's process; a robot with an id of its own takes over its port, and appends a log to the robot's logs.
     pub fn replace(&mut self, index: usize, id: &str) {
         let args = self.robots[index].args.clone();
         self.replace_with(index, id, args);
@@ -224,7 +224,8 @@ impl Stage {
 
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = ended_by_a_hang_up();
-        command.args(args).current_dir(self.folder.path()).env("DOWNBEAT_STATE", self.path("state"));
+        command.args(args).args(session::figures(args)).current_dir(self.folder.path());
+        command.env("DOWNBEAT_STATE", self.path("state"));
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
@@ -290,7 +291,7 @@ impl Stage {
     }
 }
 
-/// The program, for which a hang-up is not ignored as it is by whatever `nohup` starts, these tests included.
+/// Returns the program with the default action for a hang-up, which `nohup` disables for its children, including these tests.
 pub fn ended_by_a_hang_up() -> Command {
     let mut command = Command::new("env");
     command.args(["--default-signal=HUP", program()]);
@@ -309,12 +310,12 @@ fn start(folder: &Path, init: &str, args: &[String], id: &str, port: u16, log: &
 }
 
 impl Robot {
-    /// Where it listens itself, past its proxy.
+    /// Returns its own port, behind its proxy.
     pub const fn port(&self) -> u16 {
         self.port
     }
 
-    /// The most memory that its process has taken, in megabytes.
+    /// Returns the peak memory usage of its process, in megabytes.
     pub fn memory(&self) -> u64 {
         self.process.memory()
     }
@@ -324,7 +325,7 @@ impl Robot {
         self.process.kill();
     }
 
-    /// Freezes it where it is.
+    /// Freezes it in its current state.
     pub fn freeze(&self) {
         self.process.signal(Signal::STOP);
     }
@@ -333,27 +334,27 @@ impl Robot {
         self.process.signal(Signal::CONT);
     }
 
-    /// The log of each of its processes, in order.
+    /// Returns the log of each of its processes, in order.
     pub fn logs(&self) -> impl Iterator<Item = String> {
         self.logs.iter().map(|path| std::fs::read_to_string(path).unwrap())
     }
 
-    /// Everything that it logged, also before it was started again. The last line of a killed process may be torn.
+    /// Returns all log entries, including those from before a restart. The last line of a killed process may be incomplete.
     pub fn log(&self) -> Vec<Logged> {
         self.logs().flat_map(|text| text.lines().filter_map(Logged::read).collect::<Vec<_>>()).collect()
     }
 
-    /// What it logged after so many lines.
+    /// Returns the log entries after the first `lines`.
     pub fn log_since(&self, lines: usize) -> Vec<Logged> {
         self.log().split_off(lines)
     }
 
-    /// The values of scripts that it set.
+    /// Returns the values of scripts that it set.
     pub fn sets(&self) -> Vec<Logged> {
         self.log().into_iter().filter(|entry| entry.motion == "set").collect()
     }
 
-    /// The values that one device was set to, in order.
+    /// Returns the values that one device was set to, in order.
     pub fn values(&self, device: &str) -> Vec<f64> {
         self.sets().iter().filter(|entry| entry.device == device).map(|entry| entry.value).collect()
     }
@@ -368,7 +369,7 @@ impl Robot {
         }
     }
 
-    /// Waits until its log says that it has set so many values.
+    /// Waits until it has logged this number of values.
     #[track_caller]
     pub fn await_sets(&self, count: usize, within: Duration) {
         let began = Instant::now();
@@ -382,11 +383,11 @@ impl Robot {
 /// One line of a robot's log.
 #[derive(Clone, Debug)]
 pub struct Logged {
-    /// What the process calls itself.
+    /// The id that the process reports.
     pub robot: String,
     /// By the one clock of the host, in nanoseconds since the Unix epoch.
     pub at: i64,
-    /// By the robot's own clock, as `due` is.
+    /// By the robot's own clock, like `due`.
     pub set_at: i64,
     pub due: i64,
     pub device: String,
@@ -415,7 +416,7 @@ impl Logged {
     }
 }
 
-/// A robot that reports, with the device `d`: how many scripts it holds, its largest position, and the steps of a script.
+/// Returns a reporting robot with the device `d`: its queue length, its largest position, and the maximum steps of a script.
 pub fn one_device(queue: impl fmt::Display, largest: u32, steps: impl fmt::Display) -> String {
     with_devices(&format!(
         "  - id: d
@@ -428,18 +429,18 @@ pub fn one_device(queue: impl fmt::Display, largest: u32, steps: impl fmt::Displ
     ))
 }
 
-/// A robot that reports, with these devices, in YAML.
+/// Returns a reporting robot with these devices, in YAML.
 pub fn with_devices(devices: &str) -> String {
     format!("id: robot\napi_version: '1'\nreports: true\ndevices:\n{devices}")
 }
 
-/// An instant in RFC 3339 as nanoseconds since the epoch.
+/// Converts an RFC 3339 instant to nanoseconds since the epoch.
 pub fn nanos(text: &str) -> i64 {
     let at: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(Value::String(text.to_owned())).unwrap();
     at.as_nanos()
 }
 
-/// A local time of day as nanoseconds since the epoch: today, or just before or after midnight.
+/// Converts a local time of day to nanoseconds since the epoch: today, or just before or after midnight.
 pub fn today(text: &str) -> i64 {
     let time: chrono::NaiveTime = text.parse().unwrap_or_else(|_| panic!("no time of day: {text}"));
     let now = chrono::DateTime::from_timestamp_nanos(epoch_nanos()).with_timezone(&chrono::Local);
@@ -449,7 +450,7 @@ pub fn today(text: &str) -> i64 {
     nanos.min_by_key(|instant| (instant - epoch_nanos()).abs()).unwrap()
 }
 
-/// Now, in nanoseconds since the epoch.
+/// Returns the current time, in nanoseconds since the epoch.
 pub fn epoch_nanos() -> i64 {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
     i64::try_from(now.as_nanos()).unwrap()
@@ -460,7 +461,7 @@ pub fn sleep_until(at: i64) {
     std::thread::sleep(Duration::from_nanos(ahead));
 }
 
-/// The program under way; what it prints is read as it comes.
+/// The running program; its output is read as it arrives.
 pub struct Running {
     pub process: Process,
     lines: Receiver<String>,
@@ -468,17 +469,17 @@ pub struct Running {
     out: JoinHandle<String>,
 }
 
-/// How it ended.
+/// The result of an ended program.
 #[derive(Clone)]
 pub struct Ended {
     pub code: Option<i32>,
     pub out: String,
-    /// What it said while it ran.
+    /// Its messages while it ran.
     pub told: String,
 }
 
 impl Ended {
-    /// All that it said, its report included.
+    /// Returns all its output, including its report.
     pub fn said(&self) -> String {
         format!("{}{}", self.told, self.out)
     }
@@ -504,7 +505,7 @@ impl Running {
         Self { process: Process(child), lines, told: String::new(), out }
     }
 
-    /// The next line that contains this text. Fails with the report if the program ends without printing one.
+    /// Returns the next line that contains this text. Fails with the report if the program ends without printing one.
     #[track_caller]
     pub fn line(&mut self, text: &str) -> String {
         self.find(text).unwrap_or_else(|| {
@@ -524,7 +525,7 @@ impl Running {
         None
     }
 
-    /// The start of the act that it prepares next, in nanoseconds since the epoch.
+    /// Returns the start of the act that it prepares next, in nanoseconds since the epoch.
     #[track_caller]
     pub fn start(&mut self) -> i64 {
         start_in(&self.line("start at "))
@@ -539,13 +540,13 @@ impl Running {
         self.process.0.try_wait().unwrap().is_some()
     }
 
-    /// Waits for its end, a minute at most.
+    /// Waits for its end, at most a minute.
     #[track_caller]
     pub fn ended(self) -> Ended {
         self.ended_within(Duration::from_secs(60)).unwrap_or_else(|told| panic!("the program hangs: {told}"))
     }
 
-    /// How it ended, or what it had said until then if it goes on; it is killed then.
+    /// Returns the result, or its messages if it does not end in time; it is then killed.
     pub fn ended_within(mut self, patience: Duration) -> Result<Ended, String> {
         let began = Instant::now();
         let code = loop {
@@ -577,7 +578,7 @@ impl Ended {
         eprintln!("started again at {}: {reason}", std::panic::Location::caller());
     }
 
-    /// The report of a run with `--format json`.
+    /// Returns the report of a run with `--format json`.
     #[track_caller]
     pub fn report(&self) -> Value {
         serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("{e}: {}{}", self.out, self.told))
@@ -585,7 +586,7 @@ impl Ended {
 }
 
 impl fmt::Display for Ended {
-    /// What a failed test has to show of it: of a report only how it ended and why.
+    /// Displays it for a failed test: of a report, only the outcome and the failures.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "exit code {:?}\n{}", self.code, self.told)?;
         let report: Value = serde_json::from_str(&self.out).unwrap_or_default();
@@ -615,7 +616,7 @@ impl Drop for Stage {
     }
 }
 
-/// A port of this machine that nobody listens on.
+/// Returns a port of this machine on which no process listens.
 pub fn free_port() -> u16 {
     std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }

@@ -1,11 +1,12 @@
-//! A machine on the way to a robot, which alters, repeats or reorders what is said to it. It knows the keys of neither side.
+//! A machine between an operator and a robot, which alters, repeats or reorders messages to the robot. It does not have the keys of
+//! either side.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// How bytes are cut into records.
+/// How a byte stream is divided into records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wire {
     /// A type, a version and a length of two bytes.
@@ -14,15 +15,15 @@ pub enum Wire {
     Hmac,
 }
 
-/// What becomes of the record.
+/// The manipulation of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Deed {
     Pass,
-    /// Its last byte but one changes.
+    /// The second-to-last byte changes.
     Alter,
-    /// It comes twice.
+    /// It is sent twice.
     Repeat,
-    /// It comes behind the one that follows it.
+    /// It is sent after the record that follows it.
     Reorder,
 }
 
@@ -30,23 +31,23 @@ pub enum Deed {
 struct Told {
     deed: Option<Deed>,
     done: usize,
-    /// The most that was said to the robot on one connection.
+    /// The longest recorded input to the robot on one connection.
     said: Vec<u8>,
 }
 
 /// Carries connections to one robot.
 pub struct Meddler {
-    /// Where it listens.
+    /// Its own port.
     pub port: u16,
     robot: u16,
     told: Arc<Mutex<Told>>,
 }
 
-/// Records that are longer than this count: they carry scripts.
+/// Only longer records are manipulated: they carry scripts.
 const LONG: usize = 500;
 
 impl Meddler {
-    /// It does its deed to the long record of this number, from 1, of each connection that has one.
+    /// Manipulates the long record of this number, from 1, of each connection that has one.
     pub fn to(robot: u16, wire: Wire, number: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
@@ -83,12 +84,12 @@ impl Meddler {
         (told.deed, told.done) = (Some(deed), 0);
     }
 
-    /// How often it has done its deed since it was told to.
+    /// Returns how often it has manipulated a record since the last order.
     pub fn done(&self) -> usize {
         self.told.lock().unwrap().done
     }
 
-    /// Says to the robot all that was said to it on an earlier connection; returns what it says once it has been greeted.
+    /// Replays all messages of an earlier connection to the robot; returns the robot's output after its greeting.
     pub fn said_again(&self) -> Vec<u8> {
         let said = self.told.lock().unwrap().said.clone();
         assert!(said.len() > LONG);
@@ -96,14 +97,14 @@ impl Meddler {
         stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
         let _hung_up = stream.write_all(&said);
         let mut answer = Vec::new();
-        // The robot hangs up, perhaps by a reset.
+        // The robot disconnects, possibly by a reset.
         let _hung_up = stream.read_to_end(&mut answer);
         let greeting = answer.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         answer.split_off(greeting)
     }
 }
 
-/// Returns all that came.
+/// Returns all received bytes.
 fn carry(mut from: TcpStream, mut to: &TcpStream, wire: Wire, number: usize, told: &Mutex<Told>) -> Vec<u8> {
     let (mut said, mut came, mut bytes) = (Vec::new(), Vec::new(), [0; 16 * 1024]);
     let (mut lines, mut long, mut held) = (0, 0, None::<Vec<u8>>);

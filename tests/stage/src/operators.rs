@@ -1,18 +1,18 @@
-//! One robot with keys, and the operators who drive it, stop it and take it from each other.
+//! One robot with keys, and the operators that drive it, stop it and seize it from each other.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Stdio};
 
 use crate::session::{Ran, Session};
 
-/// The commands of operators to one robot.
+/// Commands of operators to one robot.
 pub struct Operators<'a> {
     session: &'a Session,
     robot: &'a str,
 }
 
 impl<'a> Operators<'a> {
-    /// Has an operator ask the robot what it is, and makes it the fleet.
+    /// Makes an operator request the robot's description, and writes it as the fleet.
     pub fn of(session: &'a Session, robot: &'a str, address: &str, asking: &str) -> Self {
         let own = Self { session, robot };
         session.file(&format!("{robot}.yaml"), own.by(asking, &["fleet", "describe", address]).out());
@@ -20,14 +20,14 @@ impl<'a> Operators<'a> {
         own
     }
 
-    /// The fleet has the robot at this address.
+    /// Writes a fleet with the robot at this address.
     pub fn fleet(&self, address: &str) {
         let robot = self.robot;
         let fleet = format!("robots: {{{robot}: {{init: {robot}.yaml, address: '{address}'}}}}\n");
         self.session.file("fleet.yaml", fleet);
     }
 
-    /// What an operator's command says.
+    /// Runs an operator's command and returns its result.
     pub fn by(&self, operator: &str, args: &[&str]) -> Ran {
         let mut command = self.session.command(args);
         Ran(command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem")).output().unwrap())
@@ -41,18 +41,18 @@ impl<'a> Operators<'a> {
         self.session.file(&format!("{name}.yaml"), text);
     }
 
-    /// A mission of an operator, once the robot has accepted its scripts.
+    /// Starts an operator's mission, and returns once the robot has accepted its scripts.
     pub fn playing(&self, operator: &str, scenario: &str) -> Child {
         let mut command = self.session.command(&["run", scenario]);
         command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem"));
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut said = BufReader::new(child.stderr.as_mut().unwrap()).lines().map_while(Result::ok);
-        said.find(|line| line.contains("all have accepted")).unwrap();
+        said.find(|line| line.contains("all robots have accepted")).unwrap();
         child
     }
 }
 
-/// A mission that was to play on fails, and its report says this.
+/// Checks that a running mission fails, and that its report contains these words.
 #[track_caller]
 pub fn fails_with(mut playing: Child, words: &str) {
     let mut report = String::new();

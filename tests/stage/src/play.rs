@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use crate::{Robot, Stage, Via};
 
-/// Within which a robot starts to play.
+/// Time within which a robot starts to play.
 pub const SOON: Duration = Duration::from_secs(20);
 
 /// A scenario of one act in which all robots are set to 1, 2, 3, and so on.
 pub struct Play {
     pub steps: u32,
     pub every_ms: u32,
-    /// Steps that one script takes.
+    /// Maximum number of steps of one script.
     pub script: u32,
     pub queue: u32,
     pub running: &'static str,
@@ -38,7 +38,7 @@ impl Play {
         self.set_up(Stage::new(), vias)
     }
 
-    /// With robots that speak TLS alone.
+    /// Returns a stage whose robots accept only TLS.
     pub fn stage_with_keys(&self, vias: &[Via]) -> Stage {
         self.set_up(Stage::with_keys(), vias)
     }

@@ -1,4 +1,4 @@
-//! A TCP proxy before one robot, whose link stands still, breaks and comes back when it is told to.
+//! A TCP proxy before one robot, whose link stalls, breaks and recovers on command.
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -8,46 +8,46 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// What the link does.
+/// State of the link.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Flow {
     /// Everything passes.
     Open,
-    /// Connections stand and nothing passes; it is delivered later.
+    /// Connections stay open and nothing passes; messages are delivered later.
     Frozen,
-    /// Connections stand; what the robot says passes, and nothing reaches it.
+    /// Connections stay open; messages from the robot pass, and no message reaches it.
     Deaf,
-    /// Connections stand; what is said to the robot reaches it, and nothing that it says passes.
+    /// Connections stay open; messages to the robot pass, and messages from it do not.
     Dumb,
-    /// No connection stands; who connects waits.
+    /// All connections are closed; new ones wait.
     Interrupted,
-    /// No connection stands, and further ones are refused, as if no process listened.
+    /// All connections are closed, and new ones are refused, as if no process listened.
     Cut,
-    /// The proxy has been let go.
+    /// The proxy has been dropped.
     Ended,
 }
 
 struct Link {
     flow: Flow,
-    /// Where the robot listens that is reached by it.
+    /// Port of the robot that is reached through it.
     robot: u16,
     connections: Vec<TcpStream>,
-    /// The next line to the robot that contains this is lost, and the link is interrupted for so long.
+    /// The next line to the robot that contains this text is lost, and the link is interrupted for this long.
     lose: Option<(String, Duration)>,
-    /// The next line to the robot that contains this text, and everything behind it, takes this long.
+    /// The next line to the robot that contains this text, and every later line, is delayed by this time.
     slows: Option<(String, Duration)>,
-    /// So many connections are still reset as soon as the robot has been written to.
+    /// Number of connections that are still reset after the first write to the robot.
     resets: u32,
     lines_lost: u32,
-    /// Connections of earlier generations stand and carry nothing any more.
+    /// Connections of earlier generations stay open and carry nothing any longer.
     generation: u32,
-    /// Keys that the robot's answers lose.
+    /// Keys that are removed from the robot's answers.
     without: &'static [&'static str],
-    /// How long each line takes, either way.
+    /// Delay of each line, in each direction.
     delay: Duration,
-    /// What becomes of each message that the robot says.
+    /// Modifies each message from the robot.
     rewrite: Option<fn(&mut Value)>,
-    /// Lines cannot be told apart, nor what is in them.
+    /// Whether neither lines nor their content can be recognised.
     encrypted: bool,
 }
 
@@ -58,7 +58,7 @@ struct Shared {
 
 /// Carries connections to one robot.
 pub struct Proxy {
-    /// Where it listens.
+    /// Its own port.
     pub port: u16,
     shared: Arc<Shared>,
 }
@@ -68,7 +68,7 @@ impl Proxy {
         Self::carrying(robot, false)
     }
 
-    /// A link of which only an attacker's view is to be had: nothing can be rewritten, and any bytes are lost in place of a line.
+    /// A link with only an attacker's view: nothing can be rewritten, and arbitrary bytes are lost instead of a line.
     pub fn encrypted_to(robot: u16) -> Self {
         Self::carrying(robot, true)
     }
@@ -96,42 +96,42 @@ impl Proxy {
         Self { port, shared }
     }
 
-    /// Nothing passes from now on; the connections stand.
+    /// Blocks all messages; connections stay open.
     pub fn freeze(&self) {
         self.shared.set(Flow::Frozen);
     }
 
-    /// Nothing reaches the robot from now on; what it says passes.
+    /// Blocks messages to the robot; messages from it pass.
     pub fn deafen(&self) {
         self.shared.set(Flow::Deaf);
     }
 
-    /// Nothing that the robot says passes from now on; what is said to it does.
+    /// Blocks messages from the robot; messages to it pass.
     pub fn silence(&self) {
         self.shared.set(Flow::Dumb);
     }
 
-    /// What stands now is dead for good: what is sent on it is lost, and neither end hears that. Later connections work.
+    /// Makes the current connections permanently dead: messages on them are lost without an error on either side. Later connections work.
     pub fn strand(&self) {
         self.shared.lock().generation += 1;
     }
 
-    /// Every connection is closed; later ones stand and nothing passes, as if the robot were out of reach.
+    /// Closes all connections; later ones stay open without passing anything, as if the robot were out of reach.
     pub fn interrupt(&self) {
         self.shared.set(Flow::Interrupted);
     }
 
-    /// Every connection is closed, and later ones are refused, as if the robot's process had ended.
+    /// Closes all connections, and refuses later ones, as if the robot's process had ended.
     pub fn cut(&self) {
         self.shared.set(Flow::Cut);
     }
 
-    /// What stood still passes, and connections are taken again.
+    /// Delivers the delayed messages, and accepts connections again.
     pub fn open(&self) {
         self.shared.set(Flow::Open);
     }
 
-    /// Later connections reach this robot, as if it had taken over the address.
+    /// Directs later connections to this robot, as if it had taken over the address.
     pub fn lead_to(&self, robot: u16) {
         self.shared.lock().robot = robot;
     }
@@ -141,46 +141,46 @@ impl Proxy {
         self.shared.lock().lose = Some((text.to_owned(), away));
     }
 
-    /// How many lines were lost so.
+    /// Returns the number of lines lost in this way.
     pub fn lines_lost(&self) -> u32 {
         self.shared.lock().lines_lost
     }
 
-    /// Whether it can change what is said.
+    /// Whether it can change messages.
     pub fn reads(&self) -> bool {
         !self.shared.lock().encrypted
     }
 
-    /// Takes these keys out of everything that the robot says, as if it knew only a part of the protocol.
+    /// Removes these keys from all messages of the robot, as if it supported only a part of the protocol.
     pub fn leave_out(&self, keys: &'static [&'static str]) {
         assert!(self.reads(), "what is encrypted cannot be changed");
         self.shared.lock().without = keys;
     }
 
-    /// Every line takes so long from now on, either way.
+    /// Delays every line by this time, in each direction.
     pub fn delay(&self, delay: Duration) {
         self.shared.lock().delay = delay;
     }
 
-    /// The next line to the robot that contains this text, and every line behind it, takes this long.
+    /// Delays the next line to the robot that contains this text, and every later line, by this time.
     pub fn slow_down_at(&self, text: &str, delay: Duration) {
-        assert!(self.reads(), "lines of an encrypted link cannot be told apart");
+        assert!(self.reads(), "lines of an encrypted link cannot be distinguished");
         self.shared.lock().slows = Some((text.to_owned(), delay));
     }
 
-    /// Whether that line has come.
+    /// Whether that line has arrived.
     pub fn has_slowed_down(&self) -> bool {
         let link = self.shared.lock();
         link.slows.is_none() && !link.delay.is_zero()
     }
 
-    /// Makes something else of everything that the robot says.
+    /// Modifies all messages from the robot.
     pub fn rewrite(&self, rewrite: fn(&mut Value)) {
         assert!(self.reads(), "what is encrypted cannot be changed");
         self.shared.lock().rewrite = Some(rewrite);
     }
 
-    /// Closes so many connections as soon as something is written to the robot, which never gets it.
+    /// Closes the next `connections` connections as soon as data is written to the robot, which never receives it.
     pub fn reset_first(&self, connections: u32) {
         self.shared.lock().resets = connections;
     }
@@ -192,17 +192,17 @@ impl Drop for Proxy {
     }
 }
 
-/// Which way lines go.
+/// Direction of lines.
 #[derive(Clone, Copy)]
 enum Way {
     ToRobot,
     FromRobot,
 }
 
-/// Lines under way, each with the instant at which it arrives.
+/// Lines in flight, each with its arrival time.
 type UnderWay = (Sender<(Instant, Vec<u8>)>, std::thread::JoinHandle<()>);
 
-/// One way of a connection: at once, or from the first delay on by a thread that keeps the order.
+/// One direction of a connection: immediate, or after the first delay by a thread that keeps the order.
 struct Outlet {
     to: TcpStream,
     later: Option<UnderWay>,
@@ -213,7 +213,7 @@ impl Outlet {
         Self { to, later: None }
     }
 
-    /// Whether the connection still stands, as far as is known.
+    /// Writes a line. Returns whether the connection is still open, as far as is known.
     fn write(&mut self, line: Vec<u8>, delay: Duration) -> bool {
         if self.later.is_none() && delay.is_zero() {
             return self.to.write_all(&line).is_ok();
@@ -227,7 +227,7 @@ impl Outlet {
         sender.send((Instant::now() + delay, line)).is_ok()
     }
 
-    /// What is under way still arrives.
+    /// Ends the outlet; lines in flight still arrive.
     fn end(self) {
         if let Some((sender, thread)) = self.later {
             drop(sender);
@@ -341,7 +341,7 @@ impl Shared {
             }
         }
         outlet.end();
-        // The other end of a dead connection does not hear that this one has closed it.
+        // The other end of a dead connection does not learn that this one has been closed.
         if self.lock().generation == generation {
             for end in ends {
                 let _closed = end.shutdown(Shutdown::Both);
@@ -361,7 +361,7 @@ impl Shared {
     }
 }
 
-/// A line, or what comes at a time where lines cannot be told apart.
+/// Reads a line, or any available bytes if lines cannot be recognised.
 fn next(from: &mut BufReader<TcpStream>, encrypted: bool, into: &mut Vec<u8>) -> std::io::Result<usize> {
     if !encrypted {
         return from.read_until(b'\n', into);

@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use crate::{Robot, Stage, epoch_nanos};
 
-/// The time within which an event happens, however busy the machine is.
+/// Maximum time until an event happens, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
-/// Waits for a condition, a minute at most.
+/// Waits for a condition, at most a minute.
 #[track_caller]
 pub fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
     let began = Instant::now();
@@ -19,7 +19,7 @@ pub fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Fails if a value changes within `window`; returns the value. Whatever may change it has to be over before the call.
+/// Fails if a value changes within `window`; returns the value. Anything that may change it has to be over before the call.
 #[track_caller]
 pub fn stays<T: PartialEq + Debug>(window: Duration, what: impl Fn() -> T) -> T {
     let before = what();

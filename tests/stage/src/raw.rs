@@ -1,4 +1,4 @@
-//! A robot that is no process of the program: it answers as a robot must, and may begin to say far more than it was asked for.
+//! A robot that is not a process of the program: it answers as a robot must, and may begin to send far more than was requested.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
@@ -12,15 +12,15 @@ use serde_json::{Value, json};
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Floods {
     Never,
-    /// As soon as it is asked anything.
+    /// On any request.
     AtOnce,
     /// With its first answer about its times.
     WhenAvailable,
-    /// This time after the start of a script that it has accepted.
+    /// This time after the start of an accepted script.
     AfterStarting(Duration),
 }
 
-/// What it says without end.
+/// The content of its endless output.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Flood {
     /// Lines that are no messages.
@@ -33,7 +33,7 @@ pub enum Flood {
     Blocks,
     /// One line without an end.
     Line,
-    /// Answers to questions that were never asked, a minute ago, and would make leads and leases long.
+    /// Answers to questions that were allegedly asked a minute ago: they would make leads and leases long.
     Answers,
 }
 
@@ -82,19 +82,19 @@ impl Raw {
         Self { port, heard, said, asked_on }
     }
 
-    /// The number of connections on which it was asked which robot it is. A slow robot is asked again on the same connection.
+    /// The number of connections on which its identity was requested. A slow robot is asked again on the same connection.
     pub fn connections(&self) -> u64 {
         self.asked_on.load(Ordering::Relaxed)
     }
 
-    /// The messages of this kind that it was sent, without the name of the kind.
+    /// Returns the received messages of this kind, without the name of the kind.
     pub fn heard(&self, kind: &str) -> Vec<Value> {
         let lines = self.heard.lock().unwrap();
         let of_kind = |line: &String| serde_json::from_str::<Value>(line).unwrap().get(kind).cloned();
         lines.iter().filter_map(of_kind).collect()
     }
 
-    /// How many bytes of its flood were taken.
+    /// Returns the number of bytes of its flood that were taken.
     pub fn flooded(&self) -> u64 {
         self.said.load(Ordering::Relaxed)
     }
@@ -133,7 +133,7 @@ impl Own {
         out: &mut TcpStream,
         pours: &Arc<AtomicBool>,
     ) -> std::io::Result<()> {
-        // Of the connection that the stop lane keeps it knows nothing: there it is asked without a session.
+        // It ignores the connection that the stop lane keeps, on which requests have no session.
         let of_mission = kind == "initialization_request" || asked.get("session").is_some();
         if self.floods == Floods::AtOnce && of_mission {
             return self.pour(out);
@@ -175,7 +175,7 @@ impl Own {
         }
     }
 
-    /// Says it until the connection ends.
+    /// Sends its flood until the connection ends.
     fn pour(&self, out: &mut TcpStream) -> std::io::Result<()> {
         let at = "2026-11-20T19:00:00Z";
         let bytes = match self.flood {
@@ -207,7 +207,7 @@ impl Own {
     }
 }
 
-/// How long it is until a script starts, by the clock of this machine.
+/// Returns the time until a script starts, by the clock of this machine.
 fn until_start(script: &Value) -> Duration {
     let sent = crate::nanos(script["timestamp"].as_str().unwrap());
     let since = u64::try_from(crate::epoch_nanos() - sent).unwrap_or(0);

@@ -39,18 +39,18 @@ devices:
       script: {min_value: 0, max_value: 90, granularity: 0.5, max_number_of_steps: 8}
 ";
 
-/// The arm, with its shoulder at this position.
+/// Returns the arm, with its shoulder at this position.
 pub fn arm_at(position: u32) -> String {
     ARM.replace("default_value: 0", &format!("default_value: {position}"))
 }
 
-/// A folder with an arm, a fleet and whatever a test adds.
+/// A folder with an arm, a fleet, and the files that a test adds.
 pub struct Session {
     folder: TempDir,
 }
 
 impl Session {
-    /// Two simulated arms, `left` and `right`, and the group `arms`.
+    /// Creates two simulated arms, `left` and `right`, and the group `arms`.
     pub fn new() -> Self {
         let session = Self { folder: TempDir::new().unwrap() };
         session.file("arm.yaml", ARM).file(
@@ -73,7 +73,8 @@ impl Session {
 
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(program());
-        command.args(args).current_dir(self.folder.path()).env("DOWNBEAT_STATE", self.path("state"));
+        command.args(args).args(figures(args)).current_dir(self.folder.path());
+        command.env("DOWNBEAT_STATE", self.path("state"));
         command
     }
 
@@ -95,7 +96,13 @@ impl Session {
     }
 }
 
-/// What a run printed and how it ended.
+/// The option with which a mission prints the figures of each robot, which tests read.
+pub(crate) fn figures(args: &[&str]) -> Option<&'static str> {
+    let is_mission = matches!(args.first(), Some(&("run" | "resume")));
+    (is_mission && !args.contains(&"--verbose")).then_some("--verbose")
+}
+
+/// The output and result of a run.
 pub struct Ran(pub Output);
 
 impl Ran {

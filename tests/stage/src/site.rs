@@ -1,4 +1,4 @@
-//! Three robots with keys, and operators whose certificates permit different things.
+//! Three robots with keys, and operators whose certificates permit different actions.
 
 use std::process::{Child, Command, Stdio};
 
@@ -91,19 +91,19 @@ impl Site {
         self.session.run(&["run", "test.yaml", "--patience", "3s"])
     }
 
-    /// What a robot has logged.
+    /// Returns the log of a robot.
     pub fn logged(&self, id: usize) -> String {
         std::fs::read_to_string(self.session.path(&format!("r{id}.log"))).unwrap()
     }
 
-    /// The number of movements of all robots.
+    /// Returns the number of movements of all robots.
     pub fn moved(&self) -> usize {
         let text = |id| std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap();
         let moved = |id| text(id).lines().count();
         (0..3).map(moved).sum()
     }
 
-    /// Runs the mission, which has to be refused with these words while nothing moves.
+    /// Runs the mission, which must be refused with these words without any movement.
     #[track_caller]
     pub fn refused(&self, words: &[&str]) {
         let before = self.moved();
@@ -112,7 +112,7 @@ impl Site {
     }
 }
 
-/// Waits until a robot says where it listens.
+/// Waits until a robot prints its address.
 pub fn listens(child: &mut Child) -> String {
     use std::io::{BufRead, BufReader};
     let mut line = String::new();
@@ -128,7 +128,7 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 100ms, t
 {at: 400ms, to: 40}, {at: 500ms, to: 50}, {at: 600ms, to: 45}]}}]
 ";
 
-/// Missions whose way to one robot is meddled with.
+/// Plays missions whose messages to one robot are manipulated.
 pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     let meddler = Meddler::to(site.ports[1], wire, long_record);
     let mut addresses = site.addresses(site.scheme);
@@ -143,7 +143,7 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
         let (logged, before) = (site.logged(1).len(), site.moved());
         meddler.does(deed);
         if deed == Deed::Repeat {
-            // The first of both is what the operator has said: the mission may go on by another connection.
+            // The first copy is genuine: the mission may continue on another connection.
             // Exit code 6: the mission was played, but with late steps.
             let played = usize::from(matches!(site.run().code(), 0 | 6));
             assert_eq!(site.moved(), before + played * once);
@@ -152,13 +152,13 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
         }
         assert!(meddler.done() > 0, "{deed:?}");
         let logged = site.logged(1).split_off(logged);
-        assert!(logged.contains("altered, repeated or put in another order"), "{deed:?}: {logged}");
+        assert!(logged.contains("altered, repeated or reordered data"), "{deed:?}: {logged}");
     }
     // The bytes of an earlier connection, sent again.
     let before = site.moved();
     assert!(meddler.said_again().is_empty() || site.scheme == "tls");
     let begun = std::time::Instant::now();
-    while !site.logged(1).contains("does not prove who it is") {
+    while !site.logged(1).contains("does not prove its identity") {
         assert!(begun.elapsed().as_secs() < 10, "{}", site.logged(1));
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
@@ -167,7 +167,7 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     site.run().says(0, &["test: done"]);
 }
 
-/// The robot to copy in Python, with the keys of `arm-1`, and its address.
+/// Starts the Python starter robot with the keys of `arm-1`, and returns its address.
 pub fn python_robot(session: &Session) -> (Process, String) {
     let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let robot = root().join("robot/starters/python/robot.py");

@@ -1,15 +1,15 @@
-//! Experiments that last seconds, on a machine that may stand still for a moment.
+//! Experiments that last seconds, on a machine that may stall for a moment.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// A shorter standstill explains no failure: a simulated robot starts a command that is up to 50 ms late.
+/// A shorter stall explains no failure: a simulated robot starts a command that is up to 50 ms late.
 const EXPLAINS: Duration = Duration::from_millis(40);
 const MOST_TRIES: usize = 8;
 
-/// What the experiment gave when it was right, or else when this process was not held up meanwhile.
+/// Returns the result of the experiment if it is right, or if this process was not stalled meanwhile.
 ///
-/// What is wrong is not tried again unless a standstill explains it: an experiment that goes wrong by itself now and then is seen.
+/// A wrong result leads to another attempt only if a stall explains it: intermittent faults of the experiment itself are detected.
 pub fn undisturbed<T>(experiment: impl Fn() -> T, right: impl Fn(&T) -> bool) -> T {
     settled(|| watched(&experiment), right)
 }
@@ -24,7 +24,7 @@ fn settled<T>(mut attempt: impl FnMut() -> (T, Duration), right: impl Fn(&T) -> 
     attempt().0
 }
 
-/// With the longest time for which this process was held up.
+/// Also returns the longest time for which this process was stalled.
 fn watched<T>(experiment: impl Fn() -> T) -> (T, Duration) {
     const NAP: Duration = Duration::from_millis(2);
     let over = AtomicBool::new(false);

@@ -1,4 +1,4 @@
-//! A terminal for a process under test: what is written to it is read or left standing, and keys are typed.
+//! A terminal for a process under test: its output is read or left unread, and keys are typed.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -19,7 +19,7 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    /// Of so many columns and rows.
+    /// Creates a terminal of this size.
     pub fn new(columns: u16, rows: u16) -> Self {
         let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         grantpt(&ours).unwrap();
@@ -35,7 +35,7 @@ impl Terminal {
         Self { ours, theirs, size: (columns, rows) }
     }
 
-    /// Writes to it until it takes no more, as after Ctrl-S.
+    /// Fills it until it accepts no further output, as after Ctrl-S.
     pub fn stall(self) -> Self {
         fill(&self.theirs);
         self
@@ -45,13 +45,13 @@ impl Terminal {
         Stdio::from(self.theirs.try_clone().unwrap())
     }
 
-    /// The settings of the line, which a program must restore.
+    /// Returns the settings of the line, which a program must restore.
     pub fn settings(&self) -> String {
         let settings = rustix::termios::tcgetattr(&self.theirs).unwrap();
         format!("{:?} {:?} {:?}", settings.input_modes, settings.output_modes, settings.local_modes)
     }
 
-    /// Gives it to a command as input and output, in a session of its own as under a terminal's shell.
+    /// Attaches it to a command as input and output, in a session of its own as under a terminal's shell.
     pub fn attach(&self, command: &mut Command) {
         command.stdin(self.end()).stdout(self.end()).stderr(self.end());
         command.env("TERM", "xterm-256color").env_remove("NO_COLOR");
@@ -61,7 +61,7 @@ impl Terminal {
         rustix::io::write(&self.ours, keys.as_bytes()).unwrap();
     }
 
-    /// Waits until what was written to it so far has been read.
+    /// Waits until all previous output has been read.
     #[track_caller]
     pub fn settle(&self, watched: &Watched) {
         const MARK: &str = "(nothing more was written)";
@@ -71,7 +71,7 @@ impl Terminal {
         crate::quiet::await_that(MARK, || marks() > before);
     }
 
-    /// Reads what is written to it from here on.
+    /// Reads its output from this point.
     pub fn watch(&self) -> Watched {
         let mut reader = File::from(self.ours.try_clone().unwrap());
         let bytes = Arc::new(Mutex::new(Vec::new()));
@@ -86,7 +86,7 @@ impl Terminal {
     }
 }
 
-/// Writes to a pipe or a terminal until it takes no more.
+/// Writes to a pipe or a terminal until it accepts no further bytes.
 pub fn fill(file: &File) {
     let flags = fcntl_getfl(file).unwrap();
     fcntl_setfl(file, flags | OFlags::NONBLOCK).unwrap();
@@ -96,7 +96,7 @@ pub fn fill(file: &File) {
     fcntl_setfl(file, flags).unwrap();
 }
 
-/// What was written to a terminal.
+/// The output to a terminal.
 pub struct Watched {
     bytes: Arc<Mutex<Vec<u8>>>,
     size: (u16, u16),
@@ -107,7 +107,7 @@ impl Watched {
         String::from_utf8_lossy(&self.bytes.lock().unwrap()).into_owned()
     }
 
-    /// What a person sees on it now, also what has scrolled away.
+    /// Returns the text that a person sees on it, including lines that have scrolled away.
     pub fn screen(&self) -> String {
         let (columns, _) = self.size;
         // Tall enough that nothing has scrolled away.
@@ -117,7 +117,7 @@ impl Watched {
         text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
     }
 
-    /// Waits until this text stands on the screen.
+    /// Waits until this text appears on the screen.
     #[track_caller]
     pub fn shows(&self, text: &str, within: Duration) -> String {
         let began = Instant::now();

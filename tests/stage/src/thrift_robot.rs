@@ -1,5 +1,5 @@
-//! A small robot of the Thrift form, byte by byte, so that the driver is tested against something that is not the library
-//! it is written with: strict binary protocol, one connection at a time.
+//! A small robot of the Thrift form, byte by byte, so that the driver is not tested against the library that it uses: strict binary
+//! protocol, one connection at a time.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -17,7 +17,7 @@ const BOOL: u8 = 2;
 const DOUBLE: u8 = 4;
 const STRING: u8 = 11;
 
-/// The robot, on a thread.
+/// A robot that runs on a thread.
 pub struct ThriftRobot {
     port: u16,
     stopped: Arc<AtomicBool>,
@@ -53,7 +53,7 @@ impl ThriftRobot {
         self.port
     }
 
-    /// It keeps its connection and does nothing more until it is stopped.
+    /// Keeps its connection and does nothing until it is stopped.
     pub fn freeze(&self) {
         self.frozen.store(true, Ordering::SeqCst);
     }
@@ -71,7 +71,7 @@ impl ThriftRobot {
     }
 }
 
-/// Takes one call and answers it.
+/// Reads one call and answers it.
 fn answer(stream: &mut TcpStream, schema: &str, log: &mut File, frozen: &AtomicBool) -> io::Result<()> {
     let [a, b, _, kind] = take(stream)?;
     while frozen.load(Ordering::SeqCst) {

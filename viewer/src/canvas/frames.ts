@@ -1,4 +1,4 @@
-// One redraw for everything that changed since the last frame.
+// One redraw for all changes since the last frame.
 
 const waiting = new Set<() => void>();
 

@@ -1,4 +1,4 @@
-// Slanted lines: what was planned and not played.
+// Slanted lines that mark what was planned but not played.
 
 const APART = 6;
 

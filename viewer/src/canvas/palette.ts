@@ -1,4 +1,4 @@
-// Colours of the canvases: those of the style sheet, read once for each theme.
+// Colours of the canvases, read from the style sheet once per theme.
 import type { Theme } from "../state/session";
 
 const NAMES = {

@@ -1,8 +1,8 @@
-// Text on a canvas, cut to the room that it has.
+// Text on a canvas, cut to the available width.
 import { visible } from "../text/visible";
 
 const widths = new Map<string, number>();
-/** Enough for the names of one screen; more would only fill memory. */
+/** Enough for the names of one screen; more would only waste memory. */
 const REMEMBERED = 5000;
 
 export function widthOf(context: CanvasRenderingContext2D, text: string): number {
@@ -16,7 +16,7 @@ export function widthOf(context: CanvasRenderingContext2D, text: string): number
   return width;
 }
 
-/** Draws as much of `text` as fits, with an ellipsis if it does not fit, and nothing if not even that helps. */
+/** Draws as much of `text` as fits, with an ellipsis if it is cut. Draws nothing if not even that fits. */
 export function fitText(context: CanvasRenderingContext2D, text: string, x: number, y: number, room: number): void {
   const shown = cut(context, visible(text), room);
   if (shown !== "") context.fillText(shown, x, y);

@@ -1,4 +1,4 @@
-// A canvas that is as large as its box, as sharp as the screen, and drawn again when one of its cells changes.
+// A canvas with the size of its box and the resolution of the screen, redrawn when one of its cells changes.
 import { useEffect, useRef, type MutableRef } from "preact/hooks";
 import type { Cell } from "../state/cell";
 import { useSession } from "../state/session";

@@ -1,4 +1,4 @@
-// Curves of the chosen lanes, with what robots set and sensors read.
+// Curves of the chosen lanes, with the values that robots set and sensors read.
 import { useEffect, useState } from "preact/hooks";
 import { useCanvas } from "../canvas/useCanvas";
 import { Tool } from "../panels/Tool";

@@ -1,4 +1,4 @@
-// Curves of the chosen lanes, below each other on one axis of time.
+// Curves of the chosen lanes, one below the other on a common time axis.
 import { FONT, MONO, type Palette } from "../canvas/palette";
 import { fitText } from "../canvas/text";
 import type { Sheet } from "../canvas/useCanvas";
@@ -14,7 +14,7 @@ import { makePlot, type Plot } from "./plot";
 /** Room for the values on the left and the times below. */
 export const MARGIN = { left: 62, bottom: 20 };
 const TITLE = 18;
-/** Pixels between two lines of the granularity, before they are drawn. */
+/** Grid lines of the granularity are drawn only if they are at least this many pixels apart. */
 const GRAIN = 7;
 
 export interface Slot {
@@ -22,7 +22,7 @@ export interface Slot {
   height: number;
 }
 
-/** Where the plot of each chosen lane is. */
+/** Position of the plot of each chosen lane. */
 export function slots(count: number, height: number): Slot[] {
   const each = (height - MARGIN.bottom) / Math.max(1, count);
   return Array.from({ length: count }, (_, i) => ({ top: i * each, height: each }));

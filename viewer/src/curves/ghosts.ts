@@ -1,4 +1,4 @@
-// The curves of the plan that this one is compared with, behind the planned ones.
+// Curves of the plan to which this one is compared, behind the planned curves.
 import type { Sheet } from "../canvas/useCanvas";
 import type { Show } from "../data/show";
 import type { Wave } from "../data/wave";
@@ -10,7 +10,7 @@ export function drawGhosts({ context, palette }: Sheet, { track, scale, y }: Plo
   context.setLineDash([6, 3]);
   for (const { start, wave } of show.ghostsOf(track)) {
     const { first, end } = inView(wave, start, scale);
-    // More than a few steps a pixel would cost time and show nothing.
+    // More than a few steps per pixel would cost time and show nothing.
     const stride = Math.max(1, Math.floor((end - first) / (4 * scale.width)));
     context.beginPath();
     for (let i = first; i < end; i += stride) {
@@ -24,7 +24,7 @@ export function drawGhosts({ context, palette }: Sheet, { track, scale, y }: Plo
   context.setLineDash([]);
 }
 
-/** The steps in view, with one more on both sides. */
+/** The steps in view, and one more on each side. */
 export function inView(wave: Wave, start: number, { view }: Scale): { first: number; end: number } {
   return { first: Math.max(0, wave.at(view.from - start)), end: Math.min(wave.count, wave.from(view.to - start) + 1) };
 }

@@ -1,10 +1,11 @@
-// What robots set, as squares, and what sensors read, as triangles; how far off their times may be, as a line through them.
+// Values that robots set, as squares, and values that sensors read, as triangles. A line through a mark shows the uncertainty of its
+// time.
 import type { Sheet } from "../canvas/useCanvas";
 import type { Show } from "../data/show";
 import type { Wave } from "../data/wave";
 import type { Plot } from "./plot";
 
-/** Pixels that each mark needs, to be drawn in full size. */
+/** Pixels that each mark needs to be drawn at full size. */
 const ROOM_OF_MARK = 9;
 
 export function drawObserved(sheet: Sheet, plot: Plot, show: Show): void {

@@ -1,11 +1,11 @@
-// The planned movement: its band of error, the line as the device moves between steps, and the steps where there is room.
+// The planned movement: its error band, the line as the device moves between steps, and the steps if there is room.
 import type { Sheet } from "../canvas/useCanvas";
 import type { Segment, Track } from "../data/track";
 import { stepsInView, type Plot } from "./plot";
 
-/** Pixels that each step needs, to be drawn as a point. */
+/** Pixels that each step needs to be drawn as a point. */
 const ROOM_OF_POINT = 7;
-/** Pixels around the plot that points and lines may reach. */
+/** Pixels around the plot into which points and lines may extend. */
 const ROOM_AROUND = 4;
 
 export function drawPlanned(sheet: Sheet, plot: Plot): void {
@@ -47,7 +47,7 @@ function drawColumns({ context, palette }: Sheet, { envelope, y }: Plot): void {
   context.fill();
 }
 
-/** After the last step the device stays where it is, until its next script. */
+/** After the last step, the device keeps its value until its next script. */
 function drawHeld(context: CanvasRenderingContext2D, { track, scale }: Plot, segment: Segment, y: number, from: number): void {
   const next = track.segments[track.segments.indexOf(segment) + 1];
   context.setLineDash([2, 4]);
@@ -58,7 +58,7 @@ function drawHeld(context: CanvasRenderingContext2D, { track, scale }: Plot, seg
   context.setLineDash([]);
 }
 
-/** What was played, and, fainter and in dashes, what was not. */
+/** Draws the played part, and the rest fainter and dashed. */
 function drawParts(sheet: Sheet, plot: Plot, segment: Segment, points: boolean): void {
   const { context } = sheet;
   const { scale, top, height } = plot;

@@ -1,4 +1,4 @@
-// Where one curve is drawn, and between which values.
+// Position and range of values of one curve.
 import { fillEnvelope, makeEnvelope, type Envelope } from "../data/envelope";
 import type { Show } from "../data/show";
 import type { Track } from "../data/track";
@@ -45,7 +45,7 @@ function extentOf(show: Show, track: Track, scale: Scale, envelope: Envelope): {
   return { low: extent.low - room, high: extent.high + room };
 }
 
-/** How many planned steps are in view. */
+/** Number of planned steps in view. */
 export function stepsInView({ track, scale }: Plot): number {
   let steps = 0;
   for (const segment of track.segments) {

@@ -1,8 +1,8 @@
-// Columns of numbers, as they stand in the page and as they are kept in memory.
+// Columns of numbers, as encoded in the page and as kept in memory.
 import type { Column } from "../mission";
 import { PayloadError } from "./payload";
 
-/** `integers[i] / divisor` is the number, to the last digit. Where the page holds floats, the divisor is 1. */
+/** `integers[i] / divisor` is exactly the number. If the page holds floats, the divisor is 1. */
 export interface Numbers {
   integers: Int32Array | Float64Array;
   divisor: number;
@@ -22,7 +22,7 @@ function floats(bytes: Uint8Array, { at, n }: Column): Float64Array {
 }
 
 function integers(bytes: Uint8Array, { at, n, order }: Column): Int32Array | Float64Array {
-  // Every number takes at least one byte, so a column that claims more numbers than bytes never allocates.
+  // Every number takes at least one byte. This check rejects a column that claims more numbers than bytes before it allocates.
   if (!(at + n <= bytes.length)) throw cutOff();
   let out: Int32Array | Float64Array = new Int32Array(n);
   let narrow = true;

@@ -1,4 +1,4 @@
-// Where robots differ from the plan: values that they set at another time, other values than planned, and starts that were off.
+// Deviations of robots from the plan: values set at another time, other values than planned, and inaccurate starts.
 import { millisSince } from "../text/instant";
 import type { Show } from "./show";
 import type { Segment, Track } from "./track";
@@ -7,24 +7,27 @@ import type { Wave } from "./wave";
 export interface Deviation {
   kind: "time" | "value" | "start";
   track: Track;
-  /** When it was, on the mission's axis. */
+  /** When it happened, on the mission's axis. */
   at: number;
-  /** In ms, or in the device's unit: what was, minus what was planned. */
+  /** Actual minus planned, in ms or in the device's unit. */
   by: number;
 }
 
-/** More than this many of a kind are no list to read. */
+/** A longer list per kind would not be readable. */
 export const KEPT = 300;
 
-/** Comparing more values would stop the page for seconds. */
+/** Comparing more values would block the page for seconds. */
 const MOST_VALUES = 1_000_000;
 
-/** Whether all lanes can be compared at once, or only those whose curves are shown. */
+/** Whether all lanes can be compared at once, instead of only those whose curves are shown. */
 export function comparesAll({ mission }: Show): boolean {
   return mission.set.reduce((sum, { series }) => sum + series.v.n, 0) <= MOST_VALUES;
 }
 
-/** Starts first, then times, then values; in each kind the largest first. Values of different units are compared by the lane's extent. */
+/**
+ * Starts first, then times, then values, each sorted by size with the largest first. Values of different units are compared relative to
+ * the lane's extent.
+ */
 export function deviations(show: Show, tracks: readonly Track[]): Deviation[] {
   const times = new Largest(inMs);
   const values = new Largest(inExtents);
@@ -42,7 +45,7 @@ export function deviations(show: Show, tracks: readonly Track[]): Deviation[] {
 const inMs = ({ by }: Deviation) => Math.abs(by);
 const inExtents = ({ by, track }: Deviation) => Math.abs(by) / (track.extent.high - track.extent.low || 1);
 
-/** Keeps the largest, without a list of all. */
+/** Keeps the largest deviations, without a list of all. */
 class Largest {
   private list: Deviation[] = [];
 
@@ -58,7 +61,7 @@ class Largest {
   }
 }
 
-/** The steps of a device in one act: those of all its scripts, numbered one after the other. */
+/** The steps of a device in one act: the steps of all its scripts, numbered consecutively. */
 interface Steps {
   act: number;
   segments: readonly Segment[];
@@ -72,7 +75,7 @@ interface Steps {
   playedUntil: number;
 }
 
-/** Acts of which nothing was played have no steps that could be compared. */
+/** Acts that were not played at all have no steps to compare. */
 function stepsOfActs(track: Track): Steps[] {
   const acts = new Map<number, Segment[]>();
   for (const segment of track.segments) {
@@ -97,7 +100,7 @@ interface Part {
   end: number;
 }
 
-/** A robot may set the first value of an act this much too early, where nothing tells for which act it set it. */
+/** If the act of a value is not recorded, the first value of an act may be set up to this much early. */
 const EARLY_MS = 250;
 
 function partsOf(wave: Wave, planned: readonly Steps[], act: number | null): Part[] {
@@ -109,7 +112,7 @@ function partsOf(wave: Wave, planned: readonly Steps[], act: number | null): Par
     if (act !== null && steps.act !== act) return [];
     const next = act === null ? (begins[i + 1] ?? Infinity) : Infinity;
     const first = wave.from(begins[i]);
-    // What a robot sets once everything is being stopped is no step of the act.
+    // Values that a robot sets after the stop began are no steps of the act.
     const end = Math.min(wave.from(next), wave.at(steps.playedUntil) + 1);
     return end > first ? [{ steps, first, end }] : [];
   });
@@ -117,7 +120,7 @@ function partsOf(wave: Wave, planned: readonly Steps[], act: number | null): Par
 
 function compare(track: Track, wave: Wave, { steps, first, end }: Part, times: Largest, values: Largest): void {
   const set = end - first;
-  // An act that was stopped was played up to a step, all others as a whole; a robot that left out a step has set fewer values.
+  // A stopped act was played up to a step, any other act completely. If a robot skipped a step, it has set fewer values.
   const inOrder = steps.playedUntil < Infinity ? set <= steps.count : set === steps.count;
   for (let i = first; i < end; i++) {
     const [at, value] = [wave.time(i), wave.value(i)];
@@ -129,7 +132,7 @@ function compare(track: Track, wave: Wave, { steps, first, end }: Part, times: L
   }
 }
 
-/** Half a nanosecond: less than that is lost when times are added up. */
+/** Half a nanosecond: the rounding error of summed times. */
 const LEAST_MS = 5e-7;
 
 interface Step {
@@ -144,10 +147,10 @@ function stepOf({ segments, waves, firsts }: Steps, number: number): Step {
   return { at: segments[s].start + waves[s].time(i), value: waves[s].value(i) };
 }
 
-/** Steps before and after a time that may be meant. */
+/** Steps before and after a time that are considered for a match. */
 const AROUND = 4;
 
-/** The nearest step with this value; without one, the nearest. */
+/** The nearest step with this value, or else the nearest step. */
 function likely(steps: Steps, track: Track, at: number, value: number): Step {
   const number = before(steps, at);
   let best: Step | null = null;
@@ -168,12 +171,12 @@ function before({ segments, waves, firsts }: Steps, at: number): number {
   return firsts[s] + waves[s].at(at - segments[s].start);
 }
 
-/** Half of the device's granularity; without one, what floats lose. */
+/** Half of the device's granularity, or else the rounding error of floats. */
 function tolerance(track: Track, value: number): number {
   return Math.max((track.device.granularity ?? 0) / 2, Math.abs(value) * 1e-9, 1e-12);
 }
 
-/** Each at the start that its script was planned to have, which may come long after the act's. */
+/** Each deviation is placed at the planned start of its script, which may be long after the act's start. */
 function startErrors(show: Show): Deviation[] {
   const { acts, epoch, report } = show.mission;
   return (report?.acts ?? []).flatMap((reported) => {

@@ -1,4 +1,4 @@
-// What a device does in each pixel column: smallest and largest planned value, so that one step is seen at any zoom.
+// Smallest and largest planned value of a device per pixel column, so that a single step is visible at any zoom.
 import type { Extent } from "./pyramid";
 import type { Segment, Track } from "./track";
 
@@ -7,11 +7,11 @@ export interface View {
   to: number;
 }
 
-/** Planned values in each column; NaN where nothing is planned. */
+/** Planned values per column; NaN if nothing is planned. */
 export interface Envelope {
   low: Float64Array;
   high: Float64Array;
-  /** 1 where nothing in the column was played. */
+  /** 1 if nothing in the column was played. */
   unplayed: Uint8Array;
 }
 

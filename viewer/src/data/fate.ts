@@ -1,7 +1,7 @@
-// What became of an act, and from when on what was planned of it was not played.
+// Fate of an act, and when it stopped following the plan.
 import type { Played } from "../mission";
 
-/** On the mission's axis; `Infinity` where all of it was played, as far as is known; `-Infinity` where nothing was. */
+/** On the mission's axis. `Infinity` if all of it was played, as far as is known; `-Infinity` if nothing was played. */
 export function playedUntil({ fate, over }: Played): number {
   if (fate === undefined || fate === "played") return Infinity;
   if (fate === "withdrawn") return -Infinity;

@@ -1,4 +1,4 @@
-// From the text inside the page to the document and the bytes of its columns.
+// Converts the text inside the page to the document and the bytes of its columns.
 import type { Mission } from "../mission";
 import type { Trials } from "../trials";
 
@@ -7,10 +7,10 @@ export interface Payload<Document = Mission> {
   columns: Uint8Array;
 }
 
-/** Why the mission cannot be shown, as a sentence for people. */
+/** The reason why the mission cannot be shown, as a readable sentence. */
 export class PayloadError extends Error {}
 
-/** Characters of base64 decoded at once: a multiple of 4, small enough that no second copy of the whole is ever in memory. */
+/** Characters of base64 decoded at once: a multiple of 4, and small enough that memory never holds a second copy of the whole text. */
 const PIECE = 1 << 20;
 
 export async function readPayload(base64: string): Promise<Payload<Mission> | Payload<Trials>> {

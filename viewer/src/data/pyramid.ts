@@ -1,11 +1,11 @@
-// Smallest and largest of any range of numbers without reading them all: each level sums up 16 entries of the level below.
+// Finds the minimum and maximum of any range of numbers without reading all of them: each level summarizes 16 entries of the level below.
 import type { Numbers } from "./column";
 
 const FAN = 16;
 
 type Level = { low: Numbers["integers"]; high: Numbers["integers"] };
 
-/** Reused by every query, because a frame asks tens of thousands of times. */
+/** Reused by every query, because a frame makes tens of thousands of queries. */
 export interface Extent {
   low: number;
   high: number;

@@ -1,4 +1,4 @@
-// The report as the page shows it, out of JSON of any shape: what does not fit is not known.
+// Extracts the report from JSON of any shape. Values of an unexpected shape are treated as unknown.
 import type { ActCourse, Report, ReportedAct, ReportedFailure, ReportedRobot } from "../mission";
 
 export function readReport(json: unknown): Report | null {

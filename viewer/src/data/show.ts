@@ -1,4 +1,4 @@
-// The document, indexed: what the panels and canvases ask for, without a look at every act each time.
+// An index of the document for panels and canvases, so that they need not search all acts.
 import type { Cue, DeviceSeries, Ghost, Mission, Plan, Played, Report, Robot } from "../mission";
 import { playedUntil } from "./fate";
 import type { Payload } from "./payload";
@@ -6,7 +6,7 @@ import { readReport } from "./report";
 import { Track, type Segment } from "./track";
 import { Waves, type Wave } from "./wave";
 
-/** A cue where it was played: an act that is played twice places its cues twice. */
+/** A cue at the time of its act: if an act is played twice, its cues are placed twice. */
 export interface PlacedCue {
   index: number;
   act: number;
@@ -15,17 +15,17 @@ export interface PlacedCue {
   cue: Cue;
   start: number;
   end: number;
-  /** What comes after was not played; on the mission's axis. */
+  /** The rest was not played. On the mission's axis. */
   playedUntil: number;
 }
 
-/** What a robot set or a sensor read. */
+/** Values that a robot set or a sensor read. */
 export interface Observed {
   source: DeviceSeries;
   wave: Wave;
 }
 
-/** Steps of the plan that this one is compared with; their times are from `start`. */
+/** Steps of the plan to which this one is compared; their times are relative to `start`. */
 export interface GhostWave {
   start: number;
   wave: Wave;
@@ -36,12 +36,12 @@ export class Show {
   readonly tracks: Track[] = [];
   /** Tracks of each robot, in the order of its devices. */
   readonly tracksOf: Track[][];
-  /** The first value of each device. */
+  /** The track of each device's first value. */
   private readonly trackOfDevice: (Track | undefined)[][];
   /** Robots that were left out of each act. */
   private readonly leftOutOf: ReadonlySet<number>[];
   readonly cues: PlacedCue[];
-  /** Indices into `cues` of what each finding is about. */
+  /** For each finding, indices into `cues` of the cues that it concerns. */
   readonly cuesOfFinding: number[][];
   private readonly ghostsOfTrack: GhostWave[][] = [];
   private readonly ghostsOfCues = new Map<number, { start: number; end: number }>();
@@ -75,7 +75,7 @@ export class Show {
     return this.leftOutOf[act]?.has(robot) ?? false;
   }
 
-  /** When the robot was to begin with an act: its first script may come long after the act's start. */
+  /** Planned start of the robot's first script in an act, which may be long after the act's start. */
   plannedStart(robot: number, act: number): number {
     const played = this.mission.acts[act];
     const lanes = this.planOf(played)?.lanes.filter((lane) => lane.robot === robot) ?? [];
@@ -83,7 +83,7 @@ export class Show {
     return played.start + (starts.length === 0 ? 0 : Math.min(...starts));
   }
 
-  /** Where a step has several values, only the first is told. */
+  /** If a step has several values, only the first is recorded. */
   observed(kind: "set" | "read", track: Track): Observed[] {
     if (track.value !== 0) return [];
     return this.mission[kind]
@@ -91,17 +91,17 @@ export class Show {
       .map((source) => ({ source, wave: this.wave(source) }));
   }
 
-  /** What the plan that this one is compared with has for a lane, wherever an act was played. */
+  /** The lane in the plan to which this one is compared, for every time that an act was played. */
   ghostsOf(track: Track): readonly GhostWave[] {
     return this.ghostsOfTrack[track.index] ?? [];
   }
 
-  /** Where a cue is in the plan that this one is compared with, if it is elsewhere there. */
+  /** Position of a cue in the plan to which this one is compared, if it differs. */
   ghostOfCue(placed: PlacedCue): { start: number; end: number } | null {
     return this.ghostsOfCues.get(placed.index) ?? null;
   }
 
-  /** How far off a time of this robot may be, in ms; 0 where nobody asked its clock. */
+  /** Uncertainty of the robot's times, in ms; 0 if its clock was not queried. */
   clockUncertainty(robot: number, ms: number): number {
     const clock = this.clockOf.get(robot);
     if (clock === undefined) return 0;
@@ -114,14 +114,14 @@ export class Show {
     return act.plan === null ? null : this.mission.plans[act.plan];
   }
 
-  /** The act that plays at `ms`, or the last before. */
+  /** The act that plays at `ms`, or the last act before that. */
   actAt(ms: number): number {
     const { acts } = this.mission;
     for (let i = acts.length - 1; i > 0; i--) if (acts[i].start <= ms) return i;
     return acts.length > 0 ? 0 : -1;
   }
 
-  /** The cue that a robot plays at `ms`; the latest if several do. */
+  /** The cue that a robot plays at `ms`; the latest if there are several. */
   cueAt(robot: number, ms: number): PlacedCue | null {
     let found: PlacedCue | null = null;
     for (const placed of this.cues) {
@@ -131,7 +131,7 @@ export class Show {
     return found;
   }
 
-  /** Cues whose lines contain this one; the cue with the fewest lines if several do. */
+  /** Cues whose lines contain this line. If there are several, those with the fewest lines. */
   cuesAt(source: number, line: number): number[] {
     const holds = this.cues.filter(({ cue }) => cue.source === source && cue.first_line <= line && line <= cue.last_line);
     const fewest = Math.min(...holds.map(({ cue }) => cue.last_line - cue.first_line));
@@ -164,7 +164,7 @@ export class Show {
         values.forEach(inOrder);
         const tells = observed.has(key(r, d)) || placesBody(robot, d);
         if (values[0] === undefined && tells) values[0] = [];
-        // Not every value need have a lane, so there may be holes.
+        // A value may have no lane, so there may be holes.
         values.forEach((segments, value) => {
           const track = new Track(
             { index: this.tracks.length, robotIndex: r, robot, deviceIndex: d, device, value, several: values.length > 1 },
@@ -190,7 +190,7 @@ function placesBody(robot: Robot, device: number): boolean {
 
 const leftOut = (act: Played) => new Set(act.robots.filter((robot) => robot.left_out).map((robot) => robot.robot));
 
-/** Segments of each value of each device. */
+/** Adds the segments of an act to each value of each device. */
 function addSegments(planned: Map<string, Segment[][]>, plan: Plan | null, act: Played, index: number): void {
   const without = leftOut(act);
   const until = playedUntil(act);
@@ -204,7 +204,7 @@ function addSegments(planned: Map<string, Segment[][]>, plan: Plan | null, act: 
   }
 }
 
-/** One after the other, whichever lane they are of: a device plays one script at a time. */
+/** Sorts the segments of all lanes: a device plays one script at a time. */
 function inOrder(segments: Segment[]): void {
   segments.sort((a, b) => a.start - b.start);
   segments.forEach((segment, i) => {

@@ -1,19 +1,19 @@
-// One device over the whole mission: the scripts of every act in which it moves, one after the other.
+// One device over the whole mission: the scripts of every act in which it moves, in order.
 import type { Device, Lane, Robot, Series } from "../mission";
 import type { Wave, Waves } from "./wave";
 
-/** A script of a played act. `start` and `end` are on the mission's axis; it holds its last value up to `end`. */
+/** A script of a played act. `start` and `end` are on the mission's axis. The device holds its last value until `end`. */
 export interface Segment {
   start: number;
   end: number;
-  /** What comes after was not played: the act was stopped then, or (`-Infinity`) withdrawn. */
+  /** The rest was not played: the act was stopped at this time or (`-Infinity`) withdrawn. */
   playedUntil: number;
   act: number;
   lane: Lane;
   series: Series;
 }
 
-/** Where a device is planned to be, and why. `held`: at the last value of a script that is over. `unplayed`: nobody played that. */
+/** Planned value of a device, and how it is known. `held`: the last value of a finished script. `unplayed`: planned, but not played. */
 export interface Reading {
   value: number;
   known: "moving" | "held" | "unplayed" | "default" | "first" | "unknown";
@@ -23,8 +23,8 @@ export interface Reading {
 }
 
 /**
- * Where a device is, as far as what was played tells. `driven`: by its speed or acceleration since `value` was known. `stopped`: when
- * an act was stopped in which it was there; where it went then is not known.
+ * Position of a device according to what was played. `driven`: since `value` was known, the device has been moved by speed or
+ * acceleration. `stopped`: when an act was stopped during its movement; its later position is unknown.
  */
 export type Position = Reading & { driven: string | null; stopped: number | null };
 
@@ -34,7 +34,7 @@ export interface TrackOf {
   robot: Robot;
   deviceIndex: number;
   device: Device;
-  /** Which of the values of a step, and whether there are several. */
+  /** Index into the values of a step, and whether there are several. */
   value: number;
   several: boolean;
 }
@@ -48,7 +48,7 @@ export class Track {
   readonly deviceIndex: number;
   readonly device: Device;
   readonly value: number;
-  /** As people know it: the device, and which of its values if it has several. */
+  /** Display name: the device, and the number of its value if it has several. */
   readonly name: string;
 
   constructor(
@@ -81,7 +81,7 @@ export class Track {
     return low - 1;
   }
 
-  /** What is planned. */
+  /** The planned value. */
   at(ms: number): Reading {
     for (let s = this.segmentAt(ms); s >= 0; s--) {
       const segment = this.segments[s];
@@ -94,7 +94,7 @@ export class Track {
     return this.beforeFirst();
   }
 
-  /** The last position that is known, of what was played. */
+  /** The last known position, from what was played. */
   positionAt(ms: number): Position {
     let driven: string | null = null;
     let stopped: number | null = null;
@@ -126,7 +126,7 @@ export class Track {
     return { value: this.wave(first).value(0), known: "first", ...unmoved };
   }
 
-  /** Smallest and largest planned value of the mission. */
+  /** Smallest and largest planned value in the mission. */
   get extent(): { low: number; high: number } {
     if (this.extentOnce === null) {
       this.extentOnce = { low: Infinity, high: -Infinity };
@@ -138,7 +138,7 @@ export class Track {
     return this.extentOnce;
   }
 
-  /** Time of the next step after (or the last before) `ms`; `null` if there is none. */
+  /** Time of the next step after (or the last before) `ms`; or `null`. */
   neighbour(ms: number, direction: 1 | -1): number | null {
     const last = this.segmentAt(ms);
     for (let s = Math.max(last, 0); s >= 0 && s < this.segments.length; s += direction) {

@@ -1,4 +1,4 @@
-// One series in memory: values over time, with a pyramid over the values.
+// One series in memory: values over time, with a pyramid of their extents.
 import type { Column, Series } from "../mission";
 import { decode, type Numbers } from "./column";
 import { Pyramid, type Extent } from "./pyramid";
@@ -30,12 +30,12 @@ export class Wave {
     return this.firstWhere((time) => time > ms) - 1;
   }
 
-  /** Index of the first value at or after `ms`; `count` behind the last. */
+  /** Index of the first value at or after `ms`; `count` after the last. */
   from(ms: number): number {
     return this.firstWhere((time) => time >= ms);
   }
 
-  /** As `from`, but not before `hint`: fast if the answer is close to it. */
+  /** As `from`, but not before `hint`. Fast if the result is close to it. */
   fromHint(ms: number, hint: number): number {
     const { integers, divisor } = this.t;
     let step = 1;
@@ -53,14 +53,14 @@ export class Wave {
     return low;
   }
 
-  /** Value at `ms` by the way the device moves between steps; NaN before the first. */
+  /** Value at `ms`, interpolated as the device moves between steps; NaN before the first. */
   valueAt(ms: number, interpolation: "hold" | "linear"): number {
     const i = this.at(ms);
     if (i < 0) return NaN;
     return this.between(i, ms, interpolation);
   }
 
-  /** Value at `ms`, where `i` is the last step at or before it. */
+  /** Value at `ms`, if `i` is the last step at or before it. */
   between(i: number, ms: number, interpolation: "hold" | "linear"): number {
     const value = this.value(i);
     if (interpolation === "hold" || i + 1 >= this.count) return value;
@@ -69,7 +69,7 @@ export class Wave {
     return way > 0 && ms > time ? value + ((this.value(i + 1) - value) * (ms - time)) / way : value;
   }
 
-  /** Widens `extent` by the values with these indices, `end` not included. */
+  /** Widens `extent` by the values with indices from `first` up to, but not including, `end`. */
   widen(extent: Extent, first: number, end: number): void {
     if (end <= first) return;
     const integers = { low: Infinity, high: -Infinity };
@@ -90,7 +90,7 @@ export class Wave {
   }
 }
 
-/** Decodes each column once, when it is first needed: robots in unison share their columns. */
+/** Decodes each column only once, on first use: robots in unison share their columns. */
 export class Waves {
   private readonly decoded = new Map<string, Numbers>();
   private readonly waves = new Map<Series, Wave>();

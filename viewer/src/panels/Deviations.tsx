@@ -1,4 +1,4 @@
-// Where robots differ from the plan, the largest first.
+// Deviations of robots from the plan, largest first.
 import { useMemo, useState } from "preact/hooks";
 import { comparesAll, deviations, KEPT, type Deviation } from "../data/deviations";
 import { useCell } from "../state/cell";
@@ -83,7 +83,7 @@ function go(session: Session, { at, track }: Deviation): void {
   if (!session.chosen.value.includes(track)) choose(session, track);
 }
 
-/** A time that is off by less than this may be right. */
+/** A smaller deviation than this may be no deviation at all. */
 function certainty({ show }: Session, { kind, track, at }: Deviation): string {
   const uncertainty = show.clockUncertainty(track.robotIndex, at);
   return kind === "value" || uncertainty === 0 ? "" : `± ${rounded(uncertainty, 6)} ms`;

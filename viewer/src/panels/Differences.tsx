@@ -1,4 +1,4 @@
-// What differs from the plan that this one is compared with; a click leads there.
+// Differences from the plan to which this one is compared. A click moves to a difference.
 import type { Difference } from "../mission";
 import { choose } from "../state/choose";
 import { seekAndShow } from "../state/moves";
@@ -62,7 +62,7 @@ function place(session: Session, difference: Difference) {
   );
 }
 
-/** Where the act was first played. */
+/** Time of the difference in the first play of its act. */
 function timeOf({ show }: Session, { plan, at }: Difference): number | null {
   const act = plan === null ? undefined : show.mission.acts.find((act) => act.plan === plan);
   return act === undefined || at === null ? null : act.start + at;

@@ -1,4 +1,4 @@
-// What happened, in order of time.
+// Events in order of time.
 import { nameOfAct } from "../data/fate";
 import { seekAndShow } from "../state/moves";
 import { useSession } from "../state/session";

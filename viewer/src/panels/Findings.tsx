@@ -1,4 +1,4 @@
-// What check found, each with its code and its place.
+// Findings of `check`, each with its code and its place.
 import type { Finding } from "../mission";
 import { seekAndShow, selectCue } from "../state/moves";
 import { useSession } from "../state/session";

@@ -1,4 +1,4 @@
-// What is shown, and the keys of a video player.
+// Name of the mission, and the controls of a video player.
 import { useCell } from "../state/cell";
 import { seekAndShow } from "../state/moves";
 import { setSpeed, shuttle, step, toggle } from "../state/playback";

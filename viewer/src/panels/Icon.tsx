@@ -1,4 +1,4 @@
-// Signs on buttons, drawn here because fonts differ in what they have.
+// Icons of buttons. They are drawn here because fonts differ in the symbols they contain.
 
 const PATHS = {
   first: "M3 3h2v10H3zM13 3v10L6 8z",

@@ -1,4 +1,4 @@
-// The panels of text, one at a time.
+// The text panels, one at a time.
 import type { ComponentChildren } from "preact";
 import { useRef } from "preact/hooks";
 import { useCell } from "../state/cell";

@@ -1,4 +1,4 @@
-// A list that shows its first hundreds, and more if asked: a document of 100,000 rows would stop the page.
+// A list that shows its first hundreds of rows, and more on request: a document of 100,000 rows would block the page.
 import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
 

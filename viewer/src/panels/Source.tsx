@@ -44,7 +44,7 @@ export function Source() {
 function pick(session: Session, file: number, line: number): void {
   const cues = session.show.cuesAt(file, line);
   const now = session.cue.value;
-  // A line of an act that is played twice belongs to two cues: the next click selects the next.
+  // If an act is played twice, a line belongs to two cues. Another click selects the next one.
   session.cue.value = cues.length === 0 ? null : cues[(cues.indexOf(now ?? -1) + 1) % cues.length];
 }
 

@@ -1,4 +1,4 @@
-// Says to screen readers where the playhead came to rest and what the focused lane does there.
+// Announces to screen readers where the playhead stopped and what the focused lane does there.
 import { useEffect } from "preact/hooks";
 import { useCell } from "../state/cell";
 import { useSession, type Session } from "../state/session";
@@ -6,7 +6,7 @@ import { describeReading } from "../text/reading";
 import { clock } from "../text/time";
 import { visible } from "../text/visible";
 
-/** Wait until the playhead rests, so that nothing is said on every frame. */
+/** Waits until the playhead rests, so that not every frame is announced. */
 const REST_MS = 300;
 
 export function Spoken() {

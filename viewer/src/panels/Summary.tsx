@@ -1,4 +1,4 @@
-// How the mission went, in the digits of the report.
+// The outcome of the mission, with the digits of the report.
 import { nameOfAct } from "../data/fate";
 import type { Mission, Report, ReportedFailure } from "../mission";
 import { useSession } from "../state/session";
@@ -134,7 +134,7 @@ interface ActRow {
   robots: number | null;
 }
 
-/** Acts as they were sent, then those of the scenario that were not, or not any more. */
+/** Acts in the order in which they were sent, then the acts of the scenario that were not sent or not sent again. */
 function rowsOf({ acts, report, scenario }: Mission & { report: Report | null }): ActRow[] {
   const fateOf = new Map(acts.map((act) => [act.number, act.fate === undefined ? "–" : fateText(act)]));
   const reported = report?.acts ?? [];
@@ -154,7 +154,7 @@ function rowsOf({ acts, report, scenario }: Mission & { report: Report | null })
       robots: act.robots.filter((robot) => !robot.left_out).length,
     }));
   const known = new Set([...acts.map(({ name }) => name), ...reported.map(({ act }) => act)]);
-  // The only act of a scenario without acts has no name in the course, and that of the scenario where it was sent.
+  // The only act of a scenario without acts has no name in the course, but has the scenario's name if it was sent.
   const skipped = (report?.course ?? [])
     .map((act) => ({ ...act, act: act.act || scenario }))
     .filter(({ act, fate }) => !(known.has(act) && SENT.has(fate)))
@@ -162,7 +162,7 @@ function rowsOf({ acts, report, scenario }: Mission & { report: Report | null })
   return [...sent, ...unreported, ...skipped];
 }
 
-/** What these became is told where they were played. */
+/** Acts with these fates are already listed where they were played. */
 const SENT = new Set(["played", "stopped", "withdrawn", "unknown"]);
 
 function Acts() {

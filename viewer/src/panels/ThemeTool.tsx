@@ -1,4 +1,4 @@
-// From light to dark and back.
+// Toggles between light and dark.
 import { useCell, type Cell } from "../state/cell";
 import type { Theme } from "../state/session";
 import { Icon } from "./Icon";

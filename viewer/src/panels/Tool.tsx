@@ -1,4 +1,4 @@
-// A small button with a sign or a word on it; `label` says what it does, and its key.
+// A small button with an icon or a word. `label` describes its action and its key.
 import type { ComponentChildren } from "preact";
 
 interface ToolProps {

@@ -1,4 +1,4 @@
-// The curves as text: what each chosen lane does at the playhead.
+// The curves as text: the value of each chosen lane at the playhead.
 import type { Observed, Show } from "../data/show";
 import type { Track } from "../data/track";
 import { useCell } from "../state/cell";

@@ -1,4 +1,4 @@
-// The stage as text: who is closest now, who is closest in the act, and of whom the place is not known.
+// The stage as text: the closest robots now, the closest in the act, and the robots whose position is unknown.
 import { playedUntil } from "../data/fate";
 import type { Show } from "../data/show";
 import { useCell } from "../state/cell";

@@ -1,4 +1,4 @@
-// Robots on the stage: balls, boxes turned by their yaw, chains of joints. Hollow and dashed: it is not known where they are.
+// Robots on the stage: balls, boxes turned by their yaw, chains of joints. Hollow and dashed if the position is unknown.
 import { FONT } from "../canvas/palette";
 import { widthOf } from "../canvas/text";
 import type { Sheet } from "../canvas/useCanvas";
@@ -8,9 +8,9 @@ import type { Projection, Spot } from "./camera";
 import type { Pose } from "./pose";
 import { place, type Point } from "./space";
 
-/** A robot is drawn at least this large, in pixels. */
+/** Smallest size of a drawn robot, in pixels. */
 const SMALLEST = 4;
-/** A robot's colour is one of these turns of the circle; its label tells which robot it is. */
+/** Hues of the robots, in degrees. Robots may share a hue; the label identifies a robot. */
 const HUES = [212, 28, 150, 275, 335, 95, 190, 55];
 
 export interface BodyStyle {
@@ -88,7 +88,7 @@ function drawBox(
   }
 }
 
-/** Filled lightly, so that what is behind remains visible, inside a firm line. */
+/** Fills lightly, so that objects behind remain visible, inside a solid outline. */
 function paint(context: CanvasRenderingContext2D, alpha: number): void {
   context.globalAlpha = alpha;
   context.fill();
@@ -105,7 +105,7 @@ function drawChain(context: CanvasRenderingContext2D, pose: Pose, project: Proje
     const from = project(points[i]);
     const to = project(points[i + 1]);
     if (from === null || to === null) continue;
-    // The way from the body to the first joint has no radius of its own.
+    // The part from the body to the first joint has no radius of its own.
     const radius = i === 0 ? 0 : pose.body.joints[i - 1].radius;
     context.lineWidth = Math.max(2, 2 * radius * from.scale);
     context.beginPath();
@@ -117,7 +117,7 @@ function drawChain(context: CanvasRenderingContext2D, pose: Pose, project: Proje
   context.lineCap = "butt";
 }
 
-/** Names that do not cover each other; of those that would, the first. */
+/** Draws names that do not overlap. Of overlapping names, only the first is drawn. */
 export function drawLabels({ context, palette }: Sheet, show: Show, found: readonly Pose[], project: Projection): void {
   const taken: { x: number; y: number; width: number }[] = [];
   context.font = FONT;

@@ -1,17 +1,17 @@
-// How the stage is looked at: from above without perspective, or from anywhere with it.
+// View of the stage: from above without perspective, or from any direction with perspective.
 import type { Point } from "./space";
 
 export interface Camera {
-  /** Looks at this point. */
+  /** The point at the centre of the view. */
   target: Point;
-  /** Half of what is in view, in metres. */
+  /** Half of the visible extent, in metres. */
   reach: number;
-  /** Turned about the vertical, and raised above the ground; radians. */
+  /** Direction of the camera: rotation about the vertical, and elevation above the ground; radians. */
   azimuth: number;
   elevation: number;
 }
 
-/** On the screen; `depth` grows away from the eye, `scale` is pixels per metre there. */
+/** A point on the screen. `depth` grows away from the eye; `scale` is pixels per metre there. */
 export interface Spot {
   x: number;
   y: number;
@@ -21,7 +21,7 @@ export interface Spot {
 
 export type Projection = (point: Point) => Spot | null;
 
-/** The eye is this many reaches away. */
+/** Distance of the eye from the target, in multiples of `reach`. */
 const EYE = 4;
 
 export function fromAbove({ target, reach }: Camera, width: number, height: number): Projection {
@@ -52,7 +52,7 @@ export function orbit(camera: Camera, azimuth: number, elevation: number): Camer
   };
 }
 
-/** Moves what is looked at by a part of what is in view. */
+/** Moves the target by a fraction of the visible extent. */
 export function slide(camera: Camera, right: number, up: number, in3d: boolean): Camera {
   const turn = in3d ? camera.azimuth : 0;
   const [x, y, z] = camera.target;

@@ -1,4 +1,4 @@
-// The two robots that are closest to each other now.
+// The two robots that are closest to each other at the playhead.
 import type { Pose } from "./pose";
 import { distance } from "./space";
 
@@ -11,7 +11,7 @@ export interface Pair {
 
 let latest: { poses: readonly Pose[]; pair: Pair | null } | null = null;
 
-/** The stage and its text ask for the same poses. */
+/** Cached, because the stage and its text request the same poses. */
 export function closestPair(found: readonly Pose[]): Pair | null {
   if (latest?.poses !== found) latest = { poses: found, pair: search(found) };
   return latest.pair;
@@ -33,7 +33,7 @@ function search(found: readonly Pose[]): Pair | null {
   return best;
 }
 
-/** `null`: not a ball, or a ball with a chain of joints. */
+/** `null` if the body is not a ball, or has a chain of joints. */
 function radiusOf({ body }: Pose): number | null {
   return "ball" in body.shape && body.joints.length === 0 ? body.shape.ball : null;
 }

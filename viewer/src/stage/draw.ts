@@ -8,7 +8,7 @@ import { closestPair, type Pair } from "./closest";
 import { drawFloor } from "./floor";
 import { middleAt, poses, type Pose } from "./pose";
 
-/** A trail shows this many milliseconds, in up to this many parts; all trails together have no more than TRAIL_POINTS. */
+/** Duration of a trail, in milliseconds, its largest number of parts, and the largest number of points of all trails together. */
 const TRAIL_MS = 3000;
 const TRAIL_PARTS = 40;
 const TRAIL_POINTS = 4000;
@@ -55,7 +55,7 @@ function drawTrail(
   context.globalAlpha = 1;
 }
 
-/** Lines to the ground show where above it a body is. */
+/** Draws vertical lines that show where a body is above the ground. */
 function drawPlumbs({ context, palette }: Sheet, found: readonly Pose[], project: Projection): void {
   context.strokeStyle = palette.line;
   context.beginPath();

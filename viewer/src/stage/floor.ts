@@ -33,7 +33,7 @@ function line(context: CanvasRenderingContext2D, project: Projection, from: Poin
   context.lineTo(end.x, end.y);
 }
 
-/** The directions of the axes, in the corner, because the origin may be out of sight. */
+/** Draws the directions of the axes in the corner, because the origin may be out of view. */
 function drawAxes({ context, palette, height }: Sheet, { target, reach }: Camera, project: Projection): void {
   const here = project(target);
   if (here === null) return;
@@ -63,7 +63,10 @@ function drawAxes({ context, palette, height }: Sheet, { target, reach }: Camera
   context.lineWidth = 1;
 }
 
-/** Where the lines of the grid are, along the edges; in space the lines run askew, and labels would belong to none. */
+/**
+ * Labels the grid lines along the edges. Only in the view from above: in perspective, the lines are oblique and labels would be
+ * ambiguous.
+ */
 function drawCoordinates(
   { context, palette, width, height }: Sheet,
   step: number,
@@ -87,7 +90,7 @@ function drawCoordinates(
   }
 }
 
-/** How long one cell is, in the corner, and where its lines are. */
+/** Draws the length of one grid cell in the corner, and the coordinates of the lines. */
 function drawScale({ context, palette, width, height }: Sheet, step: number, project: Projection, centre: number[]): void {
   const here = project([centre[0], centre[1], 0]);
   if (here === null) return;

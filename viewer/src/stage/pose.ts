@@ -1,4 +1,4 @@
-// Where a robot's body is at a time, from its lanes.
+// Position of a robot's body at a time, from its lanes.
 import type { Body, Coordinate } from "../mission";
 import type { Show } from "../data/show";
 import type { Position } from "../data/track";
@@ -10,15 +10,15 @@ export interface Pose {
   body: Body;
   frame: Frame;
   yaw: number;
-  /** Where the joints are, from the first to the tip. */
+  /** Positions of the joints, from the first to the tip. */
   chain: Point[];
-  /** Why it is not known where the body is; `null`: it is known. */
+  /** Why the position of the body is unknown; `null` if it is known. */
   doubt: string | null;
 }
 
 let latest: { show: Show; ms: number; poses: readonly Pose[] } | null = null;
 
-/** The stage and its text ask for the same instant. */
+/** Cached, because the stage and its text request the same instant. */
 export function poses(show: Show, ms: number): readonly Pose[] {
   if (latest?.show !== show || latest.ms !== ms) {
     const found = show.mission.robots.flatMap(({ body }, robot) => (body === null ? [] : [poseOf(show, robot, body, ms)]));
@@ -37,7 +37,7 @@ function poseOf(show: Show, robot: number, body: Body, ms: number): Pose {
   return { robot, body, frame, yaw, chain, doubt: doubts[0] ?? null };
 }
 
-/** Where only the body's middle is wanted, as for trails. */
+/** Only the centre of the body, for trails. */
 export function middleAt(show: Show, robot: number, body: Body, ms: number): Point {
   const value = (coordinate: Coordinate) => valueOf(show, robot, coordinate, ms, []);
   return [value(body.x), value(body.y), value(body.z)];

@@ -23,7 +23,7 @@ export function place(frame: Frame, point: Point): Point {
   return [x + frame.origin[0], y + frame.origin[1], z + frame.origin[2]];
 }
 
-/** `inner` is given in `outer`. */
+/** Converts `inner`, which is relative to `outer`, to the frame of `outer`. */
 export function within(outer: Frame, inner: Frame): Frame {
   const columns = [column(inner.rows, 0), column(inner.rows, 1), column(inner.rows, 2)];
   const row = (left: Point): Point => [dot(left, columns[0]), dot(left, columns[1]), dot(left, columns[2])];

@@ -1,4 +1,4 @@
-// Mouse, fingers and keys that move the camera.
+// Mouse, touch and keys that move the camera.
 import { closer, orbit, slide, type Camera } from "./camera";
 
 export interface Turning {

@@ -1,10 +1,10 @@
-// A camera that sees every place where a body is during the mission.
+// A camera with every position of a body during the mission in view.
 import type { Show } from "../data/show";
 import type { Camera } from "./camera";
 import { poses } from "./pose";
 import type { Point } from "./space";
 
-/** Instants that are looked at; between them a body does not go far beyond. */
+/** Number of sampled instants. Between them, a body does not move far beyond these positions. */
 const INSTANTS = 40;
 
 export function seesAll(show: Show): Camera {

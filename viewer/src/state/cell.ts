@@ -1,4 +1,4 @@
-// A value that tells its readers when it changes.
+// A value that notifies its readers when it changes.
 import { useEffect, useState } from "preact/hooks";
 
 export class Cell<T> {

@@ -1,8 +1,8 @@
-// Choosing rows: the row that the keyboard is at, lanes whose curves are drawn, and folding.
+// Choosing rows: the focused row, lanes whose curves are drawn, and folding.
 import type { Track } from "../data/track";
 import type { Session } from "./session";
 
-/** More curves below each other would be too low to read. */
+/** With more curves, each would be too low to read. */
 const MOST_CURVES = 8;
 
 export function focusRow(session: Session, index: number): void {

@@ -1,4 +1,4 @@
-// Every key of the page. The help dialog is made of the same table.
+// Every key of the page. The help dialog is made from the same table.
 import { choose, fold, foldAll, moveFocus } from "./choose";
 import { clearSelection, fit, pan, seek, seekAndShow, selectCue, zoom, zoomToSelection } from "./moves";
 import { pause, setSpeed, shuttle, step, toggle } from "./playback";
@@ -7,7 +7,7 @@ import type { Session, Tab } from "./session";
 interface Key {
   keys: string[];
   does: string;
-  /** `null`: the browser does it; the help tells it. */ run: ((session: Session, key: string) => void) | null;
+  /** `null`: the browser handles the key, and the help only lists it. */ run: ((session: Session, key: string) => void) | null;
 }
 
 const TABS: Tab[] = ["summary", "values", "cues", "deviations", "findings", "events", "source"];
@@ -108,7 +108,7 @@ export function listenToKeys(session: Session): () => void {
   return () => document.removeEventListener("keydown", press);
 }
 
-/** Fields take what is typed; buttons take Space and Enter; sliders take arrows, and panels those that scroll. */
+/** Text fields handle typed keys; buttons Space and Enter; sliders the arrow keys; panels the keys that scroll. */
 function takesKeys({ target, key }: KeyboardEvent): boolean {
   if (!(target instanceof HTMLElement)) return false;
   if (target instanceof HTMLInputElement && target.type === "range") return /^(Arrow|Page|Home|End)/.test(key);

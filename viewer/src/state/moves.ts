@@ -2,7 +2,7 @@
 import type { View } from "../data/envelope";
 import type { Session } from "./session";
 
-/** Closest that one can look: this many milliseconds over the whole width. */
+/** Smallest visible range, in milliseconds over the whole width. */
 const NARROWEST = 0.5;
 
 export function seek(session: Session, ms: number): void {
@@ -18,7 +18,7 @@ export function seekAndShow(session: Session, ms: number): void {
   if (at < from || at > to) show(session, { from: at - (to - from) / 2, to: at + (to - from) / 2 });
 }
 
-/** `factor` above 1 looks closer; what is at `ms` stays where it is. */
+/** A `factor` above 1 zooms in. The position of `ms` on the screen does not change. */
 export function zoom(session: Session, factor: number, ms: number): void {
   const { from, to } = session.view.value;
   show(session, { from: ms - (ms - from) / factor, to: ms + (to - ms) / factor });
@@ -53,7 +53,7 @@ export function clearSelection(session: Session): void {
   session.cue.value = null;
 }
 
-/** Keeps a part of the mission in view, at a width that numbers can still tell apart. */
+/** Shows a part of the mission, no narrower than `NARROWEST`, so that numbers can still be distinguished. */
 export function show(session: Session, view: View): void {
   const whole = session.whole;
   const width = Math.min(Math.max(view.to - view.from, NARROWEST), whole.to - whole.from);

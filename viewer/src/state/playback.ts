@@ -1,4 +1,4 @@
-// Playing: the playhead runs with the clock of the page, at any speed, forwards and backwards.
+// Playback: the playhead follows the clock of the page, at any speed, forwards and backwards.
 import { seek, seekAndShow, show } from "./moves";
 import type { Session } from "./session";
 
@@ -22,7 +22,7 @@ export function toggle(session: Session): void {
   else play(session);
 }
 
-/** The keys J and L: once plays in this direction, again doubles the speed. */
+/** The keys J and L: the first press plays in this direction, further presses double the speed. */
 export function shuttle(session: Session, direction: 1 | -1): void {
   const runs = session.playing.value && Math.sign(session.speed.value) === direction;
   const size = Math.abs(session.speed.value);
@@ -34,7 +34,7 @@ export function setSpeed(session: Session, size: number): void {
   session.speed.value = Math.sign(session.speed.value) * Math.min(FASTEST, Math.max(SLOWEST, size));
 }
 
-/** To the next or the previous step of the focused lane, or of the first curve. */
+/** Moves to the next or previous step of the focused lane, or else of the first curve. */
 export function step(session: Session, direction: 1 | -1): void {
   const track = session.focusedTrack ?? session.chosen.value[0];
   pause(session);
@@ -42,7 +42,7 @@ export function step(session: Session, direction: 1 | -1): void {
   if (next !== null) seekAndShow(session, next);
 }
 
-/** Runs as long as the page. */
+/** Runs until the page is closed. */
 export function runPlayback(session: Session): void {
   let before: number | null = null;
   const frame = (now: number) => {

@@ -46,7 +46,7 @@ export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>):
   return rows;
 }
 
-/** Each cue in the first row where it does not overlap the cue before it. */
+/** Puts each cue in the first row in which it does not overlap the previous cue. */
 function packed(cues: PlacedCue[]): PlacedCue[][] {
   const rows: PlacedCue[][] = [];
   const ends: number[] = [];
@@ -87,7 +87,7 @@ function shownRobots(show: Show, filter: Filter): { robot: number; tracks: reado
   });
 }
 
-/** `null`: all. */
+/** `null` means all robots. */
 function chosenRobots(show: Show, filter: Filter): ReadonlySet<number> | null {
   const choices = [
     filter.robot === null ? null : [filter.robot],

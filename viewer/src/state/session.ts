@@ -1,4 +1,4 @@
-// What the person looks at: all state of the page beside the document.
+// State of the page apart from the document: what the user has selected and is viewing.
 import { createContext } from "preact";
 import { useContext } from "preact/hooks";
 import type { View } from "../data/envelope";
@@ -10,12 +10,12 @@ import { NO_FILTER, rowsOf, type Filter, type Row } from "./rows";
 export type Theme = "light" | "dark";
 export type Tab = "summary" | "values" | "cues" | "deviations" | "findings" | "events" | "source" | "differences";
 export type Range = { from: number; to: number };
-/** What dragging over the timeline does. */
+/** Effect of dragging over the timeline. */
 export type Drag = "pan" | "select";
 
-/** Above this many lanes, robots are folded at first. */
+/** With more lanes than this, robots are initially folded. */
 const LANES_UNFOLDED = 48;
-/** Lanes of which curves are drawn at first. */
+/** Number of lanes whose curves are initially drawn. */
 const CURVES_AT_FIRST = 3;
 
 export class Session {
@@ -41,7 +41,7 @@ export class Session {
   readonly stageIn3d = new Cell(false);
   readonly trails = new Cell(true);
   readonly labels = new Cell(true);
-  /** Said to screen readers, never on every frame. */
+  /** Announced to screen readers, but never on every frame. */
   readonly spoken = new Cell("");
 
   constructor(readonly show: Show) {
@@ -65,7 +65,7 @@ export class Session {
     return wholeView(this.show);
   }
 
-  /** The lane that the keyboard is at. */
+  /** The lane with the keyboard focus. */
   get focusedTrack(): Track | null {
     const row = this.rows.value[this.focusedRow.value];
     return row?.kind === "lane" ? row.track : null;

@@ -1,4 +1,4 @@
-// A name or message of others, isolated from the direction of the text around it.
+// A name or message from outside, isolated from the text direction around it.
 import { visible } from "./visible";
 
 export function Name({ text }: { text: string }) {

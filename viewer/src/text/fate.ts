@@ -1,4 +1,4 @@
-// What became of an act, in words.
+// The fate of an act, in words.
 import { playedUntil } from "../data/fate";
 import type { ActCourse, Played } from "../mission";
 import { clock, duration } from "./time";
@@ -8,11 +8,11 @@ export function fateText({ fate, over }: Pick<Played, "fate" | "over">): string 
   if (fate === "played") return "played";
   if (fate === "stopped") return `stopped${when}`;
   if (fate === "withdrawn") return `withdrawn before anything moved${when === "" ? "" : `,${when}`}`;
-  if (fate === "unknown") return "it is not known whether it was played to its end";
-  return "its end is not known";
+  if (fate === "unknown") return "unknown whether it was played to its end";
+  return "outcome unknown";
 }
 
-/** For an act that was planned from `start` to `end`; empty where it was played. */
+/** For an act that was planned from `start` to `end`; empty if it was played. */
 export function notPlayed(act: Played, start: number, end: number): string {
   const until = playedUntil(act);
   if (until >= end) return "";
@@ -24,8 +24,8 @@ const OF_COURSE: Record<string, string> = {
   still_waiting: "still waiting at the end",
   nobody_left: "skipped: no robot was left to play it",
   withdrawn: "withdrawn before anything moved",
-  stopped: "stopped on the way",
-  unknown: "it is not known whether it was played",
+  stopped: "stopped before its end",
+  unknown: "unknown whether it was played",
   played: "played",
 };
 
@@ -36,5 +36,5 @@ export function courseText({ fate, played, awaited, within_ms }: ActCourse): str
 }
 
 function timedOut(awaited: string, within: number | null): string {
-  return `skipped: ${awaited === "" ? "what it waited for" : awaited} did not come${within === null ? "" : ` within ${duration(within)}`}`;
+  return `skipped: ${awaited === "" ? "what it waited for" : awaited} did not occur${within === null ? "" : ` within ${duration(within)}`}`;
 }

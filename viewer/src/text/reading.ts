@@ -1,4 +1,4 @@
-// Where a device is, in words.
+// Position of a device, in words.
 import type { Reading, Track } from "../data/track";
 import { digits, rounded, withUnit } from "./digits";
 
@@ -25,7 +25,7 @@ export function stepOf(track: Track, { segment, step }: Reading): string {
   return segment === null ? "" : `step ${step + 1} of ${track.wave(segment).count}`;
 }
 
-/** A value between two steps has been calculated; the value of a step is what the document says. */
+/** Whether the value is that of a step, as in the document. A value between two steps is calculated. */
 function exactly(track: Track, { segment, step, value }: Reading): boolean {
   return segment === null || value === track.wave(segment).value(step);
 }
@@ -33,7 +33,7 @@ function exactly(track: Track, { segment, step, value }: Reading): boolean {
 function unitOf(track: Track, { segment }: Reading): string {
   const { unit } = track.device;
   const control = segment?.lane.control ?? "position";
-  // Of a second or third value, the control has its number behind it.
+  // For a second or third value, the name of the control ends with its number.
   if (control.startsWith("speed")) return unit === "" ? "" : `${unit}/s`;
   if (control.startsWith("acceleration")) return unit === "" ? "" : `${unit}/s²`;
   return unit;

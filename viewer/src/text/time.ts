@@ -1,4 +1,4 @@
-// Times for people.
+// Formatted times.
 
 /** "1:02.345", "-0:00.389". */
 export function clock(ms: number): string {
@@ -29,14 +29,14 @@ export function timeOfDay(epoch: string, ms: number): string {
   return `${date.toLocaleTimeString(undefined, { hour12: false })}.${milliseconds}`;
 }
 
-/** Distance between two labels so that at least `room` pixels lie between them: 1, 2 or 5 times a power of 10. */
+/** Distance between labels that are at least `room` pixels apart: 1, 2 or 5 times a power of 10. */
 export function niceStep(perPixel: number, room: number): number {
   const least = perPixel * room;
   const power = 10 ** Math.floor(Math.log10(least));
   return power * ([1, 2, 5].find((factor) => factor * power >= least) ?? 10);
 }
 
-/** Minutes do not divide by ten, so the axis of time has its own steps from a second up. */
+/** Minutes do not divide by ten, so from one second up the time axis has its own steps. */
 export function niceTime(perPixel: number, room: number): number {
   const least = perPixel * room;
   const steps = [1000, 2000, 5000, 10_000, 15_000, 30_000, 60_000, 120_000, 300_000, 600_000, 1_800_000, 3_600_000];

@@ -1,4 +1,4 @@
-// Text of others as text: what would control the page or turn the direction of reading is shown as an escape.
+// Text from outside, made harmless: characters that control the page or change the text direction are shown as escapes.
 
 const HIDDEN = /[\u0000-\u001f\u007f-\u009f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff\ufff9-\ufffb]|\p{Surrogate}/gu;
 

@@ -1,4 +1,4 @@
-// One of the document's names, or all of them.
+// Selects one of the document's names, or all of them.
 import { visible } from "../text/visible";
 
 interface PickerProps {
@@ -8,7 +8,7 @@ interface PickerProps {
   choose: (index: number | null) => void;
 }
 
-/** A list of more entries cannot be used as a list; the search is there for them. */
+/** A longer list would be unusable; the search serves that purpose. */
 const MOST = 2000;
 
 export function Picker({ label, names, value, choose }: PickerProps) {

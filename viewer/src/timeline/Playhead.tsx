@@ -1,4 +1,4 @@
-// The line of the playhead: an element above the canvas, because it moves on every frame and the picture below does not.
+// The line of the playhead: an element above the canvas, because it moves on every frame while the picture below does not.
 import { useEffect, useRef, type MutableRef } from "preact/hooks";
 import { redraw } from "../canvas/frames";
 import { useSession } from "../state/session";
@@ -6,7 +6,7 @@ import { scaleOf } from "./scale";
 
 interface PlayheadProps {
   of: MutableRef<HTMLCanvasElement | null>;
-  /** Where its axis of time begins, in pixels of the canvas. */ left: number;
+  /** Where its time axis begins, in pixels of the canvas. */ left: number;
 }
 
 export function Playhead({ of, left }: PlayheadProps) {

@@ -1,4 +1,4 @@
-// The timeline: names of the rows on the left, and a canvas that follows their scrolling.
+// The timeline: row names on the left, and a canvas that follows their scrolling.
 import { useEffect, useRef, useState } from "preact/hooks";
 import { useCanvas } from "../canvas/useCanvas";
 import { useCell } from "../state/cell";
@@ -77,7 +77,7 @@ function scrollRows(event: KeyboardEvent, scroller: HTMLElement | null): void {
   scroller.scrollTop += way * scroller.clientHeight;
 }
 
-/** Which part of the mission is in view; for fingers and mice, to be moved. */
+/** Slider that shows and moves the visible part of the mission, for touch and mouse. */
 function Overview() {
   const session = useSession();
   const view = useCell(session.view);

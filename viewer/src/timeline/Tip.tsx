@@ -1,4 +1,4 @@
-// What is under the pointer.
+// The tooltip for the item under the pointer.
 import { useLayoutEffect, useRef } from "preact/hooks";
 import { Name } from "../text/Name";
 
@@ -9,7 +9,7 @@ export interface TipContent {
   lines: readonly string[];
 }
 
-/** Pixels from the pointer. */
+/** Distance from the pointer, in pixels. */
 const GAP = 14;
 
 export function Tip({ content }: { content: TipContent | null }) {
@@ -32,7 +32,7 @@ export function Tip({ content }: { content: TipContent | null }) {
   );
 }
 
-/** On the other side of the pointer where there is no room. */
+/** Places the box on the other side of the pointer if there is no room. */
 function keepInside(box: HTMLElement, { x, y }: TipContent): void {
   const { clientWidth, clientHeight } = box.offsetParent ?? document.body;
   const left = x + GAP + box.offsetWidth > clientWidth ? x - GAP - box.offsetWidth : x + GAP;

@@ -1,4 +1,4 @@
-// Search, filters, zoom and what is drawn.
+// Search, filters, zoom and display options.
 import { Icon } from "../panels/Icon";
 import { Tool } from "../panels/Tool";
 import { useCell } from "../state/cell";

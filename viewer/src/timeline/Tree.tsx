@@ -1,4 +1,4 @@
-// Names of the rows: robots that fold, and their devices. Only rows in sight are in the document.
+// Names of the rows: foldable robots and their devices. Only visible rows are in the document.
 import { useEffect, useState, type MutableRef } from "preact/hooks";
 import { useCell } from "../state/cell";
 import { choose, focusRow, fold } from "../state/choose";
@@ -125,7 +125,7 @@ function keepInSight(scroller: HTMLElement | null, row: Row | undefined): void {
   else if (row.top + row.height > scroller.scrollTop + room) scroller.scrollTop = row.top + row.height - room;
 }
 
-/** Keys of a tree, as the ARIA practices name them; all other keys are those of the page. */
+/** Keys of a tree according to the ARIA practices. All other keys keep their meaning on the page. */
 function treeKey(session: Session, event: KeyboardEvent): void {
   const row = session.rows.value[session.focusedRow.value];
   if (row === undefined || row.kind === "cues" || event.ctrlKey || event.altKey || event.metaKey) return;

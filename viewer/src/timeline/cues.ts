@@ -1,5 +1,5 @@
-// Cues as bars: their name, their slack as a lighter extension, and a heavy edge with a mark where there is none. What was not played is
-// an empty bar with dashes around it.
+// Cues as bars: the name, the slack as a lighter extension, and a heavy edge with a mark if there is no slack. A cue that was not played
+// is an empty bar with a dashed outline.
 import { FONT } from "../canvas/palette";
 import { hatch } from "../canvas/hatch";
 import { fitText } from "../canvas/text";
@@ -10,9 +10,9 @@ import type { Scale } from "./scale";
 export interface CueStyle {
   selected: number | null;
   findings: ReadonlyMap<number, string>;
-  /** Where the cue is in the plan that this one is compared with. */
+  /** Position of the cue in the plan to which this one is compared. */
   ghost: (placed: PlacedCue) => { start: number; end: number } | null;
-  /** Whether the robot in whose row the bar is was left out. */
+  /** Whether the robot of the bar's row was left out. */
   leftOut?: (placed: PlacedCue) => boolean;
 }
 
@@ -45,7 +45,7 @@ export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: numb
   drawLabel(sheet, placed, left, right, top + height / 2, style.findings.get(placed.index), markOf(leftOut, played <= left && scale.x(placed.playedUntil) <= left));
 }
 
-/** An empty bar. Its dashes stand in for no colour. */
+/** An empty bar. It is distinguished by its dashes, not by a colour. */
 function drawGhost({ context, palette, width }: Sheet, from: number, to: number, top: number, height: number): void {
   if (to < -4 || from > width + 4) return;
   const left = Math.max(from, -4);
@@ -57,12 +57,12 @@ function drawGhost({ context, palette, width }: Sheet, from: number, to: number,
   context.setLineDash([]);
 }
 
-/** Before the name, so that it does not depend on colours and lines. */
+/** Text before the name, so that the state does not depend on colours and lines. */
 function markOf(leftOut: boolean, unplayed: boolean): string {
   return leftOut ? "⊘ left out: " : unplayed ? "⊘ not played: " : "";
 }
 
-/** The whole bar as an empty one, and slanted lines in what was not played. */
+/** Draws the bar as an empty one, with slanted lines in the part that was not played. */
 function drawUnplayed({ context, palette }: Sheet, left: number, from: number, right: number, top: number, height: number): void {
   hatch(context, palette.slack, from, top + 3, right - from, height - 6);
   context.setLineDash([3, 3]);

@@ -1,4 +1,4 @@
-// The whole picture of the timeline: only rows in sight are drawn.
+// The complete picture of the timeline. Only visible rows are drawn.
 import type { Sheet } from "../canvas/useCanvas";
 import type { PlacedCue, Show } from "../data/show";
 import type { Session } from "../state/session";
@@ -63,7 +63,7 @@ function drawRange({ context, palette, height }: Sheet, scale: Scale, session: S
 
 const codes = new WeakMap<Show, ReadonlyMap<number, string>>();
 
-/** Codes of the findings at each cue. */
+/** Codes of the findings for each cue. */
 function findingsOfCues(show: Show): ReadonlyMap<number, string> {
   let found = codes.get(show);
   if (found === undefined) {

@@ -1,4 +1,4 @@
-// What happened, as marks on the axis: failures as crosses, the rest as diamonds.
+// Events as marks on the axis: failures as crosses, the rest as diamonds.
 import { FONT } from "../canvas/palette";
 import { widthOf } from "../canvas/text";
 import type { Sheet } from "../canvas/useCanvas";
@@ -27,7 +27,7 @@ export function drawEvents(sheet: Sheet, scale: Scale, show: Show, top: number, 
   events.forEach((event, i) => {
     const x = scale.x(event.at);
     const failure = isFailure(event);
-    // Thousands of accepted requests lie on one pixel; a failure among them is always drawn.
+    // Thousands of accepted requests share one pixel, but a failure among them is always drawn.
     if (x - drawn < 2 && !failure) return;
     drawn = x;
     context.fillStyle = context.strokeStyle = failure ? palette.bad : palette.dim;

@@ -1,4 +1,4 @@
-// What stays at the top of the timeline while the lanes scroll: the axis, the acts, their phases, and events.
+// The part of the timeline that does not scroll with the lanes: the axis, the acts, their phases, and events.
 import type { Sheet } from "../canvas/useCanvas";
 import { FONT, MONO } from "../canvas/palette";
 import { hatch } from "../canvas/hatch";

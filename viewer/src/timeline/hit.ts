@@ -1,4 +1,4 @@
-// What is drawn at a point of the timeline.
+// The item that is drawn at a point of the timeline.
 import type { PlacedCue } from "../data/show";
 import type { MissionEvent } from "../mission";
 import type { Row } from "../state/rows";
@@ -15,7 +15,7 @@ export type Hit =
   | { kind: "event"; event: MissionEvent; ms: number }
   | { kind: "nothing"; ms: number };
 
-/** A mark is hit from this many pixels away. */
+/** Largest distance from a mark that still hits it, in pixels. */
 const NEAR = 8;
 
 export function hit(session: Session, width: number, x: number, y: number, scrolled: number): Hit {

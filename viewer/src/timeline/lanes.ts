@@ -1,13 +1,13 @@
-// Planned movement of devices, one lane each, and all of a folded robot in one. What was not played is broken into dashes.
+// Planned movement of devices, one lane each; the devices of a folded robot share one lane. Parts that were not played are dashed.
 import { fillEnvelope, makeEnvelope, type Envelope } from "../data/envelope";
 import type { Track } from "../data/track";
 import type { Sheet } from "../canvas/useCanvas";
 import type { Scale } from "./scale";
 
-/** Devices of a folded robot that are drawn. */
+/** Number of devices of a folded robot that are drawn. */
 const SUMMED_UP = 3;
 
-/** Pixels of a column there: a picture of many robots shows their rhythm, not their steps. */
+/** Width of a column in such a lane, in pixels: many robots show their rhythm, not their steps. */
 const SUMMARY_COLUMN = 3;
 
 let envelope: Envelope = makeEnvelope(0);
@@ -28,7 +28,7 @@ export function drawSummary(sheet: Sheet, scale: Scale, tracks: readonly Track[]
   context.globalAlpha = 1;
 }
 
-/** Pixels of a dash and of the gap behind it. */
+/** Pixels of a dash, and of the gap after it. */
 const DASH = 3;
 const isGap = (x: number) => x % (2 * DASH) >= DASH;
 

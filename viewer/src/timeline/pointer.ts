@@ -1,10 +1,10 @@
-// The mouse and the finger on the timeline: scrub, pan, select a range, zoom, and click what is drawn.
+// Mouse and touch on the timeline: scrub, pan, select a range, zoom, and click items.
 import { pan, seek, show, zoom } from "../state/moves";
 import type { Session } from "../state/session";
 import { HEAD_HEIGHT } from "./head";
 import { scaleOf } from "./scale";
 
-/** Fewer pixels than this are a click, not a drag. */
+/** A movement of fewer pixels is a click, not a drag. */
 const STILL = 4;
 
 interface Gesture {
@@ -100,7 +100,7 @@ export function listen(target: PointerTarget): () => void {
   };
 }
 
-/** Two fingers: what is between them stays between them. */
+/** Two fingers: the content between them stays between them. */
 function pinch(session: Session, width: number, fingers: Map<number, PointerEvent>, event: PointerEvent): void {
   const [first, second] = [...fingers.values()];
   const still = first.pointerId === event.pointerId ? second : first;

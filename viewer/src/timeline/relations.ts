@@ -1,10 +1,10 @@
-// Relations between cues, as arrows from what a cue waits for to its start.
+// Relations between cues, as arrows from the awaited cue to the start of the waiting cue.
 import type { Sheet } from "../canvas/useCanvas";
 import type { PlacedCue, Show } from "../data/show";
 import type { Row } from "../state/rows";
 import type { Scale } from "./scale";
 
-/** "with x" and "start of x" are measured from the start of x, everything else from its end. */
+/** "with x" and "start of x" refer to the start of x, everything else to its end. */
 function fromStart(text: string): boolean {
   return /\bstart of\b/.test(text) || (/^with\b/.test(text) && !/\bend of\b/.test(text));
 }
@@ -25,7 +25,7 @@ export function drawRelations(
     if (y === undefined) continue;
     for (const relation of placed.cue.relations) {
       if (relation.cue === null) continue;
-      // Cues of one act lie next to each other, so the other cue is as far away here as in the plan.
+      // Cues of one act are consecutive, so the other cue has the same relative index as in the plan.
       const other = show.cues[placed.index - placed.cueIndex + relation.cue];
       const otherY = other === undefined ? undefined : middle.get(other.index);
       if (other === undefined || otherY === undefined) continue;

@@ -1,4 +1,4 @@
-// Between milliseconds and pixels.
+// Conversion between milliseconds and pixels.
 import type { View } from "../data/envelope";
 
 export interface Scale {
@@ -20,7 +20,7 @@ export function scaleOf(view: View, width: number): Scale {
   };
 }
 
-/** Marks on the axis, at least `room` pixels apart. */
+/** Times of the marks on the axis that are in view. */
 export function ticks(scale: Scale, step: number): number[] {
   const times: number[] = [];
   for (let i = Math.ceil(scale.view.from / step); i * step <= scale.view.to; i++) times.push(i * step);

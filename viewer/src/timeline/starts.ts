@@ -1,4 +1,4 @@
-// When a robot really started and ended each act: a triangle and a square at the foot of its row.
+// When a robot actually started and ended each act: a triangle and a square at the bottom of its row.
 import type { Sheet } from "../canvas/useCanvas";
 import type { Show } from "../data/show";
 import type { Scale } from "./scale";

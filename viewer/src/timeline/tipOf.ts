@@ -1,4 +1,4 @@
-// What the tip says about what is under the pointer.
+// The text of the tooltip.
 import type { PlacedCue, Show } from "../data/show";
 import { nameOfAct } from "../data/fate";
 import type { Track } from "../data/track";
@@ -41,7 +41,7 @@ function actTip(show: Show, index: number): { title: string; lines: string[] } {
   return { title: nameOfAct(act), lines: lines.filter((line) => line !== "") };
 }
 
-/** How the robot kept to the plan of the act at this time. */
+/** How the robot followed the plan of the act at this time. */
 function robotTip(show: Show, robot: number, ms: number): { title: string; lines: string[] } {
   const index = show.actAt(ms);
   const act = show.mission.acts[index];

@@ -1,4 +1,4 @@
-// How much time acts had to be decided, and how much would have been enough.
+// How much time acts had to be decided, and how much would have been sufficient.
 import type { Trials } from "../trials";
 import { digits } from "../text/digits";
 import { RangeBar } from "./bars";
@@ -15,7 +15,7 @@ export function Lead({ lead }: Pick<Trials, "lead">) {
       ) : (
         <>
           <p>
-            A lead of {digits(lead.enough.p99_ms)} ms would have been enough for 99 % of the {counted(lead.enough.count, "act")} that
+            A lead of {digits(lead.enough.p99_ms)} ms would have been sufficient for 99 % of the {counted(lead.enough.count, "act")} that
             were decided, and one of {digits(lead.enough.max_ms)} ms for all of them.
           </p>
           <Wide label="lead">
@@ -44,7 +44,7 @@ export function Lead({ lead }: Pick<Trials, "lead">) {
           </Wide>
           {lead.undecided > 0 && (
             <p id="undecided">
-              {counted(lead.undecided, "act")} sent and not decided: a robot refused, failed or said nothing in time.
+              {counted(lead.undecided, "act")} sent but not decided: a robot refused, failed or said nothing in time.
             </p>
           )}
         </>

@@ -1,9 +1,9 @@
-// How missions ended, as one bar and its legend.
+// Outcomes of missions, as one bar and its legend.
 import { Name } from "../text/Name";
 import type { Trials } from "../trials";
 import { percent } from "./percent";
 
-/** Classes of the style sheet; what is not known here is `other`. */
+/** Classes of the style sheet; unknown outcomes use `other`. */
 const COLOURS: Record<string, string> = {
   done: "done",
   done_without: "partly",

@@ -1,4 +1,4 @@
-// Why missions did not end as planned, each with a trial to look at.
+// Why missions did not end as planned, each with an example trial.
 import { useState } from "preact/hooks";
 import { Limited } from "../panels/Limited";
 import { Name } from "../text/Name";

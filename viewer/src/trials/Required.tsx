@@ -1,4 +1,4 @@
-// What the scenario requires, and whether it is so.
+// Requirements of the scenario, and whether they are met.
 import { rounded, withUnit } from "../text/digits";
 import { Name } from "../text/Name";
 import type { Requirement } from "../trials";
@@ -44,7 +44,7 @@ export function Required({ requirements }: { requirements: readonly Requirement[
   );
 }
 
-/** All of them in a few words. */
+/** A summary of all requirements. */
 export function RequiredBadge({ requirements }: { requirements: readonly Requirement[] }) {
   if (requirements.length === 0) return null;
   const unmet = requirements.filter(({ result }) => result === "not_met").length;

@@ -1,4 +1,4 @@
-// How likely the mission starts and finishes: the four shares that the command line prints first.
+// Probability that the mission starts and finishes: the four shares that the command line prints first.
 import type { Share, Trials } from "../trials";
 import { ShareBar } from "./bars";
 import { interval, percent } from "./percent";
@@ -11,7 +11,7 @@ export function Shares({ trials }: { trials: Trials }) {
         <Card id="starts" what="start" share={trials.starts} bad={false} />
         <Card id="finishes" what="finish as planned" share={trials.finishes} bad={false} />
         <Card id="aborts" what="abort" share={trials.aborts} bad />
-        <Card id="mixed" what="some robots begin, others not" share={trials.mixed} bad />
+        <Card id="mixed" what="some robots start, others do not" share={trials.mixed} bad />
       </ul>
     </section>
   );

@@ -1,15 +1,15 @@
-// How far apart the starts are: a histogram with the tolerance and the quantiles.
+// Spread of the starts: a histogram with the tolerance and the quantiles.
 import type { Histogram, Trials } from "../trials";
 import { digits } from "../text/digits";
 import { niceStep } from "../text/time";
 import { counted } from "./percent";
 
-/** Pixels above the bars for each label, and of the bars. */
+/** Height of each label above the bars, and of the bars, in pixels. */
 const LABEL = 15;
 const BARS = 150;
-/** Percent of the width on the right for what is beyond the bars. */
+/** Share of the width on the right for the missions beyond the bars, in percent. */
 const BEYOND = 7;
-/** A tolerance that is further away than so many times the bars is told, not drawn to scale. */
+/** If a tolerance exceeds the range of the bars by more than this factor, it is only labelled, not drawn to scale. */
 const IN_SIGHT = 3;
 
 interface Mark { name: string; ms: number; kind: "quantile" | "tolerance" }
@@ -89,7 +89,7 @@ function Chart({ histogram: { width_ms, counts, beyond }, marks }: { histogram: 
             <line key={mark.name} class={mark.kind} x1={`${x(mark.ms)}%`} x2={`${x(mark.ms)}%`} y1={i * LABEL + 2} y2={bottom} />
           ),
       )}
-      {/* Over all lines, so that none crosses a label. */}
+      {/* After all lines, so that no line crosses a label. */}
       {marks.map((mark, i) => {
         const far = isFar(mark);
         const near = !far && x(mark.ms) < 55;
@@ -112,7 +112,7 @@ function Chart({ histogram: { width_ms, counts, beyond }, marks }: { histogram: 
 
 const anchor = (x: number) => (x < 3 ? "start" : x > 97 ? "end" : "middle");
 
-/** The same for those who do not see the picture. */
+/** The histogram as a table, for users who cannot see the picture. */
 function Numbers({ histogram: { width_ms, counts, beyond } }: { histogram: Histogram }) {
   const edge = (i: number) => `${Number((i * width_ms).toPrecision(9))} ms`;
   return (

@@ -1,4 +1,4 @@
-// The page of trials: how a mission goes in a world, over many draws of it.
+// The page of trials: how a mission behaves in a world, over many random draws.
 import { useEffect, useState } from "preact/hooks";
 import { ThemeTool } from "../panels/ThemeTool";
 import { Cell, useCell } from "../state/cell";
@@ -62,7 +62,7 @@ export function TrialsApp({ trials }: { trials: Trials }) {
   );
 }
 
-/** T, as on the page of a mission. */
+/** T switches the theme, as on the page of a mission. */
 function listen(theme: Cell<Theme>): () => void {
   const press = (event: KeyboardEvent) => {
     if (event.ctrlKey || event.altKey || event.metaKey || event.key.toLowerCase() !== "t") return;

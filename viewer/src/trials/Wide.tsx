@@ -1,4 +1,4 @@
-// A table that may be wider than the window: it scrolls by itself, also by keys.
+// A table that may be wider than the window. It scrolls separately, also by keys.
 import type { ComponentChildren } from "preact";
 
 export function Wide({ label, children }: { label: string; children: ComponentChildren }) {

@@ -1,9 +1,9 @@
-// Small bars inside tables and cards. The numbers stand next to them as text, so screen readers skip them.
+// Small bars inside tables and cards. The numbers are next to them as text, so screen readers skip the bars.
 import type { Quantiles, Share } from "../trials";
 
 const at = (share: number) => `${Number((Math.min(1, Math.max(0, share)) * 100).toFixed(3))}%`;
 
-/** A share from 0 to 1, and the interval in which its probability is. */
+/** A share from 0 to 1, and the interval that contains its probability. */
 export function ShareBar({ share, bad }: { share: Share; bad: boolean }) {
   return (
     <svg class={bad ? "share-bar bad" : "share-bar"} width="100%" height="16" aria-hidden="true">
@@ -16,7 +16,7 @@ export function ShareBar({ share, bad }: { share: Share; bad: boolean }) {
   );
 }
 
-/** Thick up to the value of a half, thin up to that of 99 %, and a mark at the largest; 0 is on the left, `end` on the right. */
+/** Thick up to the median, thin up to the 99th percentile, and a mark at the maximum. 0 is on the left, `end` on the right. */
 export function RangeBar({ range, end }: { range: Quantiles; end: number }) {
   const x = (ms: number) => at(end > 0 ? ms / end : 0);
   return (

@@ -1,4 +1,4 @@
-// The command that plays a trial again, for a POSIX shell.
+// The command that replays a trial, for a POSIX shell.
 
 export function replayOf(words: readonly string[], trial: number): string {
   return [...words, "--trial", String(trial)].map(quoted).join(" ");

@@ -1,7 +1,7 @@
-// Shares for people.
+// Formatted shares.
 import type { Share } from "../trials";
 
-/** In percent, to a hundredth, as the command line rounds it. */
+/** In percent, rounded to a hundredth like on the command line. */
 export const hundredths = (share: number) => String(Math.round(share * 10_000) / 100);
 
 export const percent = ({ share }: Share) => (share === null ? "none" : `${hundredths(share)} %`);

@@ -20,37 +20,37 @@ from .robot import Robot, Value
 
 
 SHOWN_MAX = 200
-"""Of longer lines a log names the first word alone."""
+"""Of longer lines, a log contains only the first word."""
 
 
 class Refused(Exception):
-    """The hardware says no. The text tells people why."""
+    """The hardware refuses. The text explains the reason to people."""
 
 
 class Driver:
     """Drives the hardware of one robot. Subclass it, write `set`, and call `run`."""
 
     latency_ms: Union[float, Mapping[str, float], None] = None
-    """From a value to the first visible motion, in milliseconds: of all devices, or by their ids."""
+    """Time from a value to the first visible motion, in milliseconds: for all devices, or by device id."""
 
     lookahead: Union[str, float, Mapping[str, Union[str, float]], None] = None
-    """How far ahead it is told scripts, to time them by itself in `play`: `"script"` for all of a script as soon as it is accepted, or
-    milliseconds; of all devices, or by their ids. Without it each value is told when it is due."""
+    """How far ahead the driver receives scripts, to time them itself in `play`: `"script"` for the whole script as soon as it is
+    accepted, or milliseconds; for all devices, or by device id. If it is `None`, the driver receives each value when it is due."""
 
     samples_per_second: Union[float, Mapping[str, float], None] = None
-    """How often a device is told where to be while it moves linearly, and slows down: of all devices, or by their ids."""
+    """How often a device is set while it moves linearly or slows down: for all devices, or by device id."""
 
     pings_per_second: Optional[float] = None
-    """How often `ping` is called at most, 10 to 200."""
+    """Highest rate at which `ping` is called, 10 to 200."""
 
     readings_per_second: Union[float, Mapping[str, float], None] = None
-    """How often `read` is called at most, of each sensor."""
+    """Highest rate at which `read` is called, per sensor."""
 
     hardware_silence_ms: Optional[float] = None
-    """How long the hardware may show no sign of life if `ping` returns the age of the last one: 50 to 60000, or 1000 by default."""
+    """Longest time between signs of life of the hardware, if `ping` returns the age of the last one: 50 to 60000, by default 1000."""
 
     robot: Robot
-    """The robot that is driven; there from `start` on."""
+    """The robot that is driven. Set before `start` is called."""
 
     def __init__(self) -> None:
         self.log = logging.getLogger(type(self).__module__ + "." + type(self).__name__)
@@ -61,32 +61,32 @@ class Driver:
         self._has_started = False
         self._plans = Plans(self.play, self._push, self._silence, self.log)
 
-    # What you write.
+    # Methods that you write.
 
     def start(self, robot: Robot) -> None:
         """Connects to the hardware. Called once, before anything else."""
 
     def set(self, device: str, control_type: str, value: float, *more: float) -> None:
-        """Sets one value, and returns when the hardware has it."""
+        """Sets one value. Returns when the hardware has received it."""
         raise NotImplementedError("write `set` or `set_frame`")
 
     def set_frame(self, values: Sequence[Value]) -> None:
-        """Sets all values that are due at one instant. By default one after another."""
+        """Sets all values that are due at one instant. By default, one after another."""
         for value in values:
             self.set(value.device, value.control_type, value.value, *value.more)
 
     def ramp(self, device: str, control_type: str, value: float, seconds: float) -> None:
-        """Begins a linear movement to a value, which takes so many seconds, and returns at once. Written only for hardware that moves by
-        itself. A later `set` or `ramp` of the device takes its place."""
-        raise Refused("this driver takes no ramps")
+        """Begins a linear movement to a value, which takes this many seconds, and returns at once. Write it only for hardware that moves
+        by itself. A later `set` or `ramp` of the device replaces the movement."""
+        raise Refused("this driver does not support ramps")
 
     def play(self, plan: Plan) -> None:
-        """Plays a plan of one device, on a thread of its own; called if `lookahead` asks for it, before the plan starts.
+        """Plays a plan of one device, on its own thread. Called if `lookahead` is set, before the plan starts.
 
         Returns when the last step is done, and raises an exception if the hardware fails. By default it calls `set` for each step at its
-        time, and in between for a device that moves linearly. Write your own for hardware that takes trajectories: give it the plan,
-        then tell what it does by `plan.started` and `plan.reached`. `plan.wait_until` raises `PlanEnded` when the plan is cancelled: stop
-        the hardware then, for example in `finally`.
+        time, and in between for a device that moves linearly. Write your own for hardware that takes trajectories: pass the plan to the
+        hardware, then report its progress with `plan.started` and `plan.reached`. `plan.wait_until` raises `PlanEnded` when the plan is
+        cancelled: stop the hardware then, for example in `finally`.
         """
         plan.begin()
         before = None
@@ -103,36 +103,37 @@ class Driver:
             before = step
 
     def where(self, device: str, control_type: str) -> Optional[float]:
-        """Where a device is, as far as the driver knows: from there the default `play` moves to the first step of a plan. `None` lets it
-        be set at the step's time."""
+        """Position of a device, as far as the driver knows it. The default `play` moves from there to the first step of a plan. If it is
+        `None`, the first value is set at the time of its step."""
         return None
 
     def read(self, sensor: str) -> float:
-        """What a sensor reads now, in its unit."""
+        """Current value of a sensor, in its unit."""
         raise Refused(f"no sensor `{sensor}` is connected")
 
     def ping(self) -> Optional[float]:
-        """Raises an exception if the hardware could not be moved now. Without it, only this program is known to be alive. If the
+        """Raises an exception if the hardware cannot be moved now. Without this method, only the program is known to be alive. If the
         hardware reports by itself, return the age of its last report in seconds, for example of a joint state or a heartbeat."""
         return None
 
     def stop(self) -> None:
-        """Lets the hardware go. Called last, if `start` has ended well; the devices are at rest."""
+        """Disconnects from the hardware. Called last, if `start` succeeded; the devices are at rest."""
 
-    # What you call.
+    # Methods that you call.
 
     def push_reading(self, sensor: str, value: float) -> None:
-        """Tells the edge a reading, which it then need not ask for. From any thread, after `start`."""
+        """Reports a reading to the edge, which then need not request it. Can be called from any thread, after `start`."""
         if not math.isfinite(value):
             raise ValueError(f"the reading of {sensor} is {value}, expected a finite number")
         self._push(f"reading {sensor} {float(value)!r}")
 
     def fault(self, reason: str) -> None:
-        """Tells the edge that the hardware has failed: everything ends, and the program is started again. From any thread."""
+        """Reports to the edge that the hardware has failed: all commands end, and the program is restarted. Can be called from any
+        thread."""
         self._push(f"fault {reason}")
 
     def run(self, lines: Optional[Iterable[str]] = None, output: Optional[Lines] = None) -> None:
-        """Drives until the edge ends. The arguments are for tests."""
+        """Drives the robot until the edge ends. The arguments are for tests."""
         level = os.environ.get("DOWNBEAT_DRIVER_LOG", "INFO").upper()
         logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
         self._lines = output if output is not None else protected_stdout()
@@ -152,7 +153,7 @@ class Driver:
                 self.stop()
 
     def _move(self, plan: Plan, before: Optional[Step], step: Step) -> None:
-        """Moves linearly up to shortly before a step."""
+        """Moves linearly until shortly before a step."""
         of_device = self.samples_per_second
         rate = of_device.get(plan.device) if isinstance(of_device, Mapping) else of_device
         begin = plan.start if before is None else before.at
@@ -170,11 +171,11 @@ class Driver:
             with self._setting:
                 plan.wait_until(at)
                 self.set_frame([Value(plan.device, step.value.control_type, value)])
-            # Samples that a slow device has missed are left out.
+            # Skips the samples that a slow device has missed.
             sample = max(sample + 1, math.ceil((time.monotonic() - begin) * (rate or 50.0)))
 
     def _end_plans(self) -> None:
-        """The edge is gone: plans end, positions stay, and speeds that a plan has set go to zero."""
+        """The edge has ended: plans end, positions stay, and speeds set by a plan go to zero."""
         for plan in self._plans.cancel_all("hold", "the edge has gone"):
             rates = {step.value.control_type for step in plan.steps()} & {"speed", "acceleration"}
             try:
@@ -184,10 +185,10 @@ class Driver:
                 self.log.exception("%s may still be moving", plan.device)
 
     def _silence(self) -> float:
-        """For how long the edge has said nothing, in seconds; nothing while it waits for an answer itself."""
+        """Seconds since the edge last sent a line; zero while it waits for an answer of this driver."""
         return 0.0 if self._is_obeying else time.monotonic() - self._heard
 
-    # The lines.
+    # Protocol with the edge.
 
     def _push(self, line: str) -> None:
         if self._lines is None:
@@ -199,7 +200,7 @@ class Driver:
             return self._obey(line)
         except Refused as refused:
             return f"error {refused}"
-        except Exception as error:  # The edge has to know, whatever it is.
+        except Exception as error:  # Report every error to the edge.
             self.log.exception("`%s` failed", line if len(line) <= SHOWN_MAX else line.partition(" ")[0])
             return f"error {type(error).__name__}: {error}"
 
@@ -245,7 +246,8 @@ class Driver:
         return "ok"
 
     def _check(self) -> None:
-        """The edge writes milliseconds; a `ramp` that takes seconds for those would move a thousand times too fast."""
+        """Rejects a `ramp` without `seconds`: the edge writes milliseconds, and a `ramp` that took the seconds for milliseconds would
+        move a thousand times too fast."""
         known = inspect.signature(self.ramp).parameters
         if "seconds" not in known:
             raise TypeError(f"`ramp` takes {', '.join(known)}; expected device, control_type, value, seconds")

@@ -1,4 +1,4 @@
-"""Standard output belongs to the edge: whatever else prints is sent to standard error."""
+"""Standard output is reserved for the edge: all other output goes to standard error."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import TextIO
 
 
 class Lines:
-    """Writes whole lines; from any thread."""
+    """Writes whole lines. Can be used from any thread."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._lock = threading.Lock()
 
     def write(self, line: str) -> None:
-        # A line break inside would be a second answer.
+        # A line break inside would be read as a second answer.
         whole = " ".join(line.split("\n")).replace("\r", " ")
         with self._lock:
             self._stream.write(whole + "\n")
@@ -24,7 +24,7 @@ class Lines:
 
 
 def protected_stdout() -> Lines:
-    """Takes standard output for the edge alone. Prints of libraries, in Python or C, go to standard error from now on."""
+    """Reserves standard output for the edge. Prints of libraries, in Python or C, go to standard error after this call."""
     sys.stdout.flush()
     own = os.dup(1)
     os.dup2(2, 1)

@@ -1,4 +1,4 @@
-"""Scripts that a driver is told ahead of their time, to time them by itself."""
+"""Scripts that a driver receives ahead of their time, to time them itself."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any, Optional
 
 from .robot import Value
 
-#: A wait looks this often whether the edge is still there, in seconds.
+#: A wait checks this often whether the edge still exists, in seconds.
 _LOOK_EVERY = 0.05
-#: The next step of a plan that is handed over piece by piece may come this much too late, in seconds.
+#: The next step of a plan that is handed over in parts may arrive at most this late, in seconds.
 _STEP_LATE_MAX = 0.25
 
 
 class PlanEnded(Exception):
-    """The plan is over before its end: it was cancelled, the edge is gone, or it would begin too late."""
+    """The plan ended early: it was cancelled, the edge has ended, or it would begin too late."""
 
 
 @dataclass(frozen=True)
@@ -26,27 +26,27 @@ class Step:
 
     index: int
     at: float
-    """When its value is due, in seconds of `time.monotonic()`. A device that moves linearly arrives then."""
+    """When its value is due, in seconds of `time.monotonic()`. A device that moves linearly arrives at this time."""
     at_ns: int
-    """The same in nanoseconds of `time.time_ns()`, as that clock was when the plan came."""
+    """The same in nanoseconds of `time.time_ns()`, by the setting of that clock when the plan arrived."""
     value: Value
 
 
 class Plan:
-    """A script of one device. `Driver.play` is given it before it starts."""
+    """A script of one device. `Driver.play` receives it before it starts."""
 
     def __init__(self, told: dict[str, Any], say: Callable[[str], None], silence: Callable[[], float]) -> None:
         self.id = int(told["plan"])
         self.device: str = told["device"]
         self.is_linear: bool = told["interpolation"] == "linear"
-        """Whether the device moves linearly from step to step; else each value is set at its time and held."""
+        """Whether the device moves linearly from step to step. Otherwise each value is set at its time and held."""
         self._clock = _Clock()
         self.start_ns = int(told["start"])
-        """When it starts, in nanoseconds of `time.time_ns()`, as that clock was when the plan came."""
+        """When it starts, in nanoseconds of `time.time_ns()`, by the setting of that clock when the plan arrived."""
         self.start = self._clock.monotonic(self.start_ns)
         """When it starts, in seconds of `time.monotonic()`."""
         self.begin_by = self._clock.monotonic(int(told["begin_by"]))
-        """After this it must not begin."""
+        """It must not begin after this time."""
         self.then: Optional[str] = None
         """How the device ends the plan after a cancellation: `keep`, `hold`, `rest` or `slow`. `None` before a cancellation."""
         allowed = told.get("silence_ms", {})
@@ -62,16 +62,16 @@ class Plan:
         self._finish_assumed = False
         self.add(told)
 
-    # What `play` uses.
+    # Methods for `play`.
 
     def begin(self, *, assumed: bool = False) -> None:
-        """Waits for the start. If the device moves linearly, reports that the plan has started, because the device begins to move
-        to the first value then. On a device that holds, a plan starts with its first value: call `started` or `reached` at that
-        time. Pass `assumed=True` if the hardware begins by its own clock. Raises `PlanEnded` if the plan must not begin."""
+        """Waits for the start. If the device moves linearly, reports that the plan has started, because the device then begins to move to
+        the first value. On a device that holds, a plan starts with its first value: call `started` or `reached` at that time. Pass
+        `assumed=True` if the hardware begins by its own clock. Raises `PlanEnded` if the plan must not begin."""
         self.wait_until(self.start)
         silence = self._silence()
         if silence > self._silence_at_start:
-            raise PlanEnded(f"the edge has said nothing for {silence * 1000:.0f} ms before the start")
+            raise PlanEnded(f"no message from the edge for {silence * 1000:.0f} ms before the start")
         late = time.monotonic() - self.begin_by
         if late > 0:
             raise PlanEnded(f"it is {late * 1000:.0f} ms too late to begin")
@@ -81,21 +81,21 @@ class Plan:
                 self.started(assumed=assumed)
 
     def started(self, at_ns: Optional[int] = None, *, assumed: bool = False) -> None:
-        """Reports that the first value was set, or that the device began to move to it linearly, at `at_ns` or now. Pass
-        `assumed=True` if only the clock says so, and neither the hardware nor your own code that set the value."""
+        """Reports that the first value was set, or that the device began to move to it linearly, at `at_ns` or now. Pass `assumed=True`
+        if you only know this from the clock, not from the hardware or from your own code that set the value."""
         self._started = True
         self._report("started", self._now_ns() if at_ns is None else at_ns, assumed)
 
     def reached(self, step: Step, at_ns: Optional[int] = None, *, assumed: bool = False) -> None:
-        """Reports that a step and all before it are done, at `at_ns` or now. Assumed steps are not counted."""
+        """Reports that a step and all previous steps are done, at `at_ns` or now. Assumed steps are not counted."""
         at_ns = self._now_ns() if at_ns is None else at_ns
         if not self._started:
             self.started(at_ns, assumed=assumed)
         self._report("step", at_ns, assumed, step.index)
 
     def finished(self, at_ns: Optional[int] = None, *, assumed: bool = False) -> None:
-        """Notes when all steps were done. Without it, that is when `play` returns, which reports it to the edge. An end that is
-        assumed is reported as a failure: it is unknown what became of the script."""
+        """Records when all steps were done. By default, this is when `play` returns, which reports it to the edge. An assumed end is
+        reported as a failure, because the result of the script is unknown."""
         self._finished_ns = self._now_ns() if at_ns is None else at_ns
         self._finish_assumed = assumed
 
@@ -104,19 +104,19 @@ class Plan:
         self._say(" ".join(map(str, words)))
 
     def __iter__(self) -> Iterator[Step]:
-        """The steps in the order of their times, also those that are handed over later. Raises `PlanEnded`."""
+        """The steps in the order of their times, including steps that are handed over later. Raises `PlanEnded`."""
         index = 0
         while (step := self._step(index)) is not None:
             yield step
             index += 1
 
     def steps(self) -> list[Step]:
-        """All steps that have been handed over so far: all there are, if the driver asked for whole scripts."""
+        """All steps that have been handed over so far: the whole script, if the driver asked for whole scripts."""
         with self._changed:
             return list(self._steps)
 
     def wait_until(self, at: float) -> None:
-        """Waits for an instant of `time.monotonic()`. Raises `PlanEnded` as soon as the plan is over."""
+        """Waits until an instant of `time.monotonic()`. Raises `PlanEnded` as soon as the plan is over."""
         with self._changed:
             while True:
                 self._raise_if_ended()
@@ -127,19 +127,19 @@ class Plan:
 
     @property
     def is_started(self) -> bool:
-        """Whether it has been said to have started."""
+        """Whether its start has been reported."""
         return self._started
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether it is over before its end."""
+        """Whether it ended early."""
         with self._changed:
             return self._ended is not None
 
-    # What the driver uses.
+    # Methods for the driver.
 
     def add(self, told: dict[str, Any]) -> None:
-        """Takes further steps."""
+        """Adds further steps."""
         with self._changed:
             for step in told["steps"]:
                 values = step["values"]
@@ -150,14 +150,14 @@ class Plan:
             self._changed.notify_all()
 
     def cancel(self, then: str, why: str) -> None:
-        """Ends it before its end."""
+        """Cancels the plan."""
         with self._changed:
             self.then = then
             self._ended = self._ended or why
             self._changed.notify_all()
 
     def say_end(self, failed: Optional[str] = None) -> None:
-        """Says that it is over, well or not."""
+        """Reports the end of the plan, successful or not."""
         now = self._now_ns()
         if failed is not None:
             self._say(f"failed {self.id} {now} {failed}")
@@ -182,7 +182,7 @@ class Plan:
     def _raise_if_ended(self) -> None:
         silence = self._silence()
         if self._ended is None and silence > self._silence_running:
-            self._ended = f"the edge has said nothing for {silence:.1f} s"
+            self._ended = f"no message from the edge for {silence:.1f} s"
         if self._ended is not None:
             raise PlanEnded(self._ended)
 
@@ -191,7 +191,7 @@ class Plan:
 
 
 class _Clock:
-    """Relates the system's clock to the monotonic one, once, so that a clock that is set moves nothing."""
+    """Relates the system clock to the monotonic clock, only once, so that setting the system clock does not move any times."""
 
     def __init__(self) -> None:
         readings = []

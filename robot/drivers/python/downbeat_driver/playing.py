@@ -9,12 +9,12 @@ from typing import Any
 
 from .plan import Plan, PlanEnded
 
-#: How long a plan may take to end once it is cancelled, in seconds: less than the edge waits for an answer.
+#: How long a plan may take to end after its cancellation, in seconds: less than the edge waits for an answer.
 _END_WAIT = 0.8
 
 
 class Plans:
-    """Plays each plan on a thread of its own."""
+    """Plays each plan on its own thread."""
 
     def __init__(
         self,
@@ -28,7 +28,7 @@ class Plans:
         self._playing: dict[int, tuple[Plan, threading.Thread]] = {}
 
     def take(self, told: dict[str, Any]) -> None:
-        """Takes a plan, and returns at once."""
+        """Starts a plan, and returns at once."""
         plan = Plan(told, self._say, self._silence)
         thread = threading.Thread(target=self._run, args=(plan,), name=f"plan {plan.id}", daemon=True)
         with self._lock:
@@ -36,14 +36,14 @@ class Plans:
         thread.start()
 
     def take_more(self, told: dict[str, Any]) -> None:
-        """Takes further steps of a plan; of one that is over, nothing."""
+        """Adds further steps to a plan; ignores them if the plan is over."""
         with self._lock:
             playing = self._playing.get(int(told["plan"]))
         if playing is not None:
             playing[0].add(told)
 
     def cancel(self, plan: int, then: str, why: str) -> bool:
-        """Ends a plan. False if its thread has not ended in time, so that it may still move something."""
+        """Cancels a plan. Returns False if its thread has not ended in time, so that it may still move the device."""
         with self._lock:
             playing = self._playing.get(plan)
         if playing is None:
@@ -53,7 +53,7 @@ class Plans:
         return not playing[1].is_alive()
 
     def cancel_all(self, then: str, why: str) -> list[Plan]:
-        """Ends all plans, because the edge is gone. Returns those that had started."""
+        """Ends all plans, because the edge has ended. Returns the plans that had started."""
         with self._lock:
             playing = list(self._playing.values())
         for plan, _ in playing:
@@ -70,7 +70,7 @@ class Plans:
             self._play(plan)
         except PlanEnded as ended:
             failed = None if plan.then is not None else str(ended)
-        except Exception as error:  # The edge has to know, whatever it is.
+        except Exception as error:  # Report every error to the edge.
             self._log.exception("plan %d of %s failed", plan.id, plan.device)
             failed = f"{type(error).__name__}: {error}"
         with self._lock:

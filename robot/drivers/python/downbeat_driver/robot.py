@@ -1,4 +1,4 @@
-"""What a driver is told: the robot that it drives, and values for its devices."""
+"""Data that a driver receives: the robot that it drives, and values for its devices."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ class Device:
 
     id: str
     unit: Optional[str] = None
-    """Unit of its values; `None` if the block does not say."""
+    """Unit of its values; `None` if the block does not state it."""
     default_value: Optional[float] = None
     control_types: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """What it can do: `position`, `speed`, `sensor` and others, each with `min_value`, `max_value`, `granularity`."""
+    """Its abilities: `position`, `speed`, `sensor` and others, each with `min_value`, `max_value`, `granularity`."""
 
     @property
     def is_sensor(self) -> bool:
@@ -28,7 +28,7 @@ class Robot:
 
     id: str
     devices: dict[str, Device]
-    """By their ids, in the order of the block."""
+    """The devices by id, in the order of the block."""
     block: dict[str, Any]
     """The whole initialization block."""
 

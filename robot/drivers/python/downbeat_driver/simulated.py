@@ -1,4 +1,4 @@
-"""Simulated hardware: a device that moves late, slowly and not exactly, and a driver of such devices."""
+"""Simulated hardware: a device that moves late, slowly and inexactly, and a driver of such devices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .robot import Robot
 
 
 class SimulatedDevice:
-    """Follows its target after a delay, by a time constant; what it reads has noise. Times are seconds."""
+    """Follows its target after a delay, with a time constant; its readings have noise. Times are seconds."""
 
     def __init__(
         self,
@@ -33,12 +33,12 @@ class SimulatedDevice:
         self._waiting: list[tuple[float, float]] = []
 
     def set(self, value: float, now: Optional[float] = None) -> None:
-        """Gives it a target."""
+        """Sets a new target."""
         now = time.monotonic() if now is None else now
         self._waiting.append((now + self.delay, value))
 
     def position(self, now: Optional[float] = None) -> float:
-        """Where it is, without noise."""
+        """Its position, without noise."""
         now = time.monotonic() if now is None else now
         while self._waiting and self._waiting[0][0] <= now:
             since, target = self._waiting.pop(0)
@@ -46,7 +46,7 @@ class SimulatedDevice:
         return self._at(now)
 
     def read(self, now: Optional[float] = None) -> float:
-        """Where its sensor sees it."""
+        """The reading of its sensor, with noise."""
         position = self.position(now)
         return position + self._random.gauss(0.0, self.noise) if self.noise else position
 
@@ -60,7 +60,7 @@ class SimulatedDevice:
 class SimulatedDriver(Driver):
     """Drives a simulated device for each device of the robot. A sensor reads the middle of its range.
 
-    With `lookahead` it follows plans, and logs what it does with the time in nanoseconds."""
+    With `lookahead` it follows plans, and logs its actions with the time in nanoseconds."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Drivers, spoken to as the edge does."""
+"""Drivers, driven with the lines that the edge sends."""
 
 import io
 import json
@@ -26,7 +26,7 @@ INIT = "init " + json.dumps({"block": BLOCK})
 
 
 def said(driver, *lines):
-    """What a driver answers to these lines."""
+    """The answers of a driver to these lines."""
     output = io.StringIO()
     driver.run(lines, Lines(output))
     return output.getvalue().splitlines()

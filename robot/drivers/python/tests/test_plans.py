@@ -1,4 +1,4 @@
-"""Scripts that a driver times by itself, told to it as the edge does."""
+"""Scripts that a driver times itself, sent to it as the edge does."""
 
 import io
 import json
@@ -37,7 +37,7 @@ def plan(device="arm", *, steps, start_ms=60.0, last=True, linear=False, control
         "plan": number,
         "device": device,
         "start": start,
-        # Machines that do much else are late.
+        # Busy machines are late.
         "begin_by": start + milliseconds(30_000),
         "interpolation": "linear" if linear else "hold",
         "silence_ms": {"start": 30_000, "running": 30_000},
@@ -52,7 +52,7 @@ def plan(device="arm", *, steps, start_ms=60.0, last=True, linear=False, control
 
 
 class Reporting(Driver):
-    """Its hardware begins by its own clock. Whether it shows its end is up to the test."""
+    """Its hardware begins by its own clock. The test chooses whether it reports its end."""
 
     lookahead = "script"
     hardware_silence_ms = 3_000
@@ -77,7 +77,7 @@ def cancel(number=1, then="rest"):
 
 
 def said(driver, *lines):
-    """What a driver says to these lines. A tuple waits until the driver has said all that is in it, a number is a pause in seconds."""
+    """The answers of a driver to these lines. A tuple waits until the driver has sent all its items; a number is a pause in seconds."""
     output = io.StringIO()
 
     def spoken():
@@ -96,7 +96,7 @@ def said(driver, *lines):
 
 
 def words(lines):
-    """Without their times."""
+    """The lines without their times."""
     return [" ".join(word for word in line.split() if len(word) < 15) for line in lines]
 
 
@@ -189,7 +189,7 @@ class Played(unittest.TestCase):
         silence = {"start": 50, "running": 30_000}
         lines = said(driver, INIT, plan(steps=[(0, 1)], start_ms=200, silence_ms=silence)[0], ("failed 1",))
         self.assertEqual(driver.values(), [])
-        self.assertTrue(any(line.startswith("failed 1 ") and "has said nothing" in line for line in lines), lines)
+        self.assertTrue(any(line.startswith("failed 1 ") and "no message from the edge" in line for line in lines), lines)
 
     def test_a_plan_ends_if_the_edge_falls_silent(self):
         driver = Recorder()

@@ -1,4 +1,4 @@
-"""Simulated devices, in a time of their own."""
+"""Simulated devices, in virtual time."""
 
 import pathlib
 import statistics

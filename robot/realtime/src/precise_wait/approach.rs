@@ -1,63 +1,62 @@
-//! How the last microseconds before a deadline are spent: when to wake, and whether other threads may run meanwhile. Reads no
-//! clock of its own.
+//! How the last microseconds before a deadline are spent: when to wake, and whether other threads may run meanwhile. Reads no clock.
 //!
-//! `sched_yield` lets other robots that wait for the same instant have their turn within microseconds. On a core that
-//! something else keeps busy it gives the core away for milliseconds. So a thread yields only while the machine has a core
-//! for everything that wants to run, and while its latest yields returned soon.
+//! `sched_yield` gives other robots that wait for the same instant their turn within microseconds. On a core that another program keeps
+//! busy, it gives the core away for milliseconds. A thread therefore yields only while the machine has a core for every runnable thread,
+//! and while its latest yields returned quickly.
 
 use std::time::{Duration, Instant};
 
-/// How long before a deadline to wake where the cores are free. A sleeper on an idle core of a virtual machine wakes that late.
+/// Lead before a deadline if the cores are free. A sleeper on an idle core of a virtual machine wakes this late.
 const LEAD_FREE: Duration = Duration::from_micros(200);
-/// A sleeper that woke later than that is woken earlier from then on: by this much more than it was late, up to this limit, for
-/// this long.
+/// A sleeper that woke with more delay than that is woken earlier afterwards: by its delay plus this margin, up to `LEAD_MAX`, for
+/// `LATE_REMEMBERED`.
 const LEAD_MORE: Duration = Duration::from_micros(50);
 const LEAD_MAX: Duration = Duration::from_millis(1);
-/// The lead after a pause of this length, as before a start: the core was halted, and its host may take long to let it run.
+/// Lead after a pause of at least `RESTED`, as before a start: the core was halted, and its host may take long to resume it.
 const LEAD_RESTED: Duration = LEAD_MAX;
 const RESTED: Duration = Duration::from_millis(15);
 const LATE_REMEMBERED: Duration = Duration::from_secs(60);
-/// None where cores are busy: a thread that spins uses up its right to run next and is then interrupted for milliseconds; a
-/// thread that sleeps until the deadline is woken a tenth of a millisecond late.
+/// No lead if cores are busy: a thread that spins uses up its time slice and is then interrupted for milliseconds. A thread that sleeps
+/// until the deadline is woken a tenth of a millisecond late.
 const LEAD_BUSY: Duration = Duration::ZERO;
 /// Within this time after an instant, other processes have moved their robots too.
 const OTHERS_MOVE: Duration = Duration::from_micros(500);
-/// A thread rests for them at most so often: one with many deadlines needs its time for messages.
+/// Minimum interval between rests for other processes: a thread with many deadlines needs its time for messages.
 const REST_EVERY: Duration = Duration::from_millis(20);
-/// A yield that takes longer gave the core to something else than another robot.
+/// A longer yield gave the core to something other than another robot.
 const YIELD_MAX: Duration = Duration::from_micros(500);
-/// For this long after such a yield the cores count as busy, whatever a look at them says.
+/// After such a yield, the cores are considered busy for this long, whatever a check reports.
 const DISTRUST: Duration = Duration::from_secs(1);
-/// A look at the cores holds for this long.
+/// How long a check of the cores remains valid.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// A look is taken between these two times before a deadline, so that it disturbs no start.
+/// A check takes place between these two times before a deadline, so that it disturbs no start.
 const LOOK_EARLIEST: Duration = Duration::from_millis(12);
 const LOOK_LATEST: Duration = Duration::from_millis(4);
-/// Spinning takes at most this part of all time, one in so many, so that even a thread under real-time scheduling with a
-/// deadline every few microseconds leaves its core to others.
+/// Spinning takes at most one part in this many of all time, so that even a thread under real-time scheduling with a deadline every few
+/// microseconds leaves its core to others.
 const SPIN_SHARE: u32 = 4;
-/// Spinning that may be done at once after a pause.
+/// Maximum spinning time at once after a pause.
 const SPIN_CREDIT_MAX: Duration = Duration::from_millis(2);
 
-/// What else runs.
+/// The load of the cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cores {
-    /// There is a core for everything that wants to run.
+    /// There is a core for every runnable thread.
     Free,
-    /// More wants to run than there are cores.
+    /// More threads are runnable than there are cores.
     Busy,
 }
 
-/// How the kernel chooses when this thread runs.
+/// How the kernel schedules this thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scheduled {
-    /// Like all others.
+    /// Like all other threads.
     Fairly,
-    /// Before all others: a yield reaches only threads of the same priority.
+    /// Before all other threads: a yield reaches only threads of the same priority.
     First,
 }
 
-/// Decides how a thread waits, from what happened to it before.
+/// Decides how a thread waits, from its previous waits.
 #[derive(Debug)]
 pub(super) struct Approach {
     scheduled: Scheduled,
@@ -65,9 +64,9 @@ pub(super) struct Approach {
     looked: Option<Instant>,
     distrusted_until: Option<Instant>,
     rested: Option<Instant>,
-    /// How late it woke at worst, as a lead, and until when that counts.
+    /// The lead for its longest recent delay, and when that expires.
     late: Option<(Duration, Instant)>,
-    /// When it spun last.
+    /// When it last spun.
     spun: Option<Instant>,
     credit: Duration,
     credited: Option<Instant>,
@@ -92,8 +91,8 @@ impl Approach {
         self.scheduled == Scheduled::First
     }
 
-    /// When to look at the cores before this deadline; `None`: not before this one. `chance` from 0 to 1 keeps processes
-    /// that wait for one instant from looking, and so counting each other, at the same time.
+    /// Returns when to check the cores before this deadline; `None`: not before this one. `chance` from 0 to 1 prevents processes that
+    /// wait for the same instant from checking simultaneously, and thereby counting each other.
     pub(super) fn look_at(&self, now: Instant, deadline: Instant, chance: f64) -> Option<Instant> {
         let recently = |looked: Instant| now.saturating_duration_since(looked) < LOOK_EVERY;
         if self.scheduled == Scheduled::First || self.looked.is_some_and(recently) {
@@ -104,13 +103,13 @@ impl Approach {
         if before >= LOOK_LATEST { deadline.checked_sub(before) } else { None }
     }
 
-    /// What a look showed.
+    /// Records the result of a check.
     pub(super) const fn looked(&mut self, now: Instant, cores: Cores) {
         self.looked = Some(now);
         self.cores = cores;
     }
 
-    /// How long before the next deadline to wake.
+    /// Returns how long before the next deadline to wake.
     pub(super) fn lead(&mut self, now: Instant, deadline: Instant) -> Duration {
         self.earn(now);
         let is_rested = |spun: Instant| deadline.saturating_duration_since(spun) >= RESTED;
@@ -127,7 +126,7 @@ impl Approach {
         self.late.filter(|(_, until)| now < *until).map_or(LEAD_FREE, |(lead, _)| lead)
     }
 
-    /// The thread woke this long after the instant at which it wanted to.
+    /// Records that the thread woke with this delay.
     pub(super) fn woke(&mut self, now: Instant, late: Duration) {
         let lead = (late + LEAD_MORE).min(LEAD_MAX);
         if lead >= self.lead_free(now) && lead > LEAD_FREE {
@@ -141,14 +140,14 @@ impl Approach {
         self.scheduled == Scheduled::First || (self.cores == Cores::Free && trusted())
     }
 
-    /// A yield took this long.
+    /// Records the duration of a yield.
     pub(super) fn yielded(&mut self, now: Instant, took: Duration) {
         if took > YIELD_MAX {
             self.distrusted_until = Some(now + DISTRUST);
         }
     }
 
-    /// How long to rest after a movement, so that others can move; `next` is the next deadline.
+    /// Returns how long to rest after a movement, so that others can move; `next` is the next deadline.
     pub(super) fn rest(&mut self, now: Instant, next: Option<Instant>) -> Duration {
         let recently = |rested: Instant| now.saturating_duration_since(rested) < REST_EVERY;
         if self.rested.is_some_and(recently) {
@@ -159,7 +158,7 @@ impl Approach {
         until.map_or(OTHERS_MOVE, |until| until.min(OTHERS_MOVE))
     }
 
-    /// The thread span for this long, until now.
+    /// Records that the thread has spun for this long, until now.
     pub(super) fn spun(&mut self, now: Instant, took: Duration) {
         self.earn(now);
         self.credit = self.credit.saturating_sub(took);
@@ -190,7 +189,7 @@ mod tests {
         (Approach::new(Scheduled::Fairly), Instant::now())
     }
 
-    /// The lead for a deadline a moment after another one.
+    /// Returns the lead for a deadline shortly after another one.
     fn lead(approach: &mut Approach, now: Instant) -> Duration {
         approach.spun(now, Duration::ZERO);
         approach.lead(now, now + millis(10))
@@ -216,7 +215,7 @@ mod tests {
         assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_FREE);
         approach.woke(now + millis(60_000), millis(7));
         assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_MAX);
-        // Where cores are busy it is not the sleep that makes it late.
+        // If cores are busy, the sleep is not the cause of the delay.
         approach.looked(now, Cores::Busy);
         assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_BUSY);
     }
@@ -307,7 +306,7 @@ mod tests {
     fn after_a_pause_several_deadlines_in_a_row_are_spun_for() {
         let (mut approach, now) = fair();
         let mut leads = Vec::new();
-        // All at one instant: nothing is earned in between.
+        // All at the same instant: no spinning time is earned in between.
         for _ in 0..7 {
             let lead = approach.lead(now, now);
             approach.spun(now, lead);

@@ -1,8 +1,8 @@
-//! The one door to the operating system's timer: waits for a message or a deadline, to microseconds.
+//! The only access to the operating system's timer: waits for a message or a deadline, with microsecond precision.
 //!
-//! The thread sleeps on its channel until shortly before the deadline and spins the rest, since the system wakes a
-//! sleeper tens of microseconds late even with the least timer slack, and a millisecond late from an asynchronous
-//! runtime's timer wheel. How it spins depends on what else runs ([`approach`]).
+//! The thread sleeps on its channel until shortly before the deadline and then spins, since the system wakes a sleeper tens of
+//! microseconds late even with the minimum timer slack, and a millisecond late from an asynchronous runtime's timer wheel. How it spins
+//! depends on the load of the machine ([`approach`]).
 #![expect(clippy::disallowed_methods, reason = "spins on the monotonic clock")]
 
 mod approach;
@@ -18,35 +18,35 @@ use self::approach::{Approach, Cores, Scheduled};
 use self::place::Place;
 use crate::scheduling::Scheduling;
 
-/// Cores count as busy only if they are this long after the first look as well: well before the deadline.
+/// Cores are considered busy only if they are still busy this long after the first check: well before the deadline.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
 /// No thread changes its core later than this before a deadline.
 const STAY_FROM: Duration = Duration::from_millis(2);
-/// How long others have a turn after a movement before this thread sleeps.
+/// How long others may run after a movement before this thread sleeps.
 const TURNS: Duration = Duration::from_micros(60);
 
 /// Why a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Woken<T> {
-    /// A message came.
+    /// A message arrived.
     Message(T),
-    /// The deadline is here.
+    /// The deadline has been reached.
     Deadline,
-    /// All senders are gone.
+    /// All senders are dropped.
     Closed,
 }
 
-/// Waits for one thread, and learns from how its waits went.
+/// Waits for one thread, and adapts to its previous waits.
 #[derive(Debug)]
 pub struct PreciseWait {
     approach: Approach,
     machine: Machine,
-    /// Under real-time scheduling. A thread that does not run before all others would wait for each program that comes to its core.
+    /// Only under real-time scheduling. A thread without priority over all others would wait for every program on its core.
     place: Option<Place>,
 }
 
 impl PreciseWait {
-    /// For this thread, which was granted this.
+    /// Creates the wait of this thread, with the scheduling that it was granted.
     #[must_use]
     pub fn new(scheduling: &Scheduling) -> Self {
         let scheduled = if scheduling.is_realtime() { Scheduled::First } else { Scheduled::Fairly };
@@ -62,7 +62,7 @@ impl PreciseWait {
         let chance = fastrand::f64();
         if let Some(look_at) = self.approach.look_at(Instant::now(), deadline, chance) {
             let mut cores = Cores::Busy;
-            // What runs for a moment makes no machine busy.
+            // A short load spike does not make the machine busy.
             for look_at in [look_at, look_at + LOOK_AGAIN] {
                 match sleep(messages, look_at) {
                     Woken::Deadline => cores = self.machine.cores(),
@@ -94,12 +94,12 @@ impl PreciseWait {
         woken
     }
 
-    /// The same for a deadline at which nothing moves: sleeps, and wakes as late as the system wakes a sleeper.
+    /// The same for a deadline without a movement: sleeps, and wakes with the system's delay.
     pub fn wait_roughly<T>(&self, messages: &Receiver<T>, deadline: Instant) -> Woken<T> {
         sleep(messages, deadline)
     }
 
-    /// Messages wait meanwhile: what takes long to obey would make the start late.
+    /// Messages wait meanwhile: an order that takes long would delay the start.
     fn spin(&mut self, deadline: Instant) {
         let begun = Instant::now();
         loop {
@@ -111,8 +111,8 @@ impl PreciseWait {
         }
     }
 
-    /// Lets other processes move their robots at the same instant: first by turns, then asleep, or for less time if a deadline
-    /// comes soon. Under real-time scheduling turns are enough.
+    /// Lets other processes move their robots at the same instant: first by yielding, then by sleeping, or for less time if a deadline is
+    /// near. Under real-time scheduling, yielding is sufficient.
     pub fn let_others_move(&mut self, next: Option<Instant>) {
         let begun = Instant::now();
         let rest = self.approach.rest(begun, next);
@@ -153,10 +153,10 @@ fn sleep<T>(messages: &Receiver<T>, until: Instant) -> Woken<T> {
     }
 }
 
-/// What the kernel says of the machine's cores.
+/// The kernel's load figures of the machine.
 #[derive(Debug)]
 struct Machine {
-    /// Kept open: a look is one read.
+    /// Kept open: a check is one read.
     loads: Option<File>,
     cores: usize,
 }
@@ -167,7 +167,7 @@ impl Machine {
         Self { loads: File::open("/proc/loadavg").ok(), cores }
     }
 
-    /// Where nothing can be seen, cores count as free until a yield shows that they are not.
+    /// If the load is unknown, cores are considered free until a yield shows otherwise.
     fn cores(&self) -> Cores {
         let mut text = [0; 64];
         let read = self.loads.as_ref().and_then(|loads| loads.read_at(&mut text, 0).ok()).unwrap_or(0);
@@ -178,7 +178,7 @@ impl Machine {
     }
 }
 
-/// How many threads want to run, this one included: the fourth word of `/proc/loadavg`, as in `0.20 0.18 0.12 1/80 11206`.
+/// Parses the number of runnable threads, including this one: the fourth word of `/proc/loadavg`, as in `0.20 0.18 0.12 1/80 11206`.
 fn runnable(loads: &str) -> Option<usize> {
     loads.split(' ').nth(3)?.split_once('/')?.0.parse().ok()
 }
@@ -230,7 +230,7 @@ mod tests {
         let (sender, receiver) = channel();
         let mut waits = waits();
         waits.approach.looked(Instant::now(), Cores::Free);
-        // Sent in the time that is spun for.
+        // Sent during the spinning time.
         let deadline = Instant::now() + Duration::from_micros(150);
         sender.send(1).unwrap();
         assert!(matches!(waits.wait(&receiver, Some(deadline)), Woken::Deadline));

@@ -1,8 +1,8 @@
-//! Which core a thread under real-time scheduling waits on, if more threads of this host wait for their instants than it has cores.
+//! The core on which a thread under real-time scheduling waits, if more threads of this host wait for their instants than it has cores.
 //!
-//! The kernel does not spread waiting threads evenly: of six on two cores, five may share one, and move their robots one
-//! after another. So each takes the lowest free number of this host, and stays on the core that goes with it: no core has
-//! two threads more than another. The number is an abstract socket, which the kernel frees when the process ends.
+//! The kernel does not distribute waiting threads evenly: of six on two cores, five may share one, and move their robots one after
+//! another. Each thread therefore takes the lowest free number of this host, and stays on the corresponding core: the numbers of threads
+//! per core differ by at most one. The number is an abstract socket, which the kernel frees when the process ends.
 
 use std::io::ErrorKind;
 use std::os::linux::net::SocketAddrExt;
@@ -11,34 +11,34 @@ use std::time::{Duration, Instant};
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// Threads beyond that many choose no core.
+/// Further threads choose no core.
 const NUMBERS: usize = 256;
-/// How long it is remembered whether more threads wait than there are cores.
+/// How long the result is cached whether more threads wait than there are cores.
 const REMEMBERED: Duration = Duration::from_secs(1);
 
-/// The number of a thread on its host, and the core that goes with it.
+/// The number of a thread on its host, and its core.
 #[derive(Debug)]
 pub(super) struct Place {
-    /// With the socket that holds it.
+    /// With the socket that reserves it.
     number: Option<(usize, UnixDatagram)>,
     /// The cores on which the thread may run.
     cores: Vec<usize>,
     is_kept: bool,
-    /// Whether more threads wait than there are cores, and when that was looked up.
+    /// Whether more threads wait than there are cores, and when that was determined.
     crowded: Option<(bool, Instant)>,
 }
 
 impl Place {
-    /// For this thread.
+    /// Reserves a number for this thread.
     pub(super) fn of_this_thread() -> Self {
         let allowed = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
         let cores: Vec<_> = (0..CpuSet::MAX_CPU).filter(|core| allowed.is_set(*core)).collect();
-        // On a single core there is nothing to choose.
+        // On a single core there is no choice.
         let number = if cores.len() > 1 { take_lowest() } else { None };
         Self { number, cores, is_kept: false, crowded: None }
     }
 
-    /// Stays on its core while there are more threads than cores, or else runs on any.
+    /// Keeps the thread on its core while there are more threads than cores; otherwise it may run on any core.
     pub(super) fn choose(&mut self, now: Instant) {
         let Some((number, _)) = self.number else { return };
         let stays = self.is_crowded(now, number);
@@ -51,7 +51,7 @@ impl Place {
         cores.iter().for_each(|core| set.set(*core));
         match sched_setaffinity(None, &set) {
             Ok(()) => self.is_kept = stays,
-            // The cores that are allowed have changed: it is left to the kernel.
+            // The permitted cores have changed: the choice is left to the kernel.
             Err(_) => self.number = None,
         }
     }
@@ -75,7 +75,7 @@ fn core_of(number: usize, cores: &[usize]) -> Option<usize> {
     cores.get(number.checked_rem(cores.len())?).copied()
 }
 
-/// `None` where the system knows no such sockets, or all are taken.
+/// `None` if the system does not support such sockets, or if all numbers are taken.
 fn take_lowest() -> Option<(usize, UnixDatagram)> {
     for number in 0..NUMBERS {
         match take(number) {
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn a_number_is_free_again_once_its_thread_is_gone() {
-        // Far from the numbers of robots that run in other tests, and of this process alone: the names are those of the host.
+        // Far from the numbers of robots in other tests, and unique to this process: the names are shared by the whole host.
         let number = 100_000 + std::process::id() as usize;
         let held = take(number).unwrap();
         assert!(is_taken(number));

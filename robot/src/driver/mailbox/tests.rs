@@ -1,4 +1,4 @@
-//! What a driver's thread is given next, and what it is spared.
+//! The work that a driver's thread receives, and the orders that it skips.
 
 use super::*;
 use crate::tolerance::STALE;
@@ -34,7 +34,7 @@ fn confirm(ticket: u64, device: &str) -> Order {
     Order::Confirm(Ticket(ticket), id(device))
 }
 
-/// A cancellation, which like a script has its place among the values.
+/// Returns a cancellation, which is ordered among the values, like a script.
 fn plan(device: &str) -> Order {
     let (plan, then) = (crate::PlanId(1), crate::Then::Keep);
     let cancel = PlanCancel { plan, device: id(device), then, why: String::new() };
@@ -46,12 +46,12 @@ fn word(plan: u64) -> PlanWord {
     PlanWord { plan, at, event: crate::plans::PlanEvent::Began }
 }
 
-/// Without a connection. Its clock is stopped, so that no ping becomes due while a test runs.
+/// Returns a mailbox without a connection. Its clock is stopped, so that no ping becomes due while a test runs.
 fn empty() -> Mailbox {
     Mailbox::stopped_at(Instant::now())
 }
 
-/// Of a first connection, with these orders.
+/// Returns a mailbox with a first connection and these orders.
 fn with<const N: usize>(orders: [Order; N]) -> Mailbox {
     let mailbox = empty();
     mailbox.connected(1, MANNERS);
@@ -59,7 +59,7 @@ fn with<const N: usize>(orders: [Order; N]) -> Mailbox {
     mailbox
 }
 
-/// What a driver's thread is given next, in a word.
+/// Summarizes the next work of a driver's thread.
 fn next(mailbox: &Mailbox) -> String {
     match mailbox.next(mailbox.now()) {
         Work::Drive(drives) => {
@@ -88,12 +88,12 @@ fn next(mailbox: &Mailbox) -> String {
 fn an_answer_confirms_what_was_done_of_a_device_and_nothing_that_waits_or_is_in_hand() {
     let mailbox = with([set("a", 1.0), confirm(1, "a"), confirm(2, "b"), set("b", 2.0), set("a", 3.0)]);
     mailbox.called(MS, Sign::Answered);
-    assert_eq!(next(&mailbox), "confirm [2]", "what was wanted later does not count");
+    assert_eq!(next(&mailbox), "confirm [2]", "later requests do not count");
     assert_eq!(next(&mailbox), "a 3");
     mailbox.called(MS, Sign::Answered);
     assert_eq!(next(&mailbox), "b 2", "the driver has it in hand");
     mailbox.called(MS, Sign::Unknown);
-    assert_eq!(next(&mailbox), "nothing", "the hardware itself has said nothing");
+    assert_eq!(next(&mailbox), "nothing", "the hardware itself has not answered");
     mailbox.called(MS, Sign::Answered);
     assert_eq!(next(&mailbox), "confirm [1]");
     assert_eq!(next(&mailbox), "nothing");
@@ -176,7 +176,7 @@ fn a_driver_that_says_too_much_of_scripts_at_a_time_has_failed() {
     assert_eq!([next(&mailbox), next(&mailbox)], ["10000 words", "nothing"]);
     (0..=WORDS_MAX).for_each(|_| mailbox.told_of_plan(word(1)));
     assert_eq!(next(&mailbox), "10000 words");
-    assert_eq!(next(&mailbox), "fault: it says more than 10000 things of scripts at a time");
+    assert_eq!(next(&mailbox), "fault: it sent more than 10000 reports about scripts at a time");
 }
 
 #[test]

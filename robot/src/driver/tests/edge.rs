@@ -1,11 +1,11 @@
-//! What reaches the hardware, in which order, and what becomes of scripts and devices when it fails.
+//! The values that reach the hardware, their order, and the effects of failures on scripts and devices.
 
 use super::*;
 
 #[tokio::test]
 async fn values_reach_the_hardware_in_order_and_in_the_end_the_wheel_stops() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
-    // Each is done before the next one is due, so that none takes the place of another.
+    // Each is done before the next one is due, so that none replaces another.
     for (id, value) in [("a", 4.0), ("b", -4.0), ("c", 2.0)] {
         rig.script("wheel", id, &[(0.0, value)], ControlType::Speed);
         rig.responses(&PLAYED).await;
@@ -50,7 +50,7 @@ async fn hardware_that_was_only_looked_at_is_not_moved() {
         Command::ReadSensor,
     )));
     assert_eq!(rig.response().await.status_value, StatusValue::Number(7.0));
-    // Nor does anybody wonder where it is once it has gone.
+    // A device that never moved is at rest, even if its hardware is gone.
     rig.bench.broken.store(true, Ordering::SeqCst);
     let (done, not_at_rest) = rig.stop_and_tell();
     assert_eq!((done, not_at_rest), (vec!["connect".to_owned(), "read eye".to_owned()], None));
@@ -74,8 +74,8 @@ async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
 
 #[tokio::test]
 async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
-    // One sample each three seconds, of a way of six: the first is near its begin, though it may be a second late, and the third
-    // at its end.
+    // One sample every three seconds, on a way of six seconds. The first is near the start, though it may be a second late, and the third
+    // is at the end.
     let options = DriverOptions { samples_per_second: Some(1.0 / 3.0), ..DriverOptions::default() };
     let mut rig = Rig::new(Bench::default(), options);
     rig.script("arm", "a", &[(6_000.0, 30.0)], ControlType::Position);
@@ -88,7 +88,7 @@ async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
 
 #[tokio::test]
 async fn an_edge_that_ends_lets_its_devices_slow_down_where_they_are() {
-    // It would take ramps, but this way is none.
+    // It would take ramps, but this movement is not one.
     let bench = Bench { takes_ramps: true, ..Bench::default() };
     let options = DriverOptions { samples_per_second: Some(200.0), ..DriverOptions::default() };
     let mut rig = Rig::of(LIFT, bench, options);
@@ -97,7 +97,7 @@ async fn an_edge_that_ends_lets_its_devices_slow_down_where_they_are() {
     rig.next_done(&["connect", "lift ramp to 100"]);
     let done = rig.stop();
     let values: Vec<f64> = done.iter().filter_map(|what| value_of("lift", what)).collect();
-    // From 20 a second, on for another 2 in 0.2 s, and not back.
+    // From 20 per second, it continues for another 2 in 0.2 s, and does not reverse.
     assert!(values.len() > 1 && values.is_sorted(), "{done:?}");
     assert!(values.last().is_some_and(|last| (2.0..100.0).contains(last)), "{done:?}");
 }
@@ -134,7 +134,7 @@ async fn a_position_that_takes_too_long_to_rest_stays_where_it_is_and_does_not_j
     rig.responses(&PLAYED[..2]).await;
     rig.until_beyond("lift", 2.0);
     let (done, not_at_rest) = rig.stop_and_tell();
-    assert!(not_at_rest.unwrap().contains("`lift` was still on its way"));
+    assert!(not_at_rest.unwrap().contains("`lift` had not reached its target after"));
     let values: Vec<f64> = done.iter().filter_map(|what| value_of("lift", what)).collect();
     assert_ne!(values.last(), Some(&0.0), "{values:?}");
 }
@@ -171,7 +171,7 @@ async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait()
 
 #[tokio::test]
 async fn a_value_that_waited_too_long_for_the_hardware_is_not_set_and_its_script_fails_as_late() {
-    // So that a slow machine is in time for the first value.
+    // Long enough that a slow machine is in time for the first value.
     let late_max = Span::from_millis(5_000);
     let tolerance = Tolerance { step: late_max, ..Tolerance::AN_HOUR };
     let (host, options) = (HostOptions::default(), DriverOptions::default());
@@ -196,7 +196,7 @@ async fn hardware_that_hangs_up_while_nothing_is_asked_is_away_before_the_next_p
     rig.responses(&PLAYED[..1]).await;
     drop(hangs_up);
     let error = rig.response().await.error.unwrap();
-    assert_eq!(error.message, "the hardware is away: the line was cut");
+    assert_eq!(error.message, "the hardware is not available: the line was cut");
 }
 
 #[tokio::test]
@@ -206,7 +206,7 @@ async fn hardware_that_fails_under_a_script_fails_it_and_turns_no_more_when_it_i
     rig.responses(&PLAYED[..2]).await;
     rig.next_done(&["connect", "wheel 4"]);
     rig.bench.broken.store(true, Ordering::SeqCst);
-    // Found out by a ping, since nothing more is due.
+    // Detected by a ping, since no further step is due.
     let failed = rig.response().await;
     assert_eq!(failed.status, Status::Failed);
     let error = failed.error.unwrap();
@@ -230,7 +230,8 @@ async fn hardware_that_fails_in_the_last_value_of_a_script_leaves_its_end_unknow
     rig.bench.broken.store(true, Ordering::SeqCst);
     rig.bench.busy.store(false, Ordering::SeqCst);
     let error = rig.response().await.error.unwrap();
-    let expected = "it is unknown whether the hardware took the last value: the hardware is away: pulled out";
+    let expected =
+        "the hardware may not have accepted the last value: the hardware is not available: pulled out";
     assert_eq!((error.code, error.message.as_str()), (ErrorCode::Internal, expected));
 }
 
@@ -276,7 +277,7 @@ async fn hardware_that_cannot_be_brought_to_rest_is_named_when_its_host_ends() {
             assert_eq!(rig.response().await.status, Status::Failed);
         }
         let (_, not_at_rest) = rig.stop_and_tell();
-        assert_eq!(not_at_rest.as_deref(), Some("the hardware is away: pulled out"));
+        assert_eq!(not_at_rest.as_deref(), Some("the hardware is not available: pulled out"));
     }
 }
 
@@ -380,6 +381,6 @@ async fn who_watches_the_hardware_of_a_robot_is_told_of_each_event() {
     let next = || events.recv_timeout(Duration::from_secs(60)).unwrap();
     assert_eq!(next(), "the hardware answers");
     bench.broken.store(true, Ordering::SeqCst);
-    assert_eq!(next(), "the hardware is away: pulled out");
+    assert_eq!(next(), "the hardware is not available: pulled out");
     host.stop();
 }

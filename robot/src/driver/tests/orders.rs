@@ -1,4 +1,4 @@
-//! What waits between the robot and the thread of its driver.
+//! The orders that wait between the robot and its driver's thread.
 
 use std::time::Instant;
 
@@ -104,7 +104,7 @@ fn what_a_driver_says_of_a_script_is_passed_on_as_it_says_it() {
     mailbox.connected(1, MANNERS);
     let soon = HostClock::anchored().instant_of(Timestamp::from_nanos(0));
     pushes.plan(crate::PlanId(1), Timestamp::from_nanos(5), PlanEvent::Began);
-    let mailbox::Work::Words(words) = mailbox.next(soon) else { panic!("nothing was said") };
+    let mailbox::Work::Words(words) = mailbox.next(soon) else { panic!("no report arrived") };
     assert_eq!(
         (words[0].plan, words[0].at, &words[0].event),
         (crate::PlanId(1), Timestamp::from_nanos(5), &PlanEvent::Began)

@@ -1,4 +1,4 @@
-//! What a driver is without more than it must be, and imagined hardware.
+//! A driver with only the required methods, and simulated hardware.
 
 use super::*;
 
@@ -10,7 +10,7 @@ fn what_is_set_of_a_driver_leaves_the_rest_as_it_was() {
     assert_eq!(set, [40.0, 3.0, 7.0].map(Some));
 }
 
-/// The least that a driver is.
+/// A driver with only the required methods.
 struct Plain(Vec<String>);
 
 impl Driver for Plain {
@@ -50,7 +50,7 @@ fn a_driver_by_default_is_told_values_alone_one_after_another() {
     let part = empty_plan(&arm());
     let (then, why) = (crate::Then::Keep, String::new());
     let cancel = PlanCancel { plan: part.plan, device: arm(), then, why };
-    let timed = Err(DriverError::Refused("this driver times no scripts".to_owned()));
+    let timed = Err(DriverError::Refused("this driver does not time scripts".to_owned()));
     assert_eq!([plain.plan(&part), plain.cancel(&cancel)], [timed.clone(), timed]);
 }
 
@@ -61,7 +61,7 @@ fn imagined_hardware_reads_what_was_set_last_or_the_middle_of_its_range() {
     let (arm, eye) = (DeviceId::new("arm").unwrap(), DeviceId::new("eye").unwrap());
     driver.connect().unwrap();
     assert_eq!(driver.read(&eye), Ok(4.5));
-    assert_eq!(driver.read(&arm), Err(DriverError::Refused("`arm` is no sensor".to_owned())));
+    assert_eq!(driver.read(&arm), Err(DriverError::Refused("`arm` is not a sensor".to_owned())));
     driver.set(&arm, &Setpoint::new(ControlType::Position, 30.0)).unwrap();
     assert_eq!(driver.read(&arm), Ok(30.0));
     assert!(driver.set_is_acknowledged());

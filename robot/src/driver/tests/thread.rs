@@ -1,4 +1,4 @@
-//! A driver's thread by itself: what it tells of hardware that fails, comes back and speaks unasked.
+//! A driver's thread alone: its reports about hardware that fails, comes back, and sends unsolicited reports.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::hardware::ReadingId;
 use crate::tolerance::STALE;
 
-/// Hardware that the test answers for, call by call.
+/// Hardware whose calls the test answers.
 struct Told<F> {
     answer: F,
     pushes: Option<Pushes>,
@@ -49,7 +49,7 @@ impl<F: FnMut(&str, &Pushes) -> Result<(), DriverError> + Send> Driver for Told<
     }
 }
 
-/// What a driver's thread tells, in a word.
+/// Summarizes a report of a driver's thread.
 fn in_words(news: &News) -> String {
     match news {
         News::There { connection, .. } => format!("there {connection}"),
@@ -63,7 +63,7 @@ fn in_words(news: &News) -> String {
     }
 }
 
-/// Runs a driver's thread here, until its mailbox is closed. For each piece of news it is told what to do with the mailbox.
+/// Runs a driver's thread here, until its mailbox is closed. `on` handles each report.
 fn driven(
     block: &str,
     frames: bool,
@@ -120,13 +120,13 @@ fn hardware_that_comes_back_too_late_to_be_told_anything_is_named() {
         "there 2" => mailbox.close(),
         _ => {}
     });
-    assert_eq!(news, ["there 1", "the hardware is away: cut", "there 2"]);
-    assert_eq!(ended, Err("the hardware came back too late to be told anything".to_owned()));
+    assert_eq!(news, ["there 1", "the hardware is not available: cut", "there 2"]);
+    assert_eq!(ended, Err("the hardware was reconnected too late to receive commands".to_owned()));
 }
 
 #[test]
 fn hardware_that_stays_away_is_named_if_it_was_moved_and_otherwise_not() {
-    for (moves, expected) in [(true, Err("the hardware is away: cut".to_owned())), (false, Ok(()))] {
+    for (moves, expected) in [(true, Err("the hardware is not available: cut".to_owned())), (false, Ok(()))] {
         let answer = move |what: &str, pushes: &Pushes| match what {
             "wheel 4" => away("cut"),
             "connect" if !moves => {
@@ -169,7 +169,7 @@ fn a_reading_that_fails_fails_alone_and_one_that_finds_no_hardware_does_not() {
         move |what: &str, _: &Pushes| if what == "read eye" { answers.next().unwrap() } else { Ok(()) };
     let (ended, news) = driven(BLOCK, false, answer, |news, mailbox| match news {
         "there 1" => post(mailbox, 1, vec![read_order(1), read_order(2), read_order(3)]),
-        "the hardware is away: cut" => mailbox.close(),
+        "the hardware is not available: cut" => mailbox.close(),
         _ => {}
     });
     let expected = [
@@ -177,7 +177,7 @@ fn a_reading_that_fails_fails_alone_and_one_that_finds_no_hardware_does_not() {
         "reading Err(\"dark\")",
         "reading Ok(7.0)",
         "reading Err(\"cut\")",
-        "the hardware is away: cut",
+        "the hardware is not available: cut",
     ];
     assert_eq!((news, ended), (expected.map(str::to_owned).to_vec(), Ok(())), "nothing was moved");
 }
@@ -219,7 +219,7 @@ fn what_the_hardware_says_by_itself_ends_its_connection() {
         _ => {}
     });
     assert_eq!(news, ["there 1", "the hardware reports a fault: stuck", "there 2"]);
-    assert_eq!(ended, Ok(()), "it was told after it had come back");
+    assert_eq!(ended, Ok(()), "it received a command after its reconnection");
 }
 
 #[test]
@@ -243,7 +243,7 @@ fn a_confirmation_that_a_driver_cannot_give_comes_with_the_next_answer() {
     assert!(pings.try_iter().count() >= 1);
 }
 
-/// Steps of a script of the arm, the first of which is due this many milliseconds from now.
+/// Returns steps of a script of the arm; the first is due this many milliseconds from now.
 fn take(first: usize, due: i64) -> mailbox::Order {
     let clock = HostClock::anchored();
     let at = |millis: i64| (clock.now() + Span::from_millis(millis)).assume_clock();
@@ -263,9 +263,9 @@ fn take(first: usize, due: i64) -> mailbox::Order {
 
 #[test]
 fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
-    let refused = "this driver times no scripts";
-    let late = "after it could have been played";
-    // A first step must not begin too late, and a later one is not too late for an hour.
+    let refused = "this driver does not time scripts";
+    let late = "s too late to be played";
+    // A first step must not begin too late; a later one may be an hour late.
     for (first, due, expected) in [
         (0, 60_000, refused),
         (0, -1_000, late),
@@ -315,7 +315,7 @@ fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
     for plan in [0, 2, 9] {
         let answer = move |what: &str, pushes: &Pushes| {
             if what == "wheel 4" {
-                // The first was refused: of that it may speak.
+                // The first plan was refused: reports about it are permitted.
                 for plan in [1, plan] {
                     pushes.plan(crate::PlanId(plan), Timestamp::from_nanos(0), PlanEvent::Done);
                 }
@@ -328,7 +328,7 @@ fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
             _ => mailbox.close(),
         });
         let expected =
-            format!("the hardware reports a fault: it speaks of plan {plan}, which it does not have");
+            format!("the hardware reports a fault: it reported plan {plan}, which it does not have");
         assert_eq!(news.get(2), Some(&expected), "{news:?}");
     }
 }
@@ -394,7 +394,7 @@ fn hardware_that_is_away_or_fails_at_once_is_connected_to_ever_more_rarely() {
         let between = |pair: &[(String, Instant)]| (pair[0].0.starts_with("there"), pair[1].1 - pair[0].1);
         let (connected, pauses): (Vec<_>, Vec<_>) =
             times.windows(2).map(between).partition(|(is_there, _)| *is_there);
-        // What was there for long is tried again at once.
+        // Hardware that was connected for long is connected again at once.
         if connected.iter().any(|(_, lasted)| *lasted > Duration::from_secs(5)) {
             return;
         }

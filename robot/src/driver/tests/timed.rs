@@ -1,4 +1,4 @@
-//! Scripts that the hardware times by itself: handed over ahead of their steps, and told as the hardware says.
+//! Scripts that the hardware times by itself: handed over ahead of their steps, and reported as the hardware reports them.
 
 use super::*;
 
@@ -35,7 +35,7 @@ async fn a_script_that_the_driver_does_not_take_fails_and_the_hardware_stays() {
     assert_eq!(failed.error.unwrap().message, "the hardware refused a script of `arm`: too hot");
 }
 
-/// Times scripts by itself, and logs each value with the nanoseconds at which it is set. 66 fails, 77 ends it.
+/// Times scripts by itself, and logs each value with the time at which it is set, in nanoseconds. 66 makes it fail, 77 ends it.
 const AHEAD: &str = r#"
 import os, sys, time
 from downbeat_driver import Driver
@@ -54,7 +54,7 @@ class Ahead(Driver):
 Ahead().run()
 "#;
 
-/// A host with the program `AHEAD`, and the log of that. `None` where there is no Python.
+/// Starts a host with the program `AHEAD`, and returns the folder of its log. `None` if Python is missing.
 fn ahead(mode: &str) -> Option<(Host, RobotLink, std::path::PathBuf)> {
     use std::sync::atomic::AtomicU32;
     static COUNT: AtomicU32 = AtomicU32::new(0);
@@ -80,7 +80,7 @@ fn ahead(mode: &str) -> Option<(Host, RobotLink, std::path::PathBuf)> {
     Some((host, link, folder))
 }
 
-/// What a program has logged, and when.
+/// Returns the logged lines of a program, with their times.
 fn logged(folder: &std::path::Path) -> Vec<(i64, String)> {
     let text = std::fs::read_to_string(folder.join("log")).unwrap_or_default();
     let line = |line: &str| {
@@ -103,7 +103,7 @@ async fn responses(link: &mut RobotLink, count: usize) -> Vec<ControlResponse> {
 
 #[tokio::test]
 async fn a_program_that_times_scripts_reports_what_it_logs() {
-    // With a horizon the last step is handed over two seconds before the one ahead of it is due.
+    // With a horizon, the last step is handed over two seconds before the previous step is due.
     for (mode, apart) in [("script", 300.0), ("horizon", 2_000.0)] {
         let Some((host, mut link, folder)) = ahead(mode) else { return };
         let steps = [(0.0, 4.0), (apart, 5.0), (2.0 * apart, 6.0)];
@@ -115,7 +115,7 @@ async fn a_program_that_times_scripts_reports_what_it_logs() {
         let values: Vec<_> = log.iter().map(|(_, what)| what.as_str()).collect();
         assert_eq!(values, ["wheel 4", "wheel 5", "wheel 6"]);
         let at = |index: usize| all[index].event_timestamp.unwrap().as_nanos();
-        // It says that it begins right before the first value, and that it is done right behind the last one.
+        // It reports its start right before the first value, and its end right after the last one.
         assert!(at(1) <= log[0].0 && log[2].0 <= at(2), "{mode}: {all:?} {log:?}");
         assert!(host.stop().is_empty());
         let _left = std::fs::remove_dir_all(folder);

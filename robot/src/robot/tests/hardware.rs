@@ -1,4 +1,4 @@
-//! Robots that drive hardware which may be away, fail and come back, and whose sensors take their time.
+//! Robots whose hardware may be away, fail and come back, and whose sensors are slow.
 
 use super::*;
 use crate::hardware::READINGS_MAX;
@@ -38,7 +38,7 @@ fn open_reading(bench: &Bench) -> crate::hardware::ReadingId {
     }
 }
 
-/// Devices with the values of their default state.
+/// Returns the rest values of devices.
 fn rests(bench: &Bench) -> Vec<(String, f64)> {
     let value = |set: &&SetValue| match &set.motion {
         Motion::Rest(rest) => Some((format!("{} {}", set.device, rest.control_type), rest.value)),
@@ -52,13 +52,13 @@ fn without_hardware_a_robot_is_not_available_and_takes_nothing() {
     let mut bench = driven();
     let (status, why) = available(&mut bench);
     assert_eq!(status, Status::Failed);
-    assert!(why.unwrap().contains("the hardware has not answered yet"));
+    assert!(why.unwrap().contains("the hardware is not available: it has not answered yet"));
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     read(&mut bench, "b");
     assert_eq!(bench.statuses(), ["Failed internal", "Failed internal"]);
     bench.robot.hardware_found(bench.now, &mut bench.out);
     assert_eq!(available(&mut bench), (Status::Ok, None));
-    // The refusal did not last, and nothing was set on the way.
+    // The refusal was temporary, and nothing was set meanwhile.
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     assert_eq!(bench.statuses().last().unwrap(), "Accepted");
     assert!(bench.sets().is_empty());
@@ -238,7 +238,9 @@ fn a_sensor_says_how_long_its_readings_may_take() {
 #[test]
 fn readings_that_are_refused_or_no_numbers_or_cut_off_fail_with_the_reason() {
     let mut bench = ready();
-    for (reading, says) in [(Err("no such pin".to_owned()), "no such pin"), (Ok(f64::NAN), "no number")] {
+    for (reading, says) in
+        [(Err("no such pin".to_owned()), "no such pin"), (Ok(f64::NAN), "expected a finite number")]
+    {
         read(&mut bench, says);
         let id = open_reading(&bench);
         bench.robot.reading_came(bench.now, id, reading, &mut bench.out);
@@ -253,7 +255,7 @@ fn readings_that_are_refused_or_no_numbers_or_cut_off_fail_with_the_reason() {
     assert!(bench.robot.is_idle());
 }
 
-/// Asks for a reading on behalf of a session; whether it is open now.
+/// Requests a reading on behalf of a session, and returns whether it was opened.
 fn opens(bench: &mut Bench, link: u64, session: Option<&str>) -> bool {
     let request = ControlRequest::immediate(DeviceId::new("thermometer").unwrap(), Command::ReadSensor);
     let session = session.and_then(|session| urrcp::SessionId::new(session).ok());
@@ -381,9 +383,9 @@ fn a_value_that_came_too_late_to_the_hardware_ends_its_device_and_what_waits_to_
     let arm = DeviceId::new("arm").unwrap();
     bench.robot.value_stale(bench.now, &arm, Span::from_millis(300), &mut bench.out);
     let error = bench.responses().last().unwrap().error.clone().unwrap();
-    let why = "it is unknown whether the hardware took the last value: a value reached the hardware 300 ms late and was not set";
+    let why = "the hardware may not have accepted the last value: a value reached the hardware 300 ms late and was not set";
     assert_eq!((error.code, error.message.as_str()), (ErrorCode::Late, why));
-    assert!(!bench.robot.is_idle(), "the wheel goes on");
+    assert!(!bench.robot.is_idle(), "the wheel continues");
     let unknown = DeviceId::new("leg").unwrap();
     let said = bench.out.len();
     bench.robot.value_stale(bench.now, &unknown, Span::from_millis(300), &mut bench.out);

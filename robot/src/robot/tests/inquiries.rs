@@ -1,4 +1,4 @@
-//! A question that cannot act.
+//! Inquiries, which cannot act.
 
 use urrcp::{DeviceReport, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
 
@@ -33,7 +33,7 @@ impl Bench {
         self.inquire_on(LINK, inquiry)
     }
 
-    /// What is said of one request.
+    /// Returns the report about one request.
     fn state(&mut self, id: &str) -> RequestReport {
         let [report] = &self.inquire(about(&[id])).requests[..] else { panic!() };
         assert_eq!(report.request_id.as_str(), id);
@@ -201,7 +201,7 @@ fn a_pending_lease_ends_at_the_instant_that_was_said_however_late_the_question_c
         let mut bench = Bench::new();
         let request = timed("arm", "a", 1_000.0, paper());
         bench.request(ControlRequest { stop_condition: lease(5_000.0, 9_000.0), ..request });
-        // Sent to carry a lease of 100 ms to 900, and 300 ms under way.
+        // Sent to limit the pending lease to 100 ms, up to 900, and 300 ms while running.
         bench.until(800);
         let pending_lease = Millis::new(400.0).ok();
         bench.inquire(Inquiry { pending_lease, pending_until: Some(at(900)), ..about(&["a"]) });
@@ -241,7 +241,7 @@ fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
         bench.request(ControlRequest { pending_until: Some(at(pending_until)), ..request });
         bench
     };
-    // The robot hears the server, but no inquiry confirms the request.
+    // The robot receives messages of the server, but no inquiry confirms the request.
     let mut heard = requested(10, 900);
     heard.until(850);
     heard.inquire(Inquiry::default());
@@ -265,7 +265,7 @@ fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
 
 #[test]
 fn a_question_that_was_overtaken_on_its_link_takes_back_nothing_of_the_later_one() {
-    // Two of one instant are taken in the order in which they come.
+    // Two questions of the same instant are handled in the order of their arrival.
     for (overtaken_on, first, plays) in [(LINK, 20, true), (LINK, 10, false), (LinkId(9), 20, false)] {
         let mut bench = Bench::new();
         let of_session = ControlRequest { session: session("show"), ..timed("arm", "a", 1_000.0, paper()) };
@@ -432,7 +432,7 @@ fn the_position_of_a_device_is_stated_where_it_is_known() {
     driven.robot.hardware_lost(at(1_500), "unplugged", &mut Vec::new());
     assert_eq!(position(&mut driven), None);
     found(&mut driven, 2_000);
-    assert_eq!(position(&mut driven), None, "somebody may have moved it");
+    assert_eq!(position(&mut driven), None, "it may have been moved by hand");
 }
 
 #[test]

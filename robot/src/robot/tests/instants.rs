@@ -1,4 +1,4 @@
-//! What happens at one and the same instant, which lease holds when, and what is remembered.
+//! Events at the same instant, the applicable leases, and the remembered answers.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -371,7 +371,7 @@ fn the_wake_ups_of_32_000_devices_are_found_without_asking_each() {
     assert!(bench.values().iter().map(|(millis, _)| *millis).eq(1_000..end));
 }
 
-/// What a server may do at a time, with ids of its own for each request.
+/// An action of a server, with a different id for each request.
 #[derive(Clone, Debug)]
 enum Move {
     Request {
@@ -389,7 +389,7 @@ enum Move {
 }
 
 fn any_move() -> impl Strategy<Value = Move> {
-    // Coarse times, so that many events fall on one instant.
+    // Coarse times, so that many events fall on the same instant.
     let tick = |max: u16| (0..max).prop_map(|ticks| ticks * 50);
     let steps = prop::collection::vec((tick(8), 0u8..10), 0..4);
     prop_oneof![
@@ -465,8 +465,8 @@ proptest! {
         for moved in bench.sets() {
             let Some(id) = moved.request_id.as_ref().map(RequestId::as_str) else { continue };
             let Sent { link, start, first_offset, lease, .. } = &sent[id];
-            // Messages of the instant itself come after the movement, so only those before it count; but a command
-            // that starts on receipt starts by that very message.
+            // Messages at the instant itself come after the movement, so only earlier ones count. However, a command that starts on
+            // receipt is started by that very message.
             let last = heard[link].iter().filter(|at| **at < moved.due || **at <= *start && *start == moved.due).max();
             let silence = moved.due - *last.unwrap();
             prop_assert!(lease.running.is_some_and(|running| silence < running.span()), "{moved:?} after {silence}");
@@ -536,7 +536,7 @@ fn a_stop_turns_no_wheel_that_no_command_has_driven_whatever_its_default_state()
     assert_eq!(stop(true).1, [0.0, 4.0, 8.0], "home within its acceleration");
 }
 
-/// What becomes of a script of the arm for which the robot wakes up so many nanoseconds late.
+/// Returns the outcome of a script of the arm for which the robot wakes up `nanos` too late.
 fn woken_late(nanos: i64) -> (Vec<String>, Option<u32>) {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(0.0, 45.0), (1_000.0, 0.0)])));
@@ -599,7 +599,7 @@ fn a_device_comes_to_rest_and_goes_home_within_the_tighter_of_its_own_and_the_op
         [(DeviceId::new(device).unwrap(), MotionLimits { speed, acceleration })].into()
     };
     let end = |device: &str| at_once(device, "end", Command::Script(Script::cancel()));
-    // The arm declares a speed of 10 and has 35 to go.
+    // The arm declares a speed of 10 and has a distance of 35 left.
     for (limit, millis) in [(Some(5.0), 7_000), (Some(20.0), 3_500), (None, 3_500)] {
         let mut bench = Bench::new();
         bench.robot = bench.robot.with_limits(&limits("arm", limit, None));

@@ -94,8 +94,8 @@ fn the_end_of_a_running_lease_takes_what_is_pending_with_it() {
     assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0), "it stays");
 }
 
-/// What a robot reports of the command `a` of a device after its end, for a minute in which it hears nothing. After 150 ms, the device
-/// may be cancelled.
+/// Returns the robot's reports about the command `a` of a device after its end, during a minute without messages. After 150 ms, the
+/// device may be cancelled.
 fn reported_after_the_end(device: &str, command: Command, cancels: bool) -> Vec<String> {
     let mut bench = Bench::new();
     bench.request(ControlRequest {

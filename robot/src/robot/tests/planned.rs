@@ -1,4 +1,4 @@
-//! Devices whose driver times scripts by itself: what it is told and when, and what is reported of what it says.
+//! Devices whose driver times scripts by itself: handing over scripts, and reporting what the driver reports.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, Then};
 pub(super) const P1: PlanId = PlanId(1);
 const P2: PlanId = PlanId(2);
 
-/// A robot whose driver times the scripts of these devices, so far ahead.
+/// Returns a robot whose driver times the scripts of these devices, this far ahead.
 fn planned(devices: &[(&str, Lookahead)]) -> Bench {
     let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
     let mut bench = Bench { robot: Robot::driven(block).confirmed_by_its_driver(), ..Bench::new() };
@@ -41,7 +41,7 @@ impl Bench {
         self.out.iter().filter_map(cancel).collect()
     }
 
-    /// The driver says that this happened, now and then in milliseconds.
+    /// Reports an event of the driver at this time, in milliseconds.
     fn says(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) -> Result<(), String> {
         let at = at(at_ms);
         self.robot.plan_reported(self.now, id, at, &event, &mut self.out)
@@ -56,7 +56,7 @@ impl Bench {
         self.responses().last().unwrap()
     }
 
-    /// Sends the script of the paper to `arm`, to start after a second.
+    /// Sends the script of the paper to `arm`, with a start after one second.
     fn paper(&mut self) {
         self.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     }
@@ -94,7 +94,7 @@ fn what_is_reported_is_what_the_driver_says() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_010);
-    assert_eq!(bench.statuses(), ["Accepted"], "the machine alone says nothing");
+    assert_eq!(bench.statuses(), ["Accepted"], "the machine alone reports nothing");
     bench.hears(P1, 1_007, PlanEvent::Began);
     assert_eq!(bench.last().event_timestamp, Some(at(1_007)));
     bench.hears(P1, 1_008, PlanEvent::Step(0));
@@ -124,10 +124,7 @@ fn an_end_that_no_hardware_has_shown_is_unknown_and_steps_that_are_assumed_do_no
     let failed = bench.last();
     assert_eq!(failed.steps_done, None, "it is unknown how many");
     let message = failed.error.as_ref().unwrap().message.to_string();
-    assert_eq!(
-        message,
-        "it is unknown what became of the script of `arm`: its driver did not observe the end"
-    );
+    assert_eq!(message, "the result of the script of `arm` is unknown: its driver did not observe its end");
     assert!(bench.robot.is_idle() && bench.values().is_empty(), "{:?}", bench.values());
 }
 
@@ -185,7 +182,7 @@ fn a_driver_that_assumes_the_start_must_report_the_end() {
     assert_eq!(bench.cancels(), [(1, Then::Hold)]);
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     let message = bench.last().error.as_ref().unwrap().message.to_string();
-    assert!(message.ends_with("did not say that it was over"), "{message}");
+    assert!(message.ends_with("did not report its end"), "{message}");
 }
 
 #[test]
@@ -209,11 +206,11 @@ fn a_driver_that_never_says_that_it_began_or_ended_leaves_the_script_failed_and_
     bench.paper();
     bench.until(1_800);
     assert_eq!(bench.cancels(), [(1, Then::Hold)]);
-    assert_eq!(bench.statuses(), ["Accepted"], "whether it has ended is not known yet");
+    assert_eq!(bench.statuses(), ["Accepted"], "whether it has ended is unknown yet");
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     assert_eq!(bench.statuses(), ["Accepted", "Failed internal"]);
     let message = bench.last().error.as_ref().unwrap().message.to_string();
-    assert!(message.contains("did not say that it had started"), "{message}");
+    assert!(message.contains("did not report its start"), "{message}");
 
     let mut bench = whole("arm");
     bench.paper();
@@ -283,8 +280,8 @@ fn hardware_that_goes_away_while_a_script_is_being_ended_leaves_the_stop_unconfi
     let failed: Vec<_> = bench.responses().iter().filter(|r| r.status == Status::Failed).cloned().collect();
     let messages: Vec<_> = failed.iter().map(|r| r.error.as_ref().unwrap().message.to_string()).collect();
     assert_eq!(messages.len(), 2, "{messages:?}");
-    assert!(messages.iter().any(|m| m.contains("unknown whether the hardware took the last value")));
-    assert!(messages.iter().any(|m| m.contains("unknown whether the hardware stopped")));
+    assert!(messages.iter().any(|m| m.contains("the hardware may not have accepted the last value")));
+    assert!(messages.iter().any(|m| m.contains("the hardware may not have stopped")));
     assert!(bench.robot.is_idle());
 }
 
@@ -366,10 +363,10 @@ fn what_a_driver_cannot_truly_say_is_not_reported() {
     bench.until(1_100);
     for (id, at_ms, event, why) in [
         (P2, 1_000, PlanEvent::Began, "never handed over"),
-        (P1, 1_200, PlanEvent::Began, "ahead"),
-        (P1, -50, PlanEvent::Began, "before it had it"),
-        (P1, 1_050, PlanEvent::Done, "not said to have started"),
-        (P1, 1_050, PlanEvent::Step(0), "not said to have started"),
+        (P1, 1_200, PlanEvent::Began, "in the future"),
+        (P1, -50, PlanEvent::Began, "before the script was accepted"),
+        (P1, 1_050, PlanEvent::Done, "it reports progress, but no start was reported"),
+        (P1, 1_050, PlanEvent::Step(0), "it reports progress, but no start was reported"),
     ] {
         let said = bench.says(id, at_ms, event);
         assert!(said.as_ref().is_err_and(|said| said.contains(why)), "{why}: {said:?}");
@@ -398,7 +395,7 @@ fn a_horizon_hands_over_each_step_that_far_before_the_device_sets_out_for_it() {
     bench.until(599);
     assert!(bench.parts().is_empty());
     bench.until(600);
-    // The way to the second step begins with the first.
+    // The movement to the second step begins with the first.
     let told = |bench: &Bench| -> Vec<_> {
         bench.parts().iter().map(|part| (part.first, part.steps.len(), part.is_last)).collect()
     };
@@ -474,7 +471,7 @@ fn an_inquiry_tells_the_steps_that_the_driver_has_done() {
 fn each_step_that_the_driver_says_late_is_counted_once() {
     let mut bench = whole("arm");
     bench.paper();
-    // A millisecond behind its deadline is on time. What is said again, or behind a later step, counts no more.
+    // A millisecond after its deadline is on time. Repeated reports, and reports after a later step, are ignored.
     for (at_ms, event) in [
         (1_000, PlanEvent::Began),
         (1_001, PlanEvent::Step(0)),
@@ -490,7 +487,7 @@ fn each_step_that_the_driver_says_late_is_counted_once() {
     assert_eq!((bench.last().steps_done, bench.last().late_steps), (Some(3), Some(2)));
 }
 
-/// Slows down as it can.
+/// Slows down within its acceleration.
 const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "arm", "name": "arm", "interpolation": "linear", "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
@@ -519,8 +516,8 @@ fn times_that_a_driver_names_may_be_off_by_ten_milliseconds() {
     bench.until(1_000);
     let just_beyond = |millis: i64, nanos: i64| Timestamp::from_nanos(BEGIN + millis * 1_000_000 + nanos);
     let mut says = |at| bench.robot.plan_reported(bench.now, P1, at, &PlanEvent::Began, &mut Vec::new());
-    assert!(says(just_beyond(1_010, 1)).is_err_and(|why| why.contains("ahead")));
-    assert!(says(just_beyond(10, -1)).is_err_and(|why| why.contains("before it had it")));
+    assert!(says(just_beyond(1_010, 1)).is_err_and(|why| why.contains("in the future")));
+    assert!(says(just_beyond(10, -1)).is_err_and(|why| why.contains("before the script was accepted")));
     assert_eq!(says(at(10)), Ok(()));
     assert_eq!(says(at(1_010)), Ok(()));
 }
@@ -559,7 +556,7 @@ fn a_script_that_the_driver_stops_by_itself_fails_with_the_step() {
     bench.hears(P1, 1_000, PlanEvent::Step(0));
     bench.hears(P1, 1_050, PlanEvent::Cancelled);
     let error = bench.last().error.as_ref().unwrap();
-    assert_eq!(error.message.to_string(), "the hardware was stopped in step 2, by itself");
+    assert_eq!(error.message.to_string(), "the hardware stopped by itself in step 2");
     assert_eq!(bench.cancels(), []);
 }
 
@@ -600,7 +597,7 @@ fn what_is_unreported_when_the_hardware_goes_away_is_told_as_unknown() {
     bench.until(3_100);
     bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
     let error = bench.last().error.as_ref().unwrap();
-    let expected = "it is unknown whether the hardware played it to its end: the hardware is away: unplugged";
+    let expected = "the hardware may not have played it to its end: the hardware is not available: unplugged";
     assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Internal, expected));
     assert_eq!(bench.cancels(), [], "there is nobody to tell");
 }
@@ -687,9 +684,9 @@ fn a_device_that_is_stopped_before_its_driver_has_said_that_it_is_done_is_told_a
     assert_eq!(bench.cancels(), [(1, Then::Hold)]);
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     let error = bench.last().error.as_ref().unwrap();
-    let expected = "the device was stopped before its driver had said that the script was over";
+    let expected = "the device was stopped before its driver reported the end of the script";
     assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Cancelled, expected));
-    // What has been cancelled once is not cancelled again.
+    // A cancelled plan is not cancelled again.
     bench.stop_arm(false);
     assert_eq!(bench.cancels().len(), 1);
 }
@@ -748,7 +745,7 @@ fn steps_are_named_up_to_the_last_that_was_handed_over() {
     bench.paper();
     bench.until(1_000);
     bench.hears(P1, 1_000, PlanEvent::Began);
-    // Two of three were.
+    // Two of the three steps were handed over.
     bench.hears(P1, 1_000, PlanEvent::Step(1));
     assert!(bench.says(P1, 1_000, PlanEvent::Step(2)).is_err_and(|why| why.contains("2 were handed over")));
 }

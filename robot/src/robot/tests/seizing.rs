@@ -1,4 +1,4 @@
-//! A robot that an operator takes from the session to which it belongs.
+//! Seizing: an operator takes a robot from the session that owns it.
 
 use super::sessions::{OTHER, hello, of, operator, stop_of};
 use super::*;
@@ -8,7 +8,7 @@ use urrcp::SessionId;
 const DRIVES: [Role; 2] = [Role::Observe, Role::Drive];
 const SEIZES: [Role; 3] = [Role::Observe, Role::Drive, Role::Seize];
 
-/// Who has proven its name and roles; nobody where nothing is proven.
+/// A proven name and roles; `None` if nothing is proven.
 type Proven<'a> = Option<(&'a str, &'a [Role])>;
 
 fn seize(session: Option<&str>) -> Message {
@@ -16,7 +16,7 @@ fn seize(session: Option<&str>) -> Message {
     Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session, seize: true })
 }
 
-/// Anna's arm plays, and her ramp waits; the other link is an operator with these roles.
+/// Anna's arm plays, and her ramp waits; the other link belongs to an operator with these roles.
 fn anna_plays(other: Proven<'_>) -> Bench {
     let mut bench = Bench::new();
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
@@ -63,13 +63,13 @@ fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_a
     }
     assert!(bench.robot.is_idle());
     assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(0.0), "it stays");
-    // It is eva's now. Anna hears from whom it was taken, and no other.
+    // Eva now owns it. Only Anna is informed who took it.
     bench.send_on(LINK, hello("anna's"));
-    assert_eq!(bench.last_said(), "1 Failed `r` was taken by operator eva");
+    assert_eq!(bench.last_said(), "1 Failed `r` was taken over by operator eva");
     let third = LinkId(3);
     bench.robot.handle(bench.now, third, operator("operator bert", &DRIVES), &mut bench.out);
     bench.send_on(third, hello("anna's"));
-    assert_eq!(bench.last_said(), "3 Failed `r` belongs to another session until that ends");
+    assert_eq!(bench.last_said(), "3 Failed `r` belongs to another session until that session ends");
     bench.send_on(OTHER, of("eva's", timed("arm", "e", 1_300.0, script(ControlType::Position, &PAPER))));
     assert_eq!(bench.last_said(), "2 Accepted ");
     bench.until(5_000);
@@ -83,19 +83,15 @@ fn who_may_not_seize_changes_nothing() {
         (
             Some(("operator bert", &DRIVES)),
             Some("bert's"),
-            "operator bert may observe, drive, and this takes seize",
+            "operator bert may observe, drive, but this requires the role seize",
         ),
         (
             Some(("operator cleo", &[Role::Seize])),
             Some("cleo's"),
-            "operator cleo may seize, and this takes drive",
+            "operator cleo may seize, but this requires the role drive",
         ),
-        (
-            Some(("operator eva", &SEIZES)),
-            None,
-            "`seize` takes the robot for a session, and there is no `session`",
-        ),
-        (None, Some("a stranger's"), "on this connection nothing is proven"),
+        (Some(("operator eva", &SEIZES)), None, "`seize` requires a `session`"),
+        (None, Some("a stranger's"), "this connection proves no role"),
     ];
     for (other, session, refusal) in attempts {
         let mut bench = anna_plays(other);
@@ -110,7 +106,7 @@ fn who_may_not_seize_changes_nothing() {
         assert_eq!(
             bench.values(),
             [(1_500, 45.0), (2_100, 45.0), (2_500, 0.0), (3_500, 45.0)],
-            "the arm goes on, and the ramp begins"
+            "the arm continues, and the ramp begins"
         );
     }
 }
@@ -151,9 +147,9 @@ fn the_mission_that_lost_a_robot_does_not_stop_the_one_that_has_it_whatever_its_
     bench.send_on(OTHER, of("eva's", timed("arm", "e", 100.0, script(ControlType::Position, &PAPER))));
     bench.until(500);
     bench.send_on(LINK, of("anna's", stop_of("arm")));
-    assert_eq!(bench.last_said(), "1 Failed `r` was taken by operator eva");
+    assert_eq!(bench.last_said(), "1 Failed `r` was taken over by operator eva");
     assert!(!bench.robot.is_idle());
-    // A stop that names no session means whichever has it.
+    // A stop that names no session applies to the current owner.
     bench.send_on(LINK, Message::ControlRequest(stop_of("arm")));
     assert_eq!(bench.last_said(), "1 OK ");
     assert!(bench.robot.is_idle());
@@ -171,7 +167,7 @@ fn what_was_left_moving_slows_down_when_the_robot_is_seized_and_the_next_session
     bench.robot = Robot::new(serde_json::from_str(TROLLEY).unwrap());
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
     bench.robot.handle(bench.now, OTHER, operator("operator eva", &SEIZES), &mut bench.out);
-    // Its command ends at once, without a lease, and the wheel turns on.
+    // Its command ends at once, without a lease, and the wheel continues to turn.
     bench.send_on(LINK, of("anna's", timed("wheel", "a", 100.0, script(ControlType::Speed, &[(0.0, 10.0)]))));
     bench.until(1_000);
     assert!(bench.robot.is_idle());

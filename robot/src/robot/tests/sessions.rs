@@ -1,4 +1,4 @@
-//! The session to which a robot belongs, and how it comes to rest on a stop.
+//! The session that owns a robot, and how the robot comes to rest on a stop.
 
 use super::*;
 use urrcp::SessionId;
@@ -42,15 +42,15 @@ fn a_second_session_is_told_that_the_robot_belongs_to_another_one() {
     bench.send_on(LINK, hello("first"));
     assert_eq!(bench.last_said(), "1 OK ");
     bench.send_on(OTHER, hello("second"));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that session ends");
     bench.send_on(OTHER, of("second", timed("arm", "b", 900.0, script(ControlType::Position, &PAPER))));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
-    // Neither does one that names no session, nor may the second stop what the first does.
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that session ends");
+    // A request without a session is refused as well, and the second session must not stop the first session's commands.
     bench.send_on(
         OTHER,
         Message::ControlRequest(timed("arm", "c", 900.0, script(ControlType::Position, &PAPER))),
     );
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that session ends");
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.send_on(
         OTHER,
@@ -69,7 +69,7 @@ fn a_control_request_names_its_session_each_time() {
     bench.send_on(LINK, hello("first"));
     let script = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
     bench.send_on(LINK, Message::ControlRequest(script.clone()));
-    assert_eq!(bench.last_said(), "1 Failed `r` belongs to another session until that ends");
+    assert_eq!(bench.last_said(), "1 Failed `r` belongs to another session until that session ends");
     bench.send_on(LINK, of("first", script));
     assert_eq!(bench.last_said(), "1 Accepted ");
 }
@@ -91,7 +91,7 @@ fn a_reading_claims_nothing() {
         (
             "arm",
             script(ControlType::Position, &PAPER),
-            "1 Failed `r` belongs to another session until that ends",
+            "1 Failed `r` belongs to another session until that session ends",
         ),
     ] {
         let mut bench = Bench::new();
@@ -121,7 +121,7 @@ fn a_stranger_who_asks_for_a_reading_that_there_is_not_stops_nothing() {
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     let read = |device: &str| ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::ReadSensor);
     bench.send_on(OTHER, Message::ControlRequest(read("arm")));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that session ends");
     bench.send_on(OTHER, Message::ControlRequest(read("thermometer")));
     assert_eq!(bench.last_said(), "2 Provide ", "to read is free to all");
     bench.until(5_000);
@@ -147,7 +147,7 @@ fn a_robot_is_free_once_its_session_has_gone_and_nothing_is_held() {
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
     bench.send_on(OTHER, hello("second"));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that session ends");
     bench.until(3_000);
     bench.send_on(OTHER, hello("second"));
     assert_eq!(bench.last_said(), "2 OK ");
@@ -191,7 +191,7 @@ fn a_cancel_leaves_the_device_where_it_is_and_one_that_says_home_does_not() {
     bench.request(cancel.clone());
     assert_eq!(bench.robot.value("arm", ControlType::Position, at(600)), Some(45.0));
     bench.request(ControlRequest { home: true, ..cancel });
-    // At the speed that it declares, 10 a second.
+    // At its declared speed, 10 per second.
     assert_eq!(bench.robot.value("arm", ControlType::Position, at(1_500)), Some(35.0));
     assert_eq!(bench.robot.value("arm", ControlType::Position, at(4_000)), Some(10.0));
 }
@@ -220,7 +220,7 @@ fn where_an_acceleration_is_declared_a_stop_decelerates() {
         ));
     }
     let speed = |bench: &Bench, millis| bench.robot.value("wheel", ControlType::Speed, at(millis)).unwrap();
-    // 10 at 5 a second squared: two seconds.
+    // From 10, at 5 per second squared: two seconds.
     assert_eq!([4_000, 5_000, 6_000].map(|millis| speed(&bench, millis)), [10.0, 5.0, 0.0]);
     let position = |millis| bench.robot.value("arm", ControlType::Position, at(millis)).unwrap();
     assert!((position(4_400) - 33.6).abs() < 1e-9, "{}", position(4_400));
@@ -267,7 +267,7 @@ fn strangers_however_many_end_no_lease_of_a_link_that_stands() {
 #[test]
 fn no_session_renews_the_lease_of_another_however_many_have_been() {
     let mut bench = Bench::new();
-    // The first continues by a link of its own, so that it is not forgotten.
+    // The first session also uses a link of its own, so that it is not forgotten.
     for link in [OTHER, LINK] {
         bench.send_on(link, hello("s0"));
     }
@@ -286,7 +286,7 @@ fn no_session_renews_the_lease_of_another_however_many_have_been() {
     assert_eq!(bench.values(), [], "the owner was silent from 9 s on");
 }
 
-/// Everything that the robot has said, as it goes over the wire.
+/// Returns all messages of the robot, as encoded on the wire.
 fn all_said(bench: &Bench) -> String {
     let mut bytes = Vec::new();
     for output in &bench.out {
@@ -338,7 +338,7 @@ fn a_stranger_renews_no_lease_and_diverts_no_report() {
         bench.send_on(OTHER, Message::AvailabilityRequest(AvailabilityRequest::default()));
         bench.send_on(OTHER, Message::Inquiry(urrcp::Inquiry::default()));
     }
-    // The owner's link breaks: its reports go nowhere, rather than to a link that speaks for another.
+    // The owner's link breaks: its reports are discarded instead of being sent to a link of another session.
     bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
     bench.until(9_000);
     assert_eq!(bench.values(), [], "its lease over the start was over at 0.5 s, whatever others said");
@@ -364,10 +364,10 @@ fn a_session_belongs_to_the_name_that_its_peer_has_proven() {
     request.stop_condition = lease(500.0, 500.0);
     bench.send_on(LINK, of("show", request));
     let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
-    // Neither another name nor none, by the same session.
+    // Neither another name nor an unproven peer can use the same session.
     for link in [OTHER, LinkId(3)] {
         bench.send_on(link, of("show", stop.clone()));
-        let refused = format!("{} Failed `r` belongs to another session until that ends", link.0);
+        let refused = format!("{} Failed `r` belongs to another session until that session ends", link.0);
         assert_eq!(bench.last_said(), refused);
     }
     bench.until(400);
@@ -395,8 +395,8 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     bench.send_on(LINK, Message::ControlRequest(sent_at("early", 240)));
     assert_eq!(
         bench.last_said(),
-        "1 Failed it was taken back by a stop that came ahead of it",
-        "clocks may differ by so much"
+        "1 Failed it was cancelled by a stop that arrived before it",
+        "clocks may differ by this much"
     );
     bench.send_on(LINK, Message::ControlRequest(sent_at("a", 260)));
     assert_eq!(bench.last_said(), "1 Accepted ");
@@ -405,12 +405,12 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     bench.send_on(LINK, of("show", sent_at("b", 0)));
     assert_eq!(
         bench.last_said(),
-        "1 Failed it was taken back by a stop that came ahead of it",
+        "1 Failed it was cancelled by a stop that arrived before it",
         "it may have been sent before the stop"
     );
     bench.send_on(LINK, of("show", sent_at("c", 11)));
     assert_eq!(bench.last_said(), "1 Accepted ");
-    // What the sender of the stop itself had sent by a clock that is ahead is still taken back.
+    // Commands that the sender of the stop had sent earlier, by a clock that is ahead, are still taken back.
     let mut bench = Bench::new();
     let ahead = Some(Timestamp::from_nanos(BEGIN + 4_000_000_000));
     bench.send_on(LINK, of("show", ControlRequest { timestamp: ahead, ..stop }));
@@ -422,7 +422,7 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     assert_eq!(bench.statuses(), ["OK", "Failed cancelled"]);
 }
 
-/// What the robot answers to a script of the arm that starts and ends so late, with this lease.
+/// Checks the robot's answer to a script of the arm with this start and end, under this lease.
 #[track_caller]
 fn check_reach(start_ms: f64, last_ms: f64, lease: Option<StopCondition>, expected: &str) {
     let mut bench = Bench::new();
@@ -443,7 +443,7 @@ fn one_line_does_not_occupy_a_robot_for_years() {
     check_reach(1_000.0, 23.9 * HOUR, None, "Accepted");
     check_reach(1_000.0, 24.1 * HOUR, None, "Failed out_of_range");
     check_reach(1_000.0, 1e11, short, "Accepted");
-    // A limit that is too long is none.
+    // A limit that is too long is no limit.
     check_reach(1_000.0, 1e11, lease(1_000.0, 1e11), "Failed out_of_range");
     check_reach(2.0 * HOUR, 0.0, lease(1e11, 1_000.0), "Failed out_of_range");
 }
@@ -458,7 +458,7 @@ fn what_follows_another_command_of_its_device_needs_no_lease_of_its_own_before_i
     assert_eq!(bench.statuses()[..2], ["Accepted", "Accepted"]);
 }
 
-/// An operator on a link with these roles.
+/// Returns the proof of an operator with these roles.
 pub(super) fn operator(name: &str, roles: &[Role]) -> Input {
     Input::Proven(Proof { name: Label::new(name).unwrap(), roles: roles.iter().copied().collect() })
 }
@@ -484,7 +484,7 @@ fn an_operator_does_what_its_roles_allow_and_nothing_else() {
         let mut bench = Bench::new();
         bench.robot.handle(bench.now, LINK, operator("anna", &[role]), &mut bench.out);
         bench.send_on(LINK, message);
-        !bench.last_said().contains("and this takes")
+        !bench.last_said().contains("but this requires")
     };
     let table = [
         (Role::Observe, [true, false, false, false, false]),
@@ -563,8 +563,8 @@ fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question(
 #[test]
 fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
     for (roles, expected) in [
-        (&[Role::Stop][..], "1 Failed anna may stop, and this takes drive"),
-        (&[], "1 Failed anna may do nothing, and this takes drive"),
+        (&[Role::Stop][..], "1 Failed anna may stop, but this requires the role drive"),
+        (&[], "1 Failed anna may do nothing, but this requires the role drive"),
     ] {
         let mut bench = Bench::new();
         bench.robot.handle(bench.now, LINK, operator("anna", roles), &mut bench.out);
@@ -576,7 +576,7 @@ fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
 #[test]
 fn an_idle_robot_is_free_again_after_five_seconds_of_silence() {
     for (millis, expected) in
-        [(4_999, "2 Failed `r` belongs to another session until that ends"), (5_000, "2 OK ")]
+        [(4_999, "2 Failed `r` belongs to another session until that session ends"), (5_000, "2 OK ")]
     {
         let mut bench = Bench::new();
         bench.send_on(LINK, hello("first"));
@@ -628,7 +628,7 @@ fn each_change_of_the_session_to_which_a_robot_belongs_has_a_number_of_its_own()
 
 #[test]
 fn who_may_observe_reads_sensors_and_who_may_only_stop_does_not() {
-    let expected = "1 Failed anna may stop, and this takes observe or drive";
+    let expected = "1 Failed anna may stop, but this requires the role observe or drive";
     for (role, expected) in
         [(Role::Observe, "1 Provide "), (Role::Drive, "1 Provide "), (Role::Stop, expected)]
     {

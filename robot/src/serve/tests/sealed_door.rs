@@ -1,10 +1,10 @@
-//! A robot that shares a secret: what proves nothing, and what was altered on its way.
+//! A robot that shares a secret: unproven peers, and altered data.
 
 use super::*;
 use downbeat_sealed::{Claim, Guard, Held, Secret, connect};
 use urrcp::Role;
 
-/// A robot behind a secret, and a pass to it.
+/// Starts a robot behind a secret, and returns a pass to it.
 async fn sealed(patience: Patience) -> (Host, SocketAddr, Held) {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let secret = Secret::generate().unwrap();

@@ -1,4 +1,4 @@
-//! What differs between two plans, act by act.
+//! The differences between two plans, act by act.
 
 use std::collections::BTreeMap;
 
@@ -10,35 +10,35 @@ use urrcp::{Command, ContentHash, RobotId, Span};
 use super::scripts::{DeviceDifferences, Devices, devices};
 use super::{Change, Presence, matched, out_of_order};
 
-/// What differs between two plans.
+/// The differences between two plans.
 #[derive(Clone, Debug, Serialize)]
 pub struct PlanDifferences {
-    /// Whether nothing differs: the hashes are equal.
+    /// Whether both are equal: the hashes match.
     pub same: bool,
-    /// Of everything that is compared.
+    /// Hashes over everything that is compared.
     pub(crate) hash: Both<ContentHash>,
     pub(crate) scenario: Option<Change<String>>,
     /// Robots that play in no act of the first plan.
     pub(crate) robots_added: Vec<RobotId>,
     pub(crate) robots_removed: Vec<RobotId>,
-    /// Those that differ, in the order of the second plan; then those that are removed.
+    /// The acts that differ, in the order of the second plan, followed by those that are removed.
     pub(crate) acts: Vec<ActDifferences>,
 }
 
-/// What both have, equal or not.
+/// A value of both plans, equal or not.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Both<T> {
     pub(crate) a: T,
     pub(crate) b: T,
 }
 
-/// An act of which something differs. Of one that is added or removed, all cues and scripts are.
+/// An act with a difference. If an act is added or removed, so are all its cues and scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct ActDifferences {
-    /// Its name; empty where the scenario has no acts of its own.
+    /// Its name; empty if the scenario has no acts of its own.
     pub(crate) act: String,
     pub(crate) presence: Presence,
-    /// Its place among the acts of each plan, counted from 1, where its order changed.
+    /// Its position among the acts of each plan, from 1, if its order changed.
     pub(crate) place: Option<Change<usize>>,
     pub(crate) duration_ms: Option<Change<Span>>,
     pub(crate) settings: Vec<Setting>,
@@ -51,11 +51,11 @@ pub(crate) struct ActDifferences {
     pub(crate) readings_added: Vec<PlannedReading>,
     pub(crate) readings_removed: Vec<PlannedReading>,
     pub(crate) closest: Option<Change<Option<Closest>>>,
-    /// How fast bodies move, by robot.
+    /// Speeds of bodies, by robot.
     pub(crate) bodies: Vec<Change<Option<BodyUse>>>,
 }
 
-/// A key of an act with another value, as in the JSON of `downbeat plan`.
+/// A key of an act with a different value, as in the JSON of `downbeat plan`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Setting {
     pub(crate) setting: String,
@@ -63,7 +63,7 @@ pub(crate) struct Setting {
     pub(crate) change: Change<Value>,
 }
 
-/// A cue of which something differs.
+/// A cue with a difference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct CueDifference {
     pub(crate) cue: String,
@@ -76,7 +76,7 @@ pub(crate) struct CueDifference {
     pub(crate) critical: Option<Change<bool>>,
 }
 
-/// What differs between two plans, each with the fleet for which it was compiled.
+/// Compares two plans, each with the fleet that it was compiled for.
 pub fn plans(a: (&Choreography, &Fleet), b: (&Choreography, &Fleet)) -> PlanDifferences {
     let hash = Both { a: hash(a.0), b: hash(b.0) };
     let acts = if hash.a == hash.b { Vec::new() } else { acts(a, b) };
@@ -101,7 +101,7 @@ fn without<T: Clone + PartialEq>(all: &[T], others: &[T]) -> Vec<T> {
     all.iter().filter(|one| !others.contains(one)).cloned().collect()
 }
 
-/// Readings that the first has more often than the second.
+/// The readings that the first list contains more often than the second.
 fn beyond(all: &[PlannedReading], others: &[PlannedReading]) -> Vec<PlannedReading> {
     let pairs = matched(all, others, |reading| (&reading.robot, &reading.sensor, reading.at));
     pairs.into_iter().filter_map(|(one, other)| one.filter(|_| other.is_none()).cloned()).collect()
@@ -180,14 +180,14 @@ fn used<'a>((act, (_, fleet)): Side<'a>) -> Devices<'a> {
     Devices::of(act, fleet)
 }
 
-/// The two robots in an order that does not depend on that of a fleet file.
+/// The two closest robots in an order that is independent of the fleet file.
 fn closest(act: &Act) -> Option<Closest> {
     let mut closest = act.in_space.closest.clone()?;
     closest.robots.sort();
     Some(closest)
 }
 
-/// What an act that only one plan has is compared with.
+/// The counterpart of an act that only one plan has.
 fn empty_act() -> Act {
     let plan = downbeat_scripts::Plan {
         scenario: String::new(),
@@ -222,7 +222,7 @@ fn cues(a: &[PlannedCue], b: &[PlannedCue]) -> Vec<CueDifference> {
 fn cue(a: Option<&PlannedCue>, b: Option<&PlannedCue>) -> Option<CueDifference> {
     let shown = b.or(a)?;
     let both = a.zip(b);
-    // What is for people changes nothing that is played.
+    // Texts for people do not affect the plan.
     if both.is_some_and(|(a, b)| PlannedCue { text: b.text.clone(), ..a.clone() } == *b) {
         return None;
     }
@@ -237,10 +237,10 @@ fn cue(a: Option<&PlannedCue>, b: Option<&PlannedCue>) -> Option<CueDifference> 
     })
 }
 
-/// What the setting begins with that stands for the path of a body, as a hash: its steps say more.
+/// Prefix of the settings that contain the path of a body as a hash: the steps show the details.
 pub(super) const PATH: &str = "path of ";
 
-/// What is said of an act besides its cues and scripts. Acts that it leads to have their names.
+/// The properties of an act other than its cues and scripts. Acts that it leads to are given by name.
 fn settings(act: &Act, choreography: &Choreography) -> BTreeMap<String, Value> {
     let named = |index: usize| choreography.acts.get(index).map(|act| act.name.clone());
     let way = |way: Way| match way {
@@ -265,7 +265,7 @@ fn settings(act: &Act, choreography: &Choreography) -> BTreeMap<String, Value> {
     for (robot, rule) in &act.on_failure.robots {
         settings.insert(format!("on_failure.{robot}"), json!(rule));
     }
-    // It follows from the steps, the fleet file and the acts before.
+    // The path follows from the steps, the fleet file and the previous acts.
     for path in act.in_space.driven.iter().filter(|path| robots_of(act).any(|robot| *robot == path.robot)) {
         let points = path.points.iter().map(|point| json!([point.at, point.pose]));
         let hash = ContentHash::of(json!(points.collect::<Vec<_>>()).to_string().as_bytes());
@@ -288,7 +288,7 @@ fn changed(a: BTreeMap<String, Value>, b: &BTreeMap<String, Value>) -> Vec<Setti
     all.into_iter().map(|(setting, change)| Setting { setting, change }).collect()
 }
 
-/// SHA-256 over all that is compared, in an order that does not depend on the order of a fleet file.
+/// SHA-256 over everything that is compared, in an order that is independent of the fleet file's.
 pub(crate) fn hash(choreography: &Choreography) -> ContentHash {
     let acts: Vec<Value> = choreography.acts.iter().map(|act| content(act, choreography)).collect();
     ContentHash::of(json!({ "scenario": choreography.scenario, "acts": acts }).to_string().as_bytes())

@@ -1,5 +1,5 @@
-//! What differs between two plans, or between two missions that were played. Everything is compared exactly; text for people is in
-//! `text`.
+//! The differences between two plans, or between two missions that were played. Everything is compared exactly; `text` formats it for
+//! people.
 
 mod acts;
 pub(crate) mod listed;
@@ -28,7 +28,7 @@ impl<T: PartialEq> Change<T> {
     }
 }
 
-/// Whether both have it.
+/// Which of both has it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Presence {
@@ -50,8 +50,8 @@ impl Presence {
     }
 }
 
-/// What stands at the same key in two lists: the first, in its order, each with its counterpart, then what only the second has. Of
-/// equal keys the first belongs to the first, the second to the second.
+/// Pairs the items of two lists by key: first all items of `a` in order with their counterparts, then those that only `b` has. Among
+/// items with equal keys, the first is paired with the first, the second with the second, and so on.
 fn matched<'a, T, K: Ord>(
     a: &'a [T],
     b: &'a [T],
@@ -75,9 +75,9 @@ fn matched<'a, T, K: Ord>(
     pairs
 }
 
-/// Which of these numbers, all different, are not in order: all but a longest rising row.
+/// Which of these distinct numbers are out of order: all except a longest increasing subsequence.
 fn out_of_order(numbers: &[usize]) -> Vec<bool> {
-    // The last index of the best row of each length, and what comes before each number in its best row.
+    // The last index of the best sequence of each length, and the predecessor of each number in its best sequence.
     let mut rows: Vec<usize> = Vec::new();
     let mut before: Vec<Option<usize>> = Vec::with_capacity(numbers.len());
     for (index, number) in numbers.iter().enumerate() {

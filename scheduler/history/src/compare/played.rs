@@ -1,4 +1,4 @@
-//! The acts of a mission that was played, as far as its journal or its recording tells.
+//! The acts of a mission that was played, according to its journal or its recording.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,11 +9,11 @@ use urrcp::{ContentHash, Millis, RequestId, Server, Setpoint, Span, Timestamp};
 use super::steps::{Movement, TimedStep};
 use crate::history::History;
 
-/// An act that was sent, or skipped.
+/// An act that was sent or skipped.
 #[derive(Debug)]
 pub(super) struct PlayedAct<'a> {
     pub(super) name: String,
-    /// How often an act of this name came before.
+    /// Number of earlier acts with this name.
     pub(super) before: usize,
     pub(super) fate: String,
     pub(super) report: Option<&'a ActReport>,
@@ -44,9 +44,9 @@ pub(super) fn acts(history: &History) -> Vec<PlayedAct<'_>> {
     for (_, record) in &history.records {
         match record {
             Record::Prepared(promise) => {
-                // After a crash there may be several ends; the last one counts.
+                // After a crash there may be several ends; the last one applies.
                 let ended = history.ended_acts().rfind(|ended| ended.report.number == promise.number);
-                // An attempt that was withdrawn, and repeated.
+                // An attempt that was withdrawn and repeated.
                 if ended.is_some_and(|ended| ended.again) {
                     continue;
                 }
@@ -83,7 +83,7 @@ fn unnamed(index: usize, names: &BTreeMap<usize, String>) -> String {
 }
 
 fn fate(fate: Option<&ActFate>) -> String {
-    fate.map_or_else(|| "its end is not known".to_owned(), ToString::to_string)
+    fate.map_or_else(|| "outcome unknown".to_owned(), ToString::to_string)
 }
 
 fn scripts(history: &History, promise: &Promise) -> BTreeMap<(String, String), Vec<SentScript>> {
@@ -112,7 +112,7 @@ fn scripts(history: &History, promise: &Promise) -> BTreeMap<(String, String), V
     scripts
 }
 
-/// The steps of a device as a recording has them; `None` where it has not all of them.
+/// The steps of a device in a recording; `None` if any are missing.
 pub(super) fn movement(
     history: &History,
     robot: &str,

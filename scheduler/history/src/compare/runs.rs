@@ -1,4 +1,4 @@
-//! What differs between two missions that were played.
+//! The differences between two missions that were played.
 
 use std::collections::BTreeMap;
 
@@ -12,20 +12,20 @@ use super::steps::{StepDifferences, compare};
 use super::{Change, Presence, matched};
 use crate::history::History;
 
-/// What differs between two missions that were played.
+/// The differences between two missions that were played.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunDifferences {
-    /// Whether nothing differs.
+    /// Whether both are equal.
     pub same: bool,
     pub(crate) scenario: Option<Change<Option<String>>>,
-    /// How the mission ended; `null` where that is not known.
+    /// How the mission ended; `null` if unknown.
     pub(crate) outcome: Option<Change<Option<Outcome>>>,
-    /// In the order of the first mission; then those that only the second one has.
+    /// In the order of the first mission, followed by those that only the second one has.
     pub(crate) acts: Vec<RunAct>,
     /// Robots that were left out.
     pub(crate) dropped_added: Vec<String>,
     pub(crate) dropped_removed: Vec<String>,
-    /// Why robots failed.
+    /// Reasons why robots failed.
     pub(crate) failures: FailureDifferences,
 }
 
@@ -41,17 +41,17 @@ pub(crate) struct RobotFailure {
     pub(crate) text: String,
 }
 
-/// An act of which something differs.
+/// An act with a difference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct RunAct {
     pub(crate) act: String,
-    /// Which time it was, from 1, of an act that was played several times.
+    /// Which repetition of an act that was played several times, from 1.
     pub(crate) time: usize,
     pub(crate) presence: Presence,
     pub(crate) fate: Option<Change<String>>,
     pub(crate) spread_ms: Option<Figure>,
     pub(crate) robots: Vec<RunRobot>,
-    /// Devices that were sent other scripts.
+    /// Devices that received different scripts.
     pub(crate) scripts: Vec<ScriptDifferences>,
 }
 
@@ -60,17 +60,17 @@ pub(crate) struct RunAct {
 pub(crate) struct Figure {
     pub(crate) a: Option<f64>,
     pub(crate) b: Option<f64>,
-    /// `None` where one is not known, or both are equally far from 0.
+    /// Whether the second is better. `None` if one is unknown, or both are equally far from 0.
     pub(crate) better: Option<bool>,
 }
 
-/// What a robot did otherwise.
+/// The differences in a robot's behaviour.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct RunRobot {
     pub(crate) robot: String,
     pub(crate) presence: Presence,
     pub(crate) left_out: Option<Change<bool>>,
-    /// The start error of largest size of its scripts.
+    /// The start error with the largest absolute value among its scripts.
     pub(crate) start_error_ms: Option<Figure>,
     pub(crate) steps_done: Option<Change<u64>>,
     pub(crate) late_steps: Option<Change<u64>>,
@@ -80,7 +80,7 @@ pub(crate) struct RunRobot {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct StateChange {
     pub(crate) device: String,
-    /// One for each script.
+    /// One per script.
     #[serde(flatten)]
     pub(crate) states: Change<Vec<DeviceState>>,
 }
@@ -90,13 +90,13 @@ pub(crate) struct ScriptDifferences {
     pub(crate) robot: String,
     pub(crate) device: String,
     pub(crate) presence: Presence,
-    /// When the first one starts, in milliseconds from the act's start.
+    /// When the first script starts, in milliseconds from the act's start.
     pub(crate) start_ms: Option<Change<f64>>,
-    /// `None` where a file does not have the steps.
+    /// `None` if a file does not contain the steps.
     pub(crate) steps: Option<StepDifferences>,
 }
 
-/// What differs between two missions. Start errors and spreads that differ by at most `within` count as equal.
+/// Compares two missions. Start errors and spreads that differ by at most `within` are considered equal.
 pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
     let outcome = |history: &History| history.outcome().cloned();
     let (acts_a, acts_b) = (acts(a), acts(b));
@@ -123,7 +123,7 @@ pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
     found
 }
 
-/// What the first list has more often than the second.
+/// The items that the first list contains more often than the second.
 fn beyond<T: Clone + Ord>(all: &[T], others: &[T]) -> Vec<T> {
     let pairs = matched(all, others, |one| one);
     pairs.into_iter().filter_map(|(one, other)| one.filter(|_| other.is_none()).cloned()).collect()

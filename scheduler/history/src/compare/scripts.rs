@@ -1,4 +1,4 @@
-//! What differs between the scripts of a device in two plans.
+//! The differences between the scripts of a device in two plans.
 
 use std::collections::HashMap;
 
@@ -9,30 +9,30 @@ use urrcp::{DeviceId, Interpolation, Millis, RobotId, Span, StopCondition};
 use super::steps::{Movement, StepDifferences, TimedStep, compare};
 use super::{Change, Presence};
 
-/// A device of which something differs.
+/// A device with a difference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct DeviceDifferences {
     pub(crate) robot: RobotId,
     pub(crate) device: DeviceId,
     pub(crate) presence: Presence,
-    /// Its unit, where the fleet file has one.
+    /// Its unit, if the fleet file has one.
     pub(crate) unit: Option<String>,
     /// When its first script starts, from the act's start.
     pub(crate) start_ms: Option<Change<Millis>>,
-    /// How many scripts.
+    /// Number of scripts.
     pub(crate) scripts: Option<Change<usize>>,
-    /// The steps are the same, but divided differently into scripts.
+    /// Whether the steps are the same, but divided differently into scripts.
     pub(crate) divided: bool,
     /// The leases of its scripts.
     pub(crate) leases: Option<Change<Vec<StopCondition>>>,
     #[serde(flatten)]
     pub(crate) steps: StepDifferences,
-    /// How the steps came about.
+    /// The origin of the steps.
     #[serde(rename = "use")]
     pub(crate) used: Option<Change<Option<DeviceUse>>>,
 }
 
-/// The scripts of the devices of an act, and what they are for.
+/// The scripts of the devices of an act, and their uses.
 pub(super) struct Devices<'a> {
     act: &'a Act,
     scripts: HashMap<(&'a RobotId, &'a DeviceId), Vec<&'a DeviceScript>>,
@@ -74,7 +74,7 @@ impl<'a> Devices<'a> {
     }
 }
 
-/// The devices of which something differs, by the time of their first difference.
+/// The devices with differences, by the time of their first difference.
 pub(super) fn devices(a: &Devices<'_>, b: &Devices<'_>) -> Vec<DeviceDifferences> {
     let keys = [a, b].into_iter().flat_map(|of| of.scripts.keys().chain(of.uses.keys()));
     let mut keys: Vec<(&RobotId, &DeviceId)> = keys.copied().collect();
@@ -123,7 +123,7 @@ fn device(key: (&RobotId, &DeviceId), of_a: &Devices<'_>, of_b: &Devices<'_>) ->
 }
 
 impl DeviceDifferences {
-    /// When the first difference is, from the act's start.
+    /// The time of the first difference, from the act's start.
     pub(crate) fn at(&self) -> Span {
         let step = self.steps.first().and_then(|step| step.b.as_ref().or(step.a.as_ref()));
         step.map_or(Span::ZERO, |step| step.at_ms)

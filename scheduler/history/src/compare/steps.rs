@@ -1,15 +1,15 @@
-//! What differs between the steps of a device in two plans, or in two recordings.
+//! The differences between the steps of a device in two plans, or in two recordings.
 
 use serde::Serialize;
 use urrcp::{ControlType, Setpoint, Span, StopCondition};
 
 use super::Change;
 
-/// The steps of a device over an act, those of all its scripts one after another.
+/// The steps of a device over an act, across all of its scripts in order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Movement {
     pub(super) steps: Vec<TimedStep>,
-    /// It goes evenly from step to step, instead of jumping.
+    /// Whether it interpolates linearly between steps, instead of jumping.
     pub(super) linear: bool,
 }
 
@@ -19,24 +19,24 @@ pub(super) struct TimedStep {
     pub(super) at: Span,
     pub(super) setpoint: Setpoint,
     pub(super) lease: Option<StopCondition>,
-    /// It ends a script: the device stays there until the next one.
+    /// Whether it ends a script: the device stays there until the next one.
     pub(super) ends: bool,
 }
 
 /// How the steps of a device differ.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(crate) struct StepDifferences {
-    /// How many there are.
+    /// Number of steps.
     pub(crate) count: Option<Change<usize>>,
     pub(crate) added: usize,
     pub(crate) removed: usize,
-    /// At the same time, with another value, control type or lease.
+    /// At the same time, with a different value, control type or lease.
     pub(crate) value_changed: usize,
-    /// With the same value, at another time.
+    /// With the same value, at a different time.
     pub(crate) time_changed: usize,
-    /// At another time with another value, in the place of one step between two that are equal.
+    /// With a different time and a different value, in place of a single step between two equal ones.
     pub(crate) both_changed: usize,
-    /// All steps are the same, later by this.
+    /// Set if all steps are the same except for this delay.
     pub(crate) shifted_by_ms: Option<Span>,
     pub(crate) largest: Option<Largest>,
     /// In order of time.
@@ -59,12 +59,12 @@ pub(crate) struct ShownStep {
     pub(crate) stop_condition: Option<StopCondition>,
 }
 
-/// Where two movements are furthest apart.
+/// The point at which two movements are furthest apart.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Largest {
     /// From the act's start.
     pub(crate) at_ms: Span,
-    /// Which of the values of a step, from 1.
+    /// Index of the value within a step, from 1.
     pub(crate) value: usize,
     pub(crate) a: f64,
     pub(crate) b: f64,
@@ -118,8 +118,8 @@ impl TimedStep {
     }
 }
 
-/// Compares step by step: an equal beginning is left out, then an end that is equal but for a shift in time, and between the two
-/// steps correspond where they are due at the same time.
+/// Compares step by step. Skips an equal beginning, then an end that is equal except for a shift in time. In between, steps that are due
+/// at the same time correspond.
 pub(super) fn compare(a: &Movement, b: &Movement) -> StepDifferences {
     let mut found = StepDifferences {
         count: Change::of(a.steps.len(), b.steps.len()),
@@ -144,7 +144,7 @@ pub(super) fn compare(a: &Movement, b: &Movement) -> StepDifferences {
     found
 }
 
-/// Steps at the same time correspond. Between two of those, steps with equal values do, in their order.
+/// Steps at the same time correspond. Between two of those, steps with equal values correspond, in their order.
 fn by_time(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDifferences) {
     while !left.is_empty() || !right.is_empty() {
         let (until_left, until_right) = next_common(left, right);
@@ -159,7 +159,7 @@ fn by_time(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDiff
     }
 }
 
-/// How many steps there are on both sides before the next time that both have.
+/// Number of steps on each side before the next time that both sides have.
 fn next_common(left: &[TimedStep], right: &[TimedStep]) -> (usize, usize) {
     let (mut i, mut j) = (0, 0);
     while let Some((a, b)) = left.get(i).zip(right.get(j)) {
@@ -190,7 +190,7 @@ fn between(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDiff
     right.iter().for_each(|b| found.note(None, Some(b)));
 }
 
-/// Between two steps of either, both movements are straight, so they are furthest apart at a step, or right before one.
+/// Between two consecutive steps of either movement, both are straight, so they are furthest apart at a step or right before one.
 fn largest(a: &Movement, b: &Movement) -> Option<Largest> {
     let mut best: Option<Largest> = None;
     let (mut of_a, mut of_b) = (Cursor::new(a), Cursor::new(b));
@@ -229,7 +229,7 @@ fn consider(best: &mut Option<Largest>, at: Span, a: Option<&Values>, b: Option<
 /// A movement that is followed in time.
 struct Cursor<'a> {
     movement: &'a Movement,
-    /// Steps that are over.
+    /// Number of steps that have passed.
     passed: usize,
 }
 
@@ -238,7 +238,7 @@ impl<'a> Cursor<'a> {
         Self { movement, passed: 0 }
     }
 
-    /// Right before this time, which no step is before that is not over. Unknown before the first step.
+    /// Values right before this time; all steps before it must have passed. `None` before the first step.
     fn before(&self, at: Span) -> Option<Values> {
         let last = self.movement.steps.get(self.passed.checked_sub(1)?)?;
         let next = self.movement.steps.get(self.passed).filter(|_| self.movement.linear && !last.ends);
@@ -252,7 +252,7 @@ impl<'a> Cursor<'a> {
         Some((last.setpoint.control_type, reached.collect()))
     }
 
-    /// With the steps of this very time done.
+    /// Values at this time, including the steps that are due exactly then.
     fn at_step(&self, at: Span) -> Option<Values> {
         let last = self.movement.steps.get(self.passed.checked_sub(1)?)?;
         if last.at == at {
@@ -277,7 +277,7 @@ mod tests {
         Movement { steps: points.iter().map(step).collect(), linear: true }
     }
 
-    /// Added, removed, value, time, both.
+    /// The expected numbers: added, removed, value, time, both.
     #[track_caller]
     fn check(a: &[(i64, f64)], b: &[(i64, f64)], expected: [usize; 5]) -> StepDifferences {
         let found = compare(&movement(a), &movement(b));

@@ -13,7 +13,7 @@ use super::steps::{Largest, ShownStep, StepDifference, StepDifferences};
 use super::{Change, PlanDifferences, Presence, RunDifferences};
 use downbeat_show::table::{Rows, wrapped};
 
-/// Rows of each table; what is more is only counted. JSON has everything.
+/// Maximum number of rows per table; further ones are only counted. JSON contains all.
 const ROWS_MAX: usize = 20;
 
 /// Differences of two plans, in lines of at most this many columns.
@@ -178,7 +178,7 @@ impl Text {
         }
     }
 
-    /// Where the steps of devices differ first, and most.
+    /// The first and the largest difference between the steps of devices.
     fn steps<'a>(&mut self, devices: impl Iterator<Item = (String, &'a str, &'a StepDifferences)>) {
         let differing = devices.filter(|(_, _, steps)| steps.first().is_some());
         self.table(
@@ -378,7 +378,7 @@ fn largest(largest: &Largest, unit: &str) -> String {
     format!("{}{unit} at {}: {a} → {b}{which}", number(largest.difference()), largest.at_ms)
 }
 
-/// With six decimals at most.
+/// Formats with at most six decimals.
 fn number(value: f64) -> String {
     ((value * 1e6).round() / 1e6).to_string()
 }
@@ -399,9 +399,9 @@ pub(super) fn outcome(outcome: Option<&Outcome>) -> String {
     outcome.map_or_else(|| "not known".to_owned(), |outcome| shown(&outcome.to_string()).into_owned())
 }
 
-/// One difference in words, for a list.
+/// A difference in words, for a list.
 pub(crate) struct Entry {
-    /// The act that it is about.
+    /// The act that it concerns.
     pub(crate) act: Option<String>,
     /// From the act's start.
     pub(crate) at: Option<Span>,

@@ -1,4 +1,4 @@
-//! How an act ended, by its report and by what was told or written down.
+//! How an act ended, according to its report and to messages or records.
 
 use downbeat_mission::report::{ActReport, ActRobot, DeviceReport, DeviceState};
 use downbeat_mission::{Progress, Record};
@@ -7,24 +7,24 @@ use urrcp::{Server, Timestamp};
 
 use super::Happened;
 
-/// What became of an act.
+/// The fate of an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Fate {
-    /// All its robots but those that were left out did all their steps.
+    /// All its robots except those that were left out completed all their steps.
     Played,
-    /// It had begun, and ended before its time.
+    /// It began and ended prematurely.
     Stopped,
-    /// Nothing of it began.
+    /// No script of it began.
     Withdrawn,
-    /// It had begun, and a robot has not said how it went on.
+    /// It began, and a robot has not reported its end.
     Unknown,
     /// Its end is not known.
     Open,
 }
 
 impl Fate {
-    /// By the report of an act; without one the act has not ended, as far as is known.
+    /// Determines the fate from the report of an act; without a report, the act is still open.
     pub(crate) fn of(report: Option<&ActReport>) -> Self {
         let Some(report) = report else { return Self::Open };
         let (left_out, taking_part): (Vec<&ActRobot>, Vec<&ActRobot>) =
@@ -51,13 +51,13 @@ fn scripts<'a>(robots: &[&'a ActRobot]) -> impl Iterator<Item = &'a DeviceReport
 pub fn fate_text(report: &ActReport) -> &'static str {
     match Fate::of(Some(report)) {
         Fate::Played => "played",
-        Fate::Stopped => "stopped on the way",
+        Fate::Stopped => "stopped before its end",
         Fate::Withdrawn => "withdrawn before anything moved",
-        Fate::Unknown | Fate::Open => "its end is not known",
+        Fate::Unknown | Fate::Open => "outcome unknown",
     }
 }
 
-/// When an act was over, or everything was being stopped, after it was sent at `sent`.
+/// When an act that was sent at `sent` was over, or a stop of everything began.
 pub(crate) fn over<'a>(
     mut happened: impl Iterator<Item = (Timestamp<Server>, Happened<'a>)>,
     name: &str,

@@ -26,28 +26,28 @@ pub(crate) use self::fate::{Fate, over};
 /// The first bytes of every MCAP file.
 const MCAP_MAGIC: &[u8] = b"\x89MCAP";
 
-/// As many as tell what kind of file it is.
+/// Number of bytes that identify the kind of a file.
 const FIRST_BYTES: u64 = 16;
 
-/// What is left of a mission.
+/// The preserved data of a mission.
 #[derive(Clone, Debug, Default)]
 pub struct History {
     /// The scenario's name, if it is known.
     pub scenario: Option<String>,
-    /// Where it comes from.
+    /// The kind of file.
     pub source: HistorySource,
-    /// Where the file stops being whole, if it does.
+    /// The reason why the file is incomplete, if it is.
     pub cut_off: Option<String>,
-    /// What was decided, as in the journal.
+    /// The decisions, as in the journal.
     pub records: Vec<(Timestamp<Server>, Record)>,
-    /// What the operator was told.
+    /// The messages to the operator.
     pub(crate) told: Vec<(Timestamp<Server>, Progress)>,
     pub(crate) robots: Vec<KnownRobot>,
-    /// Of each topic, what it is about.
+    /// The subject of each topic.
     routes: HashMap<String, Option<Route>>,
 }
 
-/// What the messages of a topic are about.
+/// The subject of a topic's messages.
 #[derive(Clone, Debug)]
 struct Route {
     robot: usize,
@@ -64,50 +64,50 @@ enum Kind {
     Reported,
 }
 
-/// What kind of file it was.
+/// The kind of file that a mission was read from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HistorySource {
-    /// The journal: decisions alone.
+    /// The journal: only decisions.
     #[default]
     Journal,
     /// A recording: also messages, values and clocks.
     Recording,
 }
 
-/// What is known of a robot.
+/// The known data of a robot.
 #[derive(Clone, Debug)]
 pub(crate) struct KnownRobot {
     pub(crate) id: RobotId,
     pub(crate) init: Option<InitializationBlock>,
-    /// Steps of scripts when they are due: by device and request.
+    /// Steps of scripts at their due times, by device and request.
     pub(crate) planned: BTreeMap<(String, String), Vec<PlannedStep>>,
-    /// What it said of its devices, when that arrived.
+    /// The reported values of its devices, at their arrival.
     pub(crate) reported: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
     /// Offset and round trip of each exchange, in milliseconds.
     pub(crate) clock: Vec<(Timestamp<Server>, f64, f64)>,
-    /// Questions that it has answered with its times.
+    /// Questions that it answered with its timestamps.
     pub(crate) exchanges: Vec<Exchange>,
-    /// When questions that it has not answered yet were sent, by their kind and own timestamp.
+    /// Send times of unanswered questions, by their kind and own timestamp.
     open: HashMap<(Question, Timestamp<Server>), VecDeque<Timestamp<Server>>>,
-    /// What its sensors read, by device, when that arrived.
+    /// The readings of its sensors, by device, at their arrival.
     pub(crate) readings: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
 }
 
 /// A question and its answer: the four times of RFC 5905, section 8.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Exchange {
-    /// T1: when the question left.
+    /// T1: departure of the question.
     pub(crate) sent: Timestamp<Server>,
-    /// T2: when the robot had it.
+    /// T2: arrival of the question at the robot.
     pub(crate) robot_received: Timestamp<Robot>,
-    /// T3: when the robot answered.
+    /// T3: departure of the robot's answer.
     pub(crate) robot_sent: Timestamp<Robot>,
-    /// T4: when the answer arrived.
+    /// T4: arrival of the answer.
     pub(crate) received: Timestamp<Server>,
 }
 
-/// Earlier recordings noted a message once it had been handed to its link, which may have sent it by then: so much earlier it had
-/// not left, unless the machine was busy.
+/// Older recordings noted a message after it was passed to its link, which may already have sent it. Unless the machine was busy, it
+/// departed at most this much earlier.
 const NOTED_WITHIN: Span = Span::from_millis(1);
 
 /// Messages whose answers carry the times of an exchange.
@@ -125,40 +125,40 @@ pub(crate) struct PlannedStep {
     pub(crate) control_type: ControlType,
 }
 
-/// A file of which no mission can be shown.
+/// Why a file shows no mission.
 #[derive(Debug, thiserror::Error)]
 pub enum NoHistory {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read `{}`: {error}", path.display())]
     Io {
-        /// Which file.
+        /// The file.
         path: PathBuf,
         /// The error of the system.
         error: io::Error,
     },
-    /// It is neither a journal nor a recording.
+    /// The file is neither a journal nor a recording.
     #[error(
-        "`{}` is neither a recording nor a journal; give a file that `downbeat run --record FILE` has written, or the \
+        "`{}` is neither a recording nor a journal; expected a file that `downbeat run --record FILE` wrote, or the \
          folder of a mission", path.display()
     )]
     Unknown {
-        /// Which file.
+        /// The file.
         path: PathBuf,
     },
-    /// Another version of Downbeat has written it.
+    /// The file was written by another version of Downbeat.
     #[error(
-        "`{}` has {}, expected version {VERSION}; use the Downbeat that wrote it",
+        "`{}` has {}, expected version {VERSION}; use the version of Downbeat that wrote it",
         path.display(), found.map_or_else(|| "no version".to_owned(), |found| format!("version {found}"))
     )]
     OtherVersion {
-        /// Which file.
+        /// The file.
         path: PathBuf,
         /// Its version; `None` if it has none.
         found: Option<u32>,
     },
 }
 
-/// What happened in a mission: the operator's view or, if only the journal is left, what was recorded.
+/// An event of a mission: from the messages to the operator or, if there is only the journal, from its records.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Happened<'a> {
     Told(&'a Progress),
@@ -170,7 +170,7 @@ pub(crate) enum Happened<'a> {
 pub(crate) struct EndedAct<'a> {
     pub(crate) report: &'a ActReport,
     pub(crate) fate: &'a ActFate,
-    /// Whether it was withdrawn, to be prepared again.
+    /// Whether it was withdrawn in order to be prepared again.
     pub(crate) again: bool,
 }
 
@@ -240,10 +240,10 @@ impl History {
         told.chain(records.iter().map(|(at, record)| (*at, Happened::Recorded(record))))
     }
 
-    /// Reads a journal, a mission's folder, or a recording, as far as it is whole.
+    /// Reads the intact part of a journal, a mission's folder, or a recording.
     ///
     /// # Errors
-    /// [`NoHistory`] where nothing can be read of it.
+    /// [`NoHistory`] if nothing can be read.
     pub fn read(path: &Path) -> Result<Self, NoHistory> {
         let journal = path.join("journal");
         let path = match path.is_dir() {
@@ -270,8 +270,8 @@ impl History {
     fn of_journal(records: journal::Records) -> Self {
         let robots = records.opened.robots;
         let cut_off = records.torn.map(|torn| match torn.whole_after {
-            0 => format!("its last line, {}, is cut off", torn.line),
-            whole => format!("line {} is damaged; {whole} whole lines behind it are left out", torn.line),
+            0 => format!("its last line, {}, is incomplete", torn.line),
+            whole => format!("line {} is damaged; {whole} complete lines after it are ignored", torn.line),
         });
         Self {
             scenario: records.opened.name,
@@ -314,7 +314,7 @@ impl History {
         Ok(history)
     }
 
-    /// Whether a file is what is left of a mission, by its first bytes: a recording, a journal, or a folder.
+    /// Whether a file or folder belongs to a mission: a recording, a journal, or a folder. Inspects the first bytes of a file.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -328,21 +328,20 @@ impl History {
         Ok(first.starts_with(MCAP_MAGIC) || sum.is_some_and(|(_, line)| line.starts_with(b" {")))
     }
 
-    /// A journal of these records.
+    /// Creates a history from these records.
     #[cfg(test)]
     pub(crate) fn of_records(records: Vec<(Timestamp<Server>, Record)>) -> Self {
         Self { records, ..Self::default() }
     }
 
-    /// How a device goes from step to step, as its robot described it.
+    /// Whether a device interpolates linearly between steps, according to its robot's description.
     pub(crate) fn is_linear(&self, robot: &str, device: &str) -> bool {
         let robot = self.robots.iter().find(|known| known.id.as_str() == robot);
         let mut devices = robot.into_iter().flat_map(|robot| &robot.init).flat_map(|init| &init.devices);
         devices.any(|known| known.id.as_str() == device && known.interpolation == Interpolation::Linear)
     }
 
-    /// The steps that a request asks of a device, in order of time, each with its value and its control type. Only recordings have
-    /// them.
+    /// The steps of a request to a device in order of time, each with its value and its control type. Only recordings contain them.
     pub(crate) fn steps_of(
         &self,
         robot: &str,
@@ -353,19 +352,19 @@ impl History {
         let key = (device.to_owned(), request.to_owned());
         let steps = robot.and_then(|robot| robot.planned.get(&key)).into_iter().flatten();
         let mut steps: Vec<_> = steps.map(|step| (step.due, step.value, step.control_type)).collect();
-        // What is sent again is written down again.
+        // Repeated messages are recorded repeatedly.
         steps.sort_by_key(|(due, ..)| *due);
         steps.dedup();
         steps
     }
 
-    /// Whether anything of a mission could be read.
+    /// Whether no data of a mission could be read.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.records.is_empty() && self.told.is_empty()
     }
 
-    /// Takes messages up to the first one that cannot be read.
+    /// Reads messages up to the first one that is unreadable.
     fn take_all(&mut self, messages: MessageStream<'_>) -> Result<(), OtherVersion> {
         for (count, message) in messages.enumerate() {
             let taken = match message {
@@ -387,7 +386,7 @@ impl History {
         Ok(())
     }
 
-    /// The scenario's name is the session's, up to the `@`.
+    /// The scenario's name is the part of the session before the `@`.
     fn first_name(&self) -> Option<String> {
         let id = self.promises().next()?.1.scripts.first()?.request_id.as_str();
         Some(id.split(['@', '/']).next()?.to_owned())
@@ -457,7 +456,7 @@ impl History {
         Some(Route { robot, device, kind })
     }
 
-    /// The robot whose device this is: names may have slashes, and a robot is spoken to before its devices are.
+    /// The robot that a topic belongs to. Names may contain slashes; a robot's own messages precede those of its devices.
     fn named<'t>(&self, of_robot: &'t str) -> &'t str {
         let begins = |id: &str| of_robot.strip_prefix(id).is_some_and(|rest| rest.starts_with('/'));
         let known = self.robots.iter().map(|robot| robot.id.as_str()).filter(|id| begins(id));
@@ -480,7 +479,7 @@ impl KnownRobot {
         Self { id, init, planned, reported, clock, exchanges, open, readings }
     }
 
-    /// It is asked something that it may answer with its times.
+    /// Notes a request that the robot may answer with its timestamps.
     fn is_asked(&mut self, at: Timestamp<Server>, request: &Message) {
         let question = match request {
             Message::AvailabilityRequest(request) => (Question::Availability, request.timestamp),
@@ -492,7 +491,7 @@ impl KnownRobot {
         }
     }
 
-    /// It describes itself, or answers a question with its times.
+    /// Notes a description, or an answer with timestamps.
     fn says(&mut self, at: Timestamp<Server>, response: Message) {
         match response {
             Message::AvailabilityResponse(answer) => {
@@ -508,7 +507,7 @@ impl KnownRobot {
         }
     }
 
-    /// A question that waited on this machine counts from when it left, but no later than surely so.
+    /// Pairs an answer with its question. If the question waited on this machine, its departure is used, as far as that is certain.
     fn answers(
         &mut self,
         question: Question,
@@ -539,12 +538,12 @@ fn is_ours(message: &mcap::Message<'_>) -> bool {
     ["/mission/", "/robots/"].iter().any(|prefix| message.channel.topic.starts_with(prefix))
 }
 
-/// `None` if the recording names none.
+/// The version in a recording's metadata; `None` if it is missing.
 fn version_of(message: &mcap::Message<'_>) -> Option<u32> {
     message.channel.metadata.get(VERSION_KEY)?.parse().ok()
 }
 
-/// The version of a recording that is not read.
+/// The version of a recording that is not supported.
 struct OtherVersion(Option<u32>);
 
 #[cfg(test)]

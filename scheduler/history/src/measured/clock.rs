@@ -1,4 +1,4 @@
-//! A robot's clock, from its exchanges and from what was promised to it.
+//! A robot's clock, from its exchanges and from the shifts of its promised scripts.
 
 use serde::Serialize;
 use urrcp::{RobotId, Server, Span, Timestamp};
@@ -7,55 +7,55 @@ use super::line::{ClockLine, counts_in};
 use crate::history::{Exchange, History};
 use downbeat_mission::clock::{ClockEstimate, ClockSample};
 
-/// A drift is told where zero is not possible, or where it is known this well: half of what any clock may have.
+/// A drift is reported if zero is impossible, or if it is known this well: half of the drift that any clock may have.
 const DRIFT_KNOWN: f64 = 50e-6;
 
-/// What was measured of a robot's clock.
+/// The measured properties of a robot's clock.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClockMeasured {
-    /// How its time is brought to agree with the server's, by what was added to its timestamps; `None`: it was sent no script.
+    /// How its time is reconciled with the server's, according to the shifts of its timestamps; `None`: it received no script.
     pub follows: Option<Follows>,
     /// The robot's clock minus the server's when the mission began.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// The true offset is within this, whatever the asymmetry of the path; `None`: a journal does not say it.
+    /// Uncertainty of the offset, regardless of the asymmetry of the path; `None`: unknown, because the source is a journal.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Option<Span>,
-    /// How far it was off, either way, where an exchange leaves no room for an offset of zero; `None`: none does.
+    /// Lower bound of the offset's size at its largest, if an exchange rules out an offset of zero; `None` if none does.
     #[serde(rename = "surely_off_ms")]
     pub surely_off: Option<Span>,
-    /// How fast it gained on the server's clock; `None`: its exchanges do not tell.
+    /// Drift relative to the server's clock; `None`: the exchanges do not determine it.
     #[serde(flatten)]
     pub drift: Option<DriftMeasured>,
-    /// Exchanges behind it.
+    /// Number of exchanges that it is based on.
     pub exchanges: usize,
-    /// How often exchanges contradicted earlier ones: the clock was set.
+    /// How often exchanges contradicted earlier ones, because the clock was set.
     pub steps: u32,
-    /// How far from its plan a script started at most, by the robot's own clock.
+    /// The largest deviation of a script's start from its plan, by the robot's own clock.
     #[serde(rename = "start_error_ms")]
     pub start_error: Option<Span>,
 }
 
-/// How a robot's time is brought to agree with the server's.
+/// How a robot's time is reconciled with the server's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Follows {
-    /// It follows NTP: nothing was added to its timestamps.
+    /// It follows NTP: its timestamps were not shifted.
     Ntp,
-    /// What it was sent was translated into its own time.
+    /// Messages to it were translated into its own time.
     Measured,
 }
 
-/// A drift in parts per million, and between which values it lies.
+/// A drift in parts per million, with its bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DriftMeasured {
-    /// What leaves the most room to all bounds.
+    /// The value with the most room to all bounds.
     #[serde(rename = "drift_ppm")]
     pub ppm: f64,
-    /// The true one is not below this,
+    /// The true drift is at least this,
     #[serde(rename = "drift_least_ppm")]
     pub least: f64,
-    /// nor above this.
+    /// and at most this.
     #[serde(rename = "drift_most_ppm")]
     pub most: f64,
 }
@@ -69,7 +69,7 @@ impl DriftMeasured {
 }
 
 impl ClockMeasured {
-    /// `None` where neither exchanges nor what was added to timestamps tells of it.
+    /// `None` if neither exchanges nor shifts of timestamps give information about it.
     pub(super) fn of(
         exchanges: &[Exchange],
         line: Option<&ClockLine>,
@@ -83,12 +83,12 @@ impl ClockMeasured {
         let best = samples.iter().min_by_key(|sample| sample.delay);
         let (offset, uncertainty) = match (line, best) {
             (Some(line), _) => (line.offset_at(began), Some(line.uncertainty() + resolution)),
-            // No line holds: of each exchange its own offset is known, and the best of them is told.
+            // No line fits: each exchange has its own offset, and the best one is reported.
             (None, Some(best)) => (best.offset, Some(best.delay / 2 + resolution)),
-            // A journal has what was added to timestamps, where anything was.
+            // A journal contains the shifts of timestamps, if any.
             (None, None) => (told.shift.filter(|shift| *shift != Span::ZERO)?, None),
         };
-        // A rate that fits a short recording best may be far from the true one, so the ends of the line count for nothing here.
+        // The best rate for a short recording may be far from the true one, so the ends of the line are ignored here.
         let surely = samples.iter().map(|sample| sample.offset.abs() - sample.delay / 2 - resolution).max();
         let surely = surely.filter(|surely| *surely > Span::ZERO);
         let surely_off = surely.zip(best).map(|(surely, best)| surely.max(best.offset.abs()));
@@ -112,10 +112,10 @@ fn sample(exchange: &Exchange) -> ClockSample {
     ClockSample::from_exchange(sent, robot_received, robot_sent, received)
 }
 
-/// What the decisions of a mission tell of a robot's clock.
+/// Information about a robot's clock from the decisions of a mission.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Told {
-    /// What was first added to its timestamps, or zero where it was sent scripts and nothing was added to any of them.
+    /// The first shift of its timestamps, or zero if it received scripts and none of them was shifted.
     shift: Option<Span>,
     start_error: Option<Span>,
 }

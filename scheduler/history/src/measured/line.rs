@@ -1,4 +1,4 @@
-//! The line that a robot's clock follows against the server's, between the bounds of all exchanges. `docs/measured.md` has the
+//! The line that a robot's clock follows relative to the server's, between the bounds of all exchanges. `docs/measured.md` describes the
 //! method and its sources.
 
 use std::ops::Neg;
@@ -8,37 +8,37 @@ use urrcp::{Server, Span, Timestamp};
 use crate::history::Exchange;
 use downbeat_mission::clock::resolution;
 
-/// Fastest drift that is looked for, as a fraction: beyond any real clock, and what a simulated one has at most.
+/// Fastest drift that the search covers, as a fraction: beyond any real clock, and the maximum of a simulated one.
 const RATE_MAX: f64 = 0.1;
-/// Fewer exchanges, or exchanges over less time, do not tell a drift from delays that differ: none is assumed.
+/// With fewer exchanges, or exchanges over less time, a drift is indistinguishable from varying delays: none is assumed.
 const EXCHANGES_FOR_DRIFT: usize = 20;
 const TIME_FOR_DRIFT: Span = Span::from_millis(1_000);
-/// Thirds of the range that are cut off: what remains of it moves a clock by less than a nanosecond in an hour.
+/// Number of ternary-search steps: the remaining range moves a clock by less than a nanosecond in an hour.
 const CUTS: usize = 100;
 
-/// How far a robot's clock is ahead of the server's, as a line over time.
+/// The offset of a robot's clock from the server's, as a line over time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ClockLine {
     origin: Timestamp<Server>,
-    /// At the origin, in nanoseconds.
+    /// Offset at the origin, in nanoseconds.
     offset: f64,
-    /// As a fraction.
+    /// Drift as a fraction.
     pub(super) rate: f64,
-    /// All rates at which a line is possible; `None`: none was looked for.
+    /// The range of rates with which a line is possible; `None`: there was no search.
     pub(super) rates: Option<(f64, f64)>,
-    /// Between the two bounds where they come closest, in nanoseconds: twice the least delay.
+    /// Smallest distance between the two bounds, in nanoseconds: twice the minimum delay.
     gap: f64,
 }
 
-/// Bounds of the offset: upper ones by the ways there, lower ones by the ways back; instants and offsets in nanoseconds.
+/// Bounds of the offset: upper ones from the trips to the robot, lower ones from the trips back; instants and offsets in nanoseconds.
 struct Bounds {
     upper: Vec<(f64, f64)>,
     lower: Vec<(f64, f64)>,
 }
 
 impl ClockLine {
-    /// The line with the most room to the bounds on both sides; the least delay is then the same both ways. `None`: there is
-    /// no line between them, because the clock was set or does not run evenly.
+    /// Fits the line with the most room to the bounds on both sides; this assumes equal minimum delays in both directions. `None`: no
+    /// line fits between them, because the clock was set or runs unevenly.
     pub(super) fn fit(exchanges: &[Exchange]) -> Option<Self> {
         let first = exchanges.first()?;
         let origin = first.sent;
@@ -68,14 +68,14 @@ impl ClockLine {
         span(self.at(at))
     }
 
-    /// How long a question and its answer took, each on its own way.
+    /// Travel times of a question and of its answer.
     pub(super) fn ways(&self, exchange: &Exchange) -> [Span; 2] {
         let there = nanos(exchange.robot_received.assume_clock() - exchange.sent) - self.at(exchange.sent);
         let back = nanos(exchange.received - exchange.robot_sent.assume_clock()) + self.at(exchange.received);
         [there, back].map(|way| span(way.max(0.0)))
     }
 
-    /// The offset may be off by this where the least delays of the two ways differ as much as they can.
+    /// Uncertainty of the offset, if the minimum delays of the two directions differ as much as possible.
     pub(super) fn uncertainty(&self) -> Span {
         span(self.gap / 2.0)
     }
@@ -102,7 +102,7 @@ impl Bounds {
         self.lower.iter().map(|(at, bound)| bound - rate * at).fold(f64::INFINITY.neg(), f64::max)
     }
 
-    /// Room for a line of this rate. It is concave in the rate: the least of some lines minus the greatest of others.
+    /// Room for a line of this rate. It is concave in the rate: the minimum of some lines minus the maximum of others.
     fn gap(&self, rate: f64) -> f64 {
         self.least_upper(rate) - self.greatest_lower(rate)
     }
@@ -118,7 +118,7 @@ impl Bounds {
         f64::midpoint(least, most)
     }
 
-    /// Between which rates there is room at all.
+    /// The range of rates with any room.
     fn possible(&self, widest: f64) -> Option<(f64, f64)> {
         let end = |far: f64| {
             let (mut inside, mut outside) = (widest, far);
@@ -132,7 +132,7 @@ impl Bounds {
     }
 }
 
-/// The step in which a robot's timestamps count.
+/// The resolution of a robot's timestamps.
 pub(super) fn counts_in(exchanges: &[Exchange]) -> Span {
     let steps = exchanges.iter().map(|exchange| resolution(exchange.robot_received, exchange.robot_sent));
     steps.min().unwrap_or_default()

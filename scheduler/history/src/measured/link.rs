@@ -6,41 +6,41 @@ use urrcp::{Server, Span, Timestamp};
 use super::line::{ClockLine, counts_in};
 use crate::history::Exchange;
 
-/// A message that takes longer than the least by this was lost and sent again: 200 ms is the least retransmission timeout of
-/// Linux, which counts on top of the round trip; a twentieth of it is for timers that count coarsely.
+/// A message that takes longer than the minimum by this was lost and retransmitted. The minimum retransmission timeout of Linux is 200
+/// ms, in addition to the round trip; a twentieth is subtracted for coarse timers.
 const RESENT_AFTER: Span = Span::from_millis(190);
-/// Or by so many times the median deviation, where that is longer: on a link whose delays vary widely the timeout is longer, too
-/// (RFC 6298, section 2).
+/// Alternative threshold as a multiple of the median deviation, if that is longer: on a link with widely varying delays, the timeout is
+/// also longer (RFC 6298, section 2).
 const DEVIATIONS: i64 = 4;
-/// What a message takes that is lost three times in a row (200 + 400 + 800 ms): from here on the link was interrupted.
+/// The delay of a message that is lost three times in a row (200 + 400 + 800 ms): from this delay, the link was interrupted.
 const INTERRUPTED: Span = Span::from_millis(1_400);
 
-/// What was measured of a robot's link.
+/// The measured properties of a robot's link.
 #[derive(Clone, Debug, Serialize)]
 pub struct LinkMeasured {
-    /// How the two ways of an exchange were told apart.
+    /// How the two directions of an exchange were separated.
     pub method: Method,
-    /// Questions that were answered.
+    /// Number of answered questions.
     pub exchanges: usize,
-    /// One-way delays behind the quantiles; messages that were lost, or stood behind one, are not among them.
+    /// Number of one-way delays behind the quantiles, without messages that were lost or queued behind a lost one.
     pub samples: usize,
     /// Quantiles of the one-way delay.
     #[serde(rename = "delay_ms")]
     pub delay: Quantiles,
-    /// Packets that were lost.
+    /// The packet loss.
     pub loss: Loss,
-    /// While these lasted nothing passed, and the connection stood.
+    /// Periods in which nothing passed while the connection persisted.
     pub interruptions: Vec<Interruption>,
-    /// Mean time between two of them: from the first question to the last answer, divided by how many there were.
+    /// Mean time between two interruptions: from the first question to the last answer, divided by their number.
     #[serde(rename = "interruption_every_ms")]
     pub interruption_every: Option<Span>,
 }
 
-/// How the two ways of an exchange were told apart.
+/// How the two directions of an exchange were separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// Each way by itself: the clocks agree but for a line, and the least delays of both ways are taken to be the same.
+    /// Each direction separately: the clocks differ by a line, and the minimum delays of both directions are assumed to be equal.
     EachWay,
     /// Half of each round trip: the robot's clock was set, or its timestamps are too coarse.
     HalfRoundTrip,
@@ -49,7 +49,7 @@ pub enum Method {
 /// Quantiles of a delay, in milliseconds in JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Quantiles {
-    /// Least.
+    /// The smallest delay.
     pub least: Span,
     /// Median.
     pub p50: Span,
@@ -57,32 +57,32 @@ pub struct Quantiles {
     pub p90: Span,
     /// 99th percentile.
     pub p99: Span,
-    /// Largest.
+    /// The largest delay.
     pub largest: Span,
 }
 
-/// How many packets were lost.
+/// The packet loss of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Loss {
-    /// Packets that came later by a retransmission. What stood behind one is counted with it.
+    /// Packets that were delayed by a retransmission. Packets queued behind one are counted with it.
     pub lost: usize,
-    /// Packets that were looked at.
+    /// Packets that were evaluated.
     pub packets: usize,
     /// Their ratio, from 0 to 1.
     pub share: f64,
-    /// Where none was lost: the loss is below this with 95 % confidence, by the rule of three.
+    /// If no packet was lost: the upper bound of the loss with 95 % confidence, by the rule of three.
     pub below: Option<f64>,
-    /// Median of how much later than usual the lost ones came.
+    /// Median of the additional delay of the lost packets.
     #[serde(rename = "resent_after_ms")]
     pub resent_after: Option<Span>,
 }
 
-/// A time in which nothing passed.
+/// A period in which nothing passed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interruption {
-    /// When a message was first held up.
+    /// When the first message was delayed.
     pub from: Timestamp<Server>,
-    /// How long.
+    /// Its duration.
     #[serde(rename = "lasted_ms")]
     pub lasted: Span,
 }
@@ -93,14 +93,14 @@ impl Interruption {
     }
 }
 
-/// What left at an instant and took so long: a message, or a question with its answer.
+/// Departure and travel time of a message, or of a question with its answer.
 #[derive(Clone, Copy)]
 struct Trip {
     sent: Timestamp<Server>,
     took: Span,
 }
 
-/// Trips on one lane, told apart.
+/// The trips in one direction, classified.
 #[derive(Default)]
 struct Sorted {
     usual: Vec<Span>,
@@ -109,7 +109,7 @@ struct Sorted {
 }
 
 impl LinkMeasured {
-    /// `None` where no question was answered.
+    /// `None` if no question was answered.
     pub(super) fn of(exchanges: &[Exchange], line: Option<&ClockLine>) -> Option<Self> {
         let trips: Vec<Span> = exchanges.iter().map(round_trip).collect();
         let coarse = counts_in(exchanges) * 4 > Quantiles::of(trips)?.p50;
@@ -160,7 +160,7 @@ fn each_way(exchanges: &[Exchange], line: &ClockLine) -> Vec<Vec<Trip>> {
 }
 
 impl Sorted {
-    /// Links keep the order: what leaves while a message is held up waits behind it and says nothing by itself.
+    /// Links keep the order: a message that departs while another one is delayed waits behind it and gives no information.
     fn take(&mut self, mut lane: Vec<Trip>, limit: Span, usual: Span) {
         lane.sort_by_key(|trip| trip.sent);
         let mut held_until = None;
@@ -181,7 +181,7 @@ impl Sorted {
     }
 }
 
-/// Both ways of a link tell of the same interruption.
+/// Merges interruptions that both directions of a link show.
 fn merged(mut held: Vec<Interruption>) -> Vec<Interruption> {
     held.sort_by_key(|one| one.from);
     let mut merged: Vec<Interruption> = Vec::new();
@@ -195,7 +195,7 @@ fn merged(mut held: Vec<Interruption>) -> Vec<Interruption> {
 }
 
 impl Quantiles {
-    /// Linear between order statistics; `None` of nothing.
+    /// Interpolates linearly between order statistics; `None` without values.
     fn of(mut sample: Vec<Span>) -> Option<Self> {
         sample.sort_unstable();
         let (least, largest) = (*sample.first()?, *sample.last()?);
@@ -204,7 +204,7 @@ impl Quantiles {
     }
 }
 
-/// Of a sorted sample that is not empty; zero otherwise.
+/// The quantile of a sorted sample at `percent`, interpolated linearly; zero if the sample is empty.
 fn quantile(sorted: &[Span], percent: usize) -> Span {
     let place = sorted.len().saturating_sub(1) * percent;
     let at = |index: usize| sorted.get(index).or(sorted.last()).copied().unwrap_or_default();

@@ -1,5 +1,5 @@
-//! The network, the clocks and the sensors of a mission that was recorded: what a world file needs so that trials use the network
-//! as it was. Nothing is read or printed here. `docs/measured.md` has the methods and what they cannot tell.
+//! The network, the clocks and the sensors of a recorded mission, as a world file needs them so that trials use the same network. Reads
+//! no files and prints nothing. `docs/measured.md` describes the methods and their limits.
 
 mod clock;
 mod line;
@@ -21,51 +21,51 @@ pub use self::link::{Interruption, LinkMeasured, Loss, Method, Quantiles};
 pub use self::told::{Break, OperatorMeasured, SensorMeasured};
 pub use self::written::world_text;
 
-/// What was measured in a mission.
+/// The measurements of a mission.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
     /// The scenario's name, if it is known.
     pub scenario: Option<String>,
-    /// When the file begins.
+    /// The first instant in the file.
     pub began: Timestamp<Server>,
-    /// From there to its end.
+    /// Time from the first to the last instant in the file.
     #[serde(rename = "duration_ms")]
     pub duration: Span,
-    /// Where the file stops being whole, if it does.
+    /// The reason why the file is incomplete, if it is.
     pub cut_off: Option<String>,
-    /// By id.
+    /// Sorted by id.
     pub robots: Vec<RobotMeasured>,
-    /// By robot and device.
+    /// Sorted by robot and device.
     pub sensors: Vec<SensorMeasured>,
-    /// How long acts waited for the operator.
+    /// The waits of acts for the operator.
     pub operator: OperatorMeasured,
     #[serde(skip)]
     source: HistorySource,
 }
 
-/// What was measured of a robot.
+/// The measurements of a robot.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotMeasured {
     /// Its id.
     pub robot: RobotId,
-    /// Its link; `None`: no question was answered.
+    /// Its link; `None` if it answered no question.
     pub link: Option<LinkMeasured>,
     /// Connections that broke.
     pub breaks: Vec<Break>,
-    /// Its clock; `None`: nothing tells of it.
+    /// Its clock; `None` without information about it.
     pub clock: Option<ClockMeasured>,
 }
 
-/// A file in which nothing was measured.
+/// Why a file contains no measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NothingMeasured {
-    /// A journal keeps decisions alone.
+    /// A journal contains only decisions.
     #[error(
-        "a journal has no messages, from which delays and losses are measured, and this one tells of no clock offset either; \
-         `downbeat run --record FILE` makes a recording"
+        "a journal contains no messages to measure delays and losses, and this one contains no clock offset; \
+         record a mission with `downbeat run --record FILE`"
     )]
     Journal,
-    /// A recording without an answer.
+    /// A recording without measurements.
     #[error(
         "no robot answered a question in this recording, no sensor was read and no act waited for the operator, so nothing was \
          measured"
@@ -74,10 +74,10 @@ pub enum NothingMeasured {
 }
 
 impl Measured {
-    /// Measures what a recording or a journal has kept.
+    /// Evaluates the data of a recording or a journal.
     ///
     /// # Errors
-    /// [`NothingMeasured`] where a world file would say nothing.
+    /// [`NothingMeasured`] if the world file would be empty.
     pub fn of(history: &History) -> Result<Self, NothingMeasured> {
         let (began, ended) = bounds(history);
         let mut robots: Vec<RobotMeasured> =

@@ -1,4 +1,4 @@
-//! Recordings whose truth is known: what is measured comes close to it.
+//! Recordings with known true values: the measurements come close to them.
 
 use fastrand::Rng;
 use urrcp::{Robot, Server, Span, Timestamp};
@@ -11,20 +11,20 @@ use urrcp::Command;
 
 const BEGAN: Timestamp<Server> = Timestamp::from_nanos(1_800_000_000_000_000_000);
 
-/// A robot that is asked again and again, and what is true of its link and clock.
+/// A robot that is queried repeatedly, and the true properties of its link and clock.
 struct Truth {
     questions: i64,
     every: Span,
-    /// One way, in milliseconds.
+    /// One-way delay in milliseconds.
     there: fn(&mut Rng) -> f64,
     back: fn(&mut Rng) -> f64,
-    /// Of a packet.
+    /// Probability that a packet is lost.
     loss: f64,
     offset: Span,
     drift_ppm: f64,
-    /// From here on, nothing passes for so long.
+    /// Start and duration of an interruption.
     held: Option<(Span, Span)>,
-    /// What its timestamps are multiples of.
+    /// Resolution of its timestamps.
     counts_in: Span,
 }
 
@@ -66,7 +66,7 @@ impl Truth {
         Timestamp::from_nanos(shows.as_nanos().div_euclid(step) * step)
     }
 
-    /// When a message arrives that leaves now, behind what left before it.
+    /// When a message that departs now arrives; it keeps its order behind earlier messages.
     fn arrives(
         &self,
         sent: Timestamp<Server>,
@@ -94,7 +94,7 @@ impl Truth {
             let sent = BEGAN + self.every * question;
             let took = (self.there)(&mut rng);
             let there = self.arrives(sent, took, &mut last_there, &mut rng);
-            // The robot takes its time, which is no delay of the link, and answers in order.
+            // The robot's own processing time is no delay of the link. It answers in order.
             answered = answered.max(there + Span::from_millis_f64(30.0 * rng.f64()));
             let took = (self.back)(&mut rng);
             let received = self.arrives(answered, took, &mut last_back, &mut rng);
@@ -131,15 +131,15 @@ fn a_constant_delay_is_found_whatever_the_clock_shows() {
         let link = truth.measured(1).link.unwrap();
         assert_eq!(link.method, Method::EachWay);
         assert_eq!(link.samples, 800);
-        // While a message is under way the clock gains 5 ms * 80 ppm = 0.4 us.
+        // While a message is in transit, the clock gains 5 ms * 80 ppm = 0.4 us.
         near(link.delay.least, 5.0, 1e-3);
         near(link.delay.largest, 5.0, 1e-3);
     }
 }
 
-/// The standard error of a quantile at p of n samples is sqrt(p (1 - p) / n) / density, here 8 ms times that: 0.14 ms for the
-/// median of 800, 0.085 ms for the 90th percentile. Four of them are allowed, and what the line is off by: the least of 400
-/// delays is above the true one by 8 ms / 400 = 0.02 ms in the mean.
+/// The standard error of a quantile at p of n samples is sqrt(p (1 - p) / n) / density, here 8 ms times that: 0.14 ms for the median of
+/// 800, 0.085 ms for the 90th percentile. The tolerance is four of them plus the error of the line: the minimum of 400 delays exceeds the
+/// true one by 8 ms / 400 = 0.02 ms on average.
 #[test]
 fn quantiles_of_each_way_are_those_of_one_way_and_not_of_half_a_round_trip() {
     for seed in 0..20 {
@@ -147,7 +147,7 @@ fn quantiles_of_each_way_are_those_of_one_way_and_not_of_half_a_round_trip() {
         let link = Truth { offset, drift_ppm: 25.0, ..Truth::default() }.measured(seed).link.unwrap();
         near(link.delay.least, 2.0, 0.15);
         near(link.delay.p50, 6.0, 0.6 + 0.1);
-        // Half of the sum of two of them would have it at 8.2 ms.
+        // Half of the sum of two delays would yield 8.2 ms.
         near(link.delay.p90, 9.2, 0.34 + 0.1);
         near(link.delay.largest, 10.0, 0.3);
     }
@@ -158,14 +158,14 @@ fn the_clock_of_a_robot_is_found_with_its_drift() {
     for (seed, drift_ppm) in (0..).zip([0.0, 12.0, -45.0, 300.0, 2_000.0]) {
         let truth = Truth { offset: Span::from_millis(120), drift_ppm, questions: 1_200, ..Truth::default() };
         let clock = truth.measured(seed).clock.unwrap();
-        // Least delays of both ways agree to about 8 ms / 1,200 at either end of 300 s.
+        // The minimum delays of both directions agree to about 8 ms / 1,200 at either end of 300 s.
         near(clock.offset, 120.0, 0.2);
         assert!(clock.uncertainty.unwrap() >= Span::from_millis_f64(1.9), "{clock:?}");
         let drift = clock.drift.unwrap();
         assert!((drift.ppm - drift_ppm).abs() < 1.0, "{drift:?}");
         assert!(drift.least <= drift_ppm && drift_ppm <= drift.most, "{drift:?}");
         let moved = drift_ppm.abs() * 1e-6 * 300_000.0;
-        // Less what the exchange leaves open, which is 10 ms at most.
+        // Minus the uncertainty of the exchange, which is at most 10 ms.
         let most = if drift_ppm < 0.0 { 120.0 } else { 120.0 + moved };
         near(clock.surely_off.unwrap(), most - 5.0, 5.5);
     }
@@ -198,7 +198,7 @@ fn a_pause_in_which_many_questions_wait_is_one_interruption_and_no_loss() {
     let link = truth.measured(5).link.unwrap();
     assert_eq!(link.loss.lost, 0, "{link:?}");
     assert_eq!(link.interruptions.len(), 1, "{link:?}");
-    // The first question that it held up left up to 50 ms and a delay before or after it began.
+    // The first delayed question departed up to 50 ms plus one delay before or after the start of the interruption.
     near(link.interruptions[0].lasted, 3_000.0, 70.0);
     near(link.delay.largest, 10.0, 0.3);
 }
@@ -212,7 +212,7 @@ fn a_clock_that_is_set_leaves_half_of_each_round_trip() {
         exchange.robot_sent = exchange.robot_sent + Span::from_millis(500);
     }
     let robot = Measured::of(&history).unwrap().robots.remove(0);
-    // A line of 0.5 s over 100 s, which is 5,000 ppm, does not fit between bounds 10 ms apart.
+    // A line of 0.5 s over 100 s, which is 5,000 ppm, does not fit between bounds that are 10 ms apart.
     let link = robot.link.unwrap();
     assert_eq!(link.method, Method::HalfRoundTrip);
     near(link.delay.p50, 5.0, 1e-5);
@@ -245,7 +245,7 @@ fn every_kind_of_measurement_is_a_world_that_is_read() {
         Truth { counts_in: Span::from_millis(1), there: short, back: short, ..Truth::default() },
         Truth { questions: 1, ..Truth::default() },
         Truth { offset: Span::from_millis(-7_200_000), drift_ppm: -80.0, ..Truth::default() },
-        // A clock that begins in 1970.
+        // A clock that starts in 1970.
         Truth { offset: BEGAN - Timestamp::from_nanos(0), ..Truth::default() },
     ];
     for truth in worlds {
@@ -271,7 +271,7 @@ fn shifted(millis: &[f64]) -> Record {
     prepared(0, millis.iter().copied().map(shifted).collect())
 }
 
-/// What the mission decided and told.
+/// The decisions of the mission and its messages to the operator.
 fn told(history: &mut History) {
     let at = |ms| BEGAN + Span::from_millis(ms);
     history.records.push((at(0), shifted(&[120.0, 120.1])));
@@ -310,7 +310,7 @@ fn text(truth: &Truth) -> String {
     text_of(&truth.history(1), "show.mcap")
 }
 
-/// The world file, which is read as it is meant.
+/// The world file, which is read back and checked.
 #[track_caller]
 fn text_of(history: &History, file: &str) -> String {
     let text = world_text(&Measured::of(history).unwrap(), file);
@@ -365,14 +365,14 @@ fn a_world_file_says_what_was_measured_and_how() {
         written,
         "show-2027-01-15
 links:
-  # 82 delays of 41 exchanges, each way by itself; p99 is of few
+  # 82 delays of 41 exchanges, each direction separately; p99 is from few samples
   r:
     delay: {least: 5ms, p50: 5ms, p90: 5ms, p99: 5ms, largest: 5ms}
     # lost: none of 82 packets, so below 3.66% with 95 % confidence
 clocks:
   r: {offset: 120ms}
 sensors:
-  # 3 readings; the first one holds from the beginning
+  # 3 readings; the first one applies from the beginning
   r/range: [[0s, 2], [3s, 0.4]]
 # 1 wait for the operator's go, and 1 without one
 operator: {go_after: 2.5s}
@@ -402,11 +402,19 @@ fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_no
         history.records.push((BEGAN, shifted(&[0.0])));
         text_of(&history, "show.mcap")
     };
-    assert!(ntp(3).contains("would not be\n  r: {error: 5ms}\n"), "{}", ntp(3));
-    assert!(ntp(-20).contains("it was surely off, by about this\n  r: {error: 20ms}\n"), "{}", ntp(-20));
+    assert!(
+        ntp(3).contains("no error was detected, but one of this size could not be\n  r: {error: 5ms}\n"),
+        "{}",
+        ntp(3)
+    );
+    assert!(
+        ntp(-20).contains("it was certainly off, by about this much\n  r: {error: 20ms}\n"),
+        "{}",
+        ntp(-20)
+    );
 }
 
-/// As on one host: 5 s of quick exchanges that the system held up now and then. What fits best has a drift that is none.
+/// As on one host: 5 s of fast exchanges, some of them delayed by the system. The best fit has a drift that does not exist.
 #[test]
 fn no_error_of_a_clock_is_claimed_because_of_the_drift_that_fits_a_short_recording_best() {
     let quick = |rng: &mut Rng| 0.02 + 0.1 / (rng.f64() + 0.07);

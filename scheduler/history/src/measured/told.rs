@@ -1,4 +1,4 @@
-//! What the operator was told of links, sensors and waits.
+//! The links, sensors and waits, from the messages to the operator.
 
 use downbeat_mission::Progress;
 use serde::Serialize;
@@ -6,33 +6,32 @@ use urrcp::{ControlType, RobotId, Server, Span, Timestamp};
 
 use crate::history::{History, KnownRobot};
 
-/// How an act announces that it waits for the operator.
+/// The text with which an act announces that it waits for the operator.
 const OPERATOR: &str = "the operator's go";
 
 /// A connection that broke.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Break {
-    /// From the beginning of the mission.
+    /// Time since the beginning of the mission.
     #[serde(rename = "at_ms")]
     pub at: Span,
-    /// Until the robot was back on a new connection, or to the end of the file.
+    /// Time until the robot returned on a new connection, or until the end of the file.
     #[serde(rename = "lasted_ms")]
     pub lasted: Span,
-    /// Whether it was back.
+    /// Whether the robot returned.
     pub back: bool,
 }
 
-/// What a sensor read.
+/// The readings of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SensorMeasured {
     /// The sensor's robot.
     pub robot: String,
-    /// Which device.
+    /// The id of the sensor's device.
     pub sensor: String,
-    /// How often it was read.
+    /// Number of readings.
     pub readings: usize,
-    /// What it read, each since the beginning of the mission and where it differs from the reading before; in milliseconds in
-    /// JSON.
+    /// The readings that differ from the previous one, with their times since the beginning of the mission; in milliseconds in JSON.
     pub values: Vec<(Span, f64)>,
 }
 
@@ -67,7 +66,7 @@ pub(super) fn breaks(
     breaks
 }
 
-/// Of devices that are nothing but sensors: what a device that moves reads is where it stands.
+/// The readings of pure sensors: the reading of a device that moves is its position.
 pub(super) fn sensors(robot: &KnownRobot, began: Timestamp<Server>) -> Vec<SensorMeasured> {
     let moves = |device: &str| {
         let described = robot.init.as_ref().and_then(|init| init.device(device));
@@ -79,7 +78,7 @@ pub(super) fn sensors(robot: &KnownRobot, began: Timestamp<Server>) -> Vec<Senso
     let measured = |(device, values): (&String, &Vec<(Timestamp<Server>, f64)>)| {
         let mut changes: Vec<(Span, f64)> = values.iter().map(|(at, value)| (*at - began, *value)).collect();
         changes.dedup_by(|(_, value), (_, before)| value == before);
-        // The file has microseconds: of two readings within one, the first one counts.
+        // The file has a resolution of microseconds: of several readings within one, the first is used.
         changes.dedup_by_key(|(at, _)| at.as_nanos() / 1_000);
         SensorMeasured {
             robot: robot.id.to_string(),

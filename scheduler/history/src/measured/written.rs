@@ -1,4 +1,4 @@
-//! What was measured as a world file, with how it was measured in its comments. The same recording gives the same bytes.
+//! The measurements as a world file, with comments on how they were measured. The same recording gives the same bytes.
 
 use downbeat_import::scalar;
 use downbeat_scripts::{counted, written};
@@ -10,12 +10,12 @@ use super::told::{Break, OperatorMeasured, SensorMeasured};
 use super::{Measured, RobotMeasured};
 use crate::history::HistorySource;
 
-/// Fewer samples than this: a percentile of theirs is hardly below the largest.
+/// With fewer samples, a percentile hardly differs from the largest value.
 const SAMPLES_FOR_P99: usize = 100;
-/// So many readings are written on one line.
+/// Number of readings per line.
 const READINGS_ON_A_LINE: usize = 4;
 
-/// The world file of what was measured in the file of this name.
+/// The world file with the measurements of the file of this name.
 #[must_use]
 pub fn world_text(measured: &Measured, file: &str) -> String {
     let mut text = head(measured, file);
@@ -49,15 +49,15 @@ fn head(measured: &Measured, file: &str) -> String {
         micros(measured.duration),
     );
     if let Some(cut_off) = &measured.cut_off {
-        text += &format!("# The file is not whole: {}. This is what comes before that.\n", scalar(cut_off));
+        text += &format!("# The file is incomplete: {}. This is the part before that.\n", scalar(cut_off));
     }
     text += match measured.source {
         HistorySource::Recording => {
             "#
-# Delays are of one way, from the times that robots put into their answers. The least delay is taken to be the same both ways:
+# Delays are one-way, from the timestamps in the answers of the robots. The least delay is assumed to be the same in both directions:
 # exchanges of timestamps cannot tell an asymmetric path from an offset of the clock (RFC 5905, section 8).
-# Packets that came 200 ms or more after the quickest were lost and sent again by TCP; a pause of the robot, of the radio or of this
-# machine looks the same. Not measured: what robots did wrong, and delays while no question was asked.
+# Packets that arrived 200 ms or more after the fastest one count as lost and sent again by TCP; a pause of the robot, of the radio or of this
+# machine looks the same. Not measured: errors of robots, and delays while no question was asked.
 "
         }
         HistorySource::Journal => {
@@ -75,12 +75,12 @@ fn head(measured: &Measured, file: &str) -> String {
 fn link(robot: &RobotId, link: &LinkMeasured) -> String {
     let delay = &link.delay;
     let way = match link.method {
-        Method::EachWay => "each way by itself",
-        Method::HalfRoundTrip => "half of each round trip: its clock was set, or counts coarsely",
+        Method::EachWay => "each direction separately",
+        Method::HalfRoundTrip => "half of each round trip: its clock was set, or its resolution is coarse",
     };
     let samples =
         format!("{} of {}, {way}", counted(link.samples, "delay"), counted(link.exchanges, "exchange"));
-    let few = if link.samples < SAMPLES_FOR_P99 { "; p99 is of few" } else { "" };
+    let few = if link.samples < SAMPLES_FOR_P99 { "; p99 is from few samples" } else { "" };
     let mut text = format!(
         "  # {samples}{few}\n  {}:\n    delay: {{least: {}, p50: {}, p90: {}, p99: {}, largest: {}}}\n",
         scalar(robot.as_str()),
@@ -115,7 +115,7 @@ fn interruptions(link: &LinkMeasured) -> String {
     let Some((least, most)) = lasted.clone().min().zip(lasted.max()) else { return String::new() };
     let every = micros(link.interruption_every.unwrap_or_default());
     format!(
-        "    # {} at least this long, of which the connection knew nothing\n    interruptions: [{{every: {every}, lasts: {}}}]\n",
+        "    # {} of at least this length, during which the connection stayed up\n    interruptions: [{{every: {every}, lasts: {}}}]\n",
         counted(link.interruptions.len(), "pause"),
         from_to(least, most),
     )
@@ -129,10 +129,10 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
             micros(uncertainty),
             counted(clock.exchanges, "exchange")
         ),
-        None => "what was added to its timestamps".to_owned(),
+        None => "the offset that was added to its timestamps".to_owned(),
     };
     if clock.steps > 0 {
-        comment += &format!(", set {} on the way", times(clock.steps));
+        comment += &format!(", set {} during the mission", times(clock.steps));
     }
     if let Some(error) = clock.start_error {
         comment += &format!(", starts at most {} off by its own clock", micros(error));
@@ -150,20 +150,20 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
         }
         Some(Follows::Ntp) | None => match clock.surely_off {
             Some(off) => {
-                comment += ": it was surely off, by about this";
+                comment += ": it was certainly off, by about this much";
                 format!("error: {}", micros(off))
             }
             None => {
-                comment += ": no error was seen, and one of this size would not be";
+                comment += ": no error was detected, but one of this size could not be";
                 format!("error: {}", micros(clock.uncertainty.unwrap_or_default()))
             }
         },
     };
     if clock.offset.as_millis_f64().abs() > urrcp::OFFSET_MS_MAX {
-        return format!("  # {}: {comment}: beyond what a world can say\n", scalar(robot.as_str()));
+        return format!("  # {}: {comment}: out of range of a world file\n", scalar(robot.as_str()));
     }
     if clock.follows.is_none() {
-        comment += "; it was sent no script, so it is taken to follow NTP";
+        comment += "; it was sent no script, so it is assumed to follow NTP";
     }
     format!("  # {comment}\n  {}: {{{keys}}}\n", scalar(robot.as_str()))
 }
@@ -171,7 +171,7 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
 fn sensor(sensor: &SensorMeasured) -> String {
     let key = format!("{}/{}", sensor.robot, sensor.sensor);
     let mut text = format!(
-        "  # {}; the first one holds from the beginning\n  {}:",
+        "  # {}; the first one applies from the beginning\n  {}:",
         counted(sensor.readings, "reading"),
         scalar(&key)
     );
@@ -214,7 +214,7 @@ fn incidents(robot: &RobotMeasured) -> Vec<String> {
     robot.breaks.iter().map(incident).collect()
 }
 
-/// One time, or the range of several.
+/// A single time, or a range.
 fn from_to(least: Span, most: Span) -> String {
     if micros(least) == micros(most) {
         micros(least)
@@ -223,13 +223,13 @@ fn from_to(least: Span, most: Span) -> String {
     }
 }
 
-/// Rounded to microseconds: what timestamps of robots are worth.
+/// Rounds to microseconds, the resolution of robots' timestamps.
 fn micros(span: Span) -> String {
     let half = if span < Span::ZERO { -500 } else { 500 };
     written(Span::from_micros((span.as_nanos() + half) / 1_000))
 }
 
-/// With three digits that count.
+/// Formats with three significant digits.
 fn percent(share: f64) -> String {
     let percent = share * 100.0;
     let digits = (0..6).find(|digits| percent * 10f64.powi(*digits) >= 100.0).unwrap_or(6);

@@ -1,34 +1,34 @@
-//! Numbers as the page reads them: bytes behind its JSON, small where numbers are decimal and change little.
+//! Numbers in the page's format: bytes after the JSON, compact if numbers are decimal and change little.
 
 use std::collections::HashMap;
 
 use serde::Serialize;
 
-/// Integers up to this are exact in a 64-bit float.
+/// Integers up to this limit are exact in a 64-bit float.
 const EXACT_MAX: f64 = 9_007_199_254_740_992.0;
-/// More decimals than a device has.
+/// More decimals than any device has.
 const DECIMALS_MAX: u8 = 9;
 
-/// Where the numbers of a column are.
+/// The location and format of a column's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Column {
     /// Offset of its first byte.
     at: usize,
-    /// How many numbers.
+    /// Number of numbers.
     n: usize,
-    /// Numbers are integers divided by 10 to the power of this, written as differences from what was expected; `None`: as
-    /// 64-bit floats, little-endian.
+    /// Numbers are integers divided by 10 to the power of this, stored as differences from the prediction; `None`: 64-bit floats,
+    /// little-endian.
     decimals: Option<u8>,
     order: Order,
 }
 
-/// What is expected of the next integer.
+/// How the next integer is predicted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "u8")]
 pub(super) enum Order {
-    /// The integer before.
+    /// As the previous integer.
     Level,
-    /// The integer before, and its difference from the one before it again.
+    /// As the previous integer plus its difference from the one before.
     Trend,
 }
 
@@ -48,7 +48,7 @@ pub(super) struct Series {
     v: Column,
 }
 
-/// Values at times in milliseconds, which never go back.
+/// Values at times in milliseconds, which never decrease.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Points {
     times: Vec<f64>,
@@ -61,7 +61,7 @@ impl Points {
         self.values.push(value);
     }
 
-    /// All of them later by so many milliseconds.
+    /// Shifts all times by `by` milliseconds.
     pub(super) fn shift(&mut self, by: f64) {
         self.times.iter_mut().for_each(|at| *at += by);
     }
@@ -74,7 +74,7 @@ impl FromIterator<(f64, f64)> for Points {
     }
 }
 
-/// The bytes of all columns. Equal columns are kept once: robots that dance in unison play the same steps.
+/// The bytes of all columns. Equal columns are stored once: robots that dance in unison play the same steps.
 #[derive(Debug, Default)]
 pub(super) struct Columns {
     bytes: Vec<u8>,
@@ -110,7 +110,7 @@ fn power(decimals: u8) -> f64 {
     10.0_f64.powi(i32::from(decimals))
 }
 
-/// The integer that stands for a number, if dividing it gives exactly this number again.
+/// The scaled integer for a number, if dividing it reproduces the number exactly.
 fn scaled(number: f64, decimals: u8) -> Option<i64> {
     let integer = (number * power(decimals)).round();
     let integer = Some(integer).filter(|integer| integer.abs() < EXACT_MAX)? as i64;
@@ -118,13 +118,13 @@ fn scaled(number: f64, decimals: u8) -> Option<i64> {
     ((integer as f64 / power(decimals)).to_bits() == number.to_bits()).then_some(integer)
 }
 
-/// The fewest decimals with which all numbers are exact.
+/// The minimum number of decimals with which all numbers are exact.
 fn decimals(numbers: &[f64]) -> Option<u8> {
     let mut decimals = 0;
     for number in numbers {
         decimals = (decimals..=DECIMALS_MAX).find(|more| scaled(*number, *more).is_some())?;
     }
-    // Large numbers may not bear the decimals of small ones.
+    // Large numbers may not be exact with the decimals of small ones.
     numbers.iter().all(|number| scaled(*number, decimals).is_some()).then_some(decimals)
 }
 
@@ -156,7 +156,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// As the page reads them.
+    /// Reads a column as the page does.
     fn read(columns: &Columns, column: Column) -> Vec<f64> {
         let bytes = &columns.bytes()[column.at..];
         let Some(decimals) = column.decimals else {

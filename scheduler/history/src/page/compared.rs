@@ -1,5 +1,5 @@
-//! What a page is compared with, behind it: another plan with its curves and cues as ghosts, or another mission that was played with what
-//! its robots were sent; and what differs in words.
+//! The comparison that a page shows in the background, and the differences in words. It compares with another plan, with its curves and
+//! cues as ghosts, or with another mission that was played, with the values that its robots were sent.
 
 use downbeat_scripts::{Act, Choreography};
 use urrcp::Span;
@@ -16,11 +16,11 @@ use crate::history::History;
 /// The plan that a page is compared with.
 #[derive(Debug)]
 pub struct OtherPlan<'a> {
-    /// Its file.
+    /// The name of its file.
     pub name: String,
-    /// What it compiles to.
+    /// The result of compilation.
     pub choreography: &'a Choreography,
-    /// From it to the plan of the page.
+    /// The differences, from it to the plan of the page.
     pub found: &'a PlanDifferences,
 }
 
@@ -61,7 +61,7 @@ fn ghost((plan, act): (usize, &Act), before: &Act, places: &Places, columns: &mu
     Ghost { plan, cues: cues.collect(), lanes }
 }
 
-/// The lanes that are not the same: of one that is, nothing could be seen behind the other.
+/// The lanes that differ: equal ones would be hidden behind the others.
 fn others(own: &[Lane], mut lanes: Vec<Lane>) -> Vec<Lane> {
     let key = |lane: &Lane| (lane.robot, lane.device, lane.value);
     lanes.retain(|lane| {
@@ -75,14 +75,14 @@ fn others(own: &[Lane], mut lanes: Vec<Lane>) -> Vec<Lane> {
     lanes
 }
 
-/// The mission with which the page of another one is compared.
+/// The mission that the page of another one is compared with.
 #[derive(Debug)]
 pub struct OtherRun<'a> {
-    /// Its file.
+    /// The name of its file.
     pub name: String,
-    /// What is known of it.
+    /// Its preserved data.
     pub history: &'a History,
-    /// From it to the mission of the page.
+    /// The differences, from it to the mission of the page.
     pub found: &'a RunDifferences,
 }
 
@@ -93,7 +93,7 @@ pub(super) fn compared_runs(
 ) -> Compared {
     let (history, mission) = own;
     let places = history.places();
-    // The same playing of the act of this name.
+    // The same repetition of the act of this name.
     let playing = |name: &str, time: usize| {
         let mut plans = mission.plans.iter().enumerate().filter(|(_, plan)| plan.name == name);
         plans.nth(time.saturating_sub(1)).map(|(index, _)| index)

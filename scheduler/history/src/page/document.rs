@@ -1,4 +1,4 @@
-//! What the page shows, as it reads it: `viewer/src/mission.ts` is the other side of these types, and a test of the viewer compares both.
+//! The page's data format: `viewer/src/mission.ts` is the counterpart of these types, and a test of the viewer compares both.
 
 use downbeat_scripts::WrittenRelation;
 use serde::Serialize;
@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::columns::Series;
 use crate::history::Fate;
 
-/// The version of what is written here.
+/// The version of this format.
 pub(super) const VERSION: u32 = 1;
 
 #[derive(Debug, Serialize)]
@@ -15,7 +15,7 @@ pub(super) struct Mission {
     pub(super) version: u32,
     pub(super) program: &'static str,
     pub(super) kind: Kind,
-    /// Why the file behind the page is not whole.
+    /// The reason why the file of the mission is incomplete, if it is.
     pub(super) cut_off: Option<String>,
     pub(super) scenario: String,
     /// The instant at 0 ms.
@@ -30,16 +30,16 @@ pub(super) struct Mission {
     pub(super) acts: Vec<Played>,
     pub(super) events: Vec<MissionEvent>,
     pub(super) findings: Vec<Finding>,
-    /// What robots set, and what sensors read.
+    /// The values that robots set, and the readings of sensors.
     pub(super) set: Vec<DeviceSeries>,
     pub(super) read: Vec<DeviceSeries>,
     pub(super) clocks: Vec<Clock>,
-    /// What it is compared with, if that was asked for.
+    /// The comparison, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) compared: Option<Compared>,
 }
 
-/// Another plan, of which this one is a change.
+/// Another plan or mission that this one is compared with.
 #[derive(Debug, Serialize)]
 pub(super) struct Compared {
     /// Its file.
@@ -48,12 +48,12 @@ pub(super) struct Compared {
     pub(super) ghosts: Vec<Ghost>,
 }
 
-/// A difference, in words.
+/// A difference in words.
 #[derive(Debug, Serialize)]
 pub(super) struct Difference {
-    /// The plan of the act; `None` if only the other has it, or for what is about no act.
+    /// The plan of the act; `None` if only the other has the act, or the difference concerns no act.
     pub(super) plan: Option<usize>,
-    /// From the act's start.
+    /// Milliseconds from the act's start.
     pub(super) at: Option<f64>,
     pub(super) robot: Option<usize>,
     pub(super) device: Option<usize>,
@@ -61,11 +61,11 @@ pub(super) struct Difference {
     pub(super) text: String,
 }
 
-/// What the other plan has in the act of this plan.
+/// The content of the other plan for an act of this plan.
 #[derive(Debug, Serialize)]
 pub(super) struct Ghost {
     pub(super) plan: usize,
-    /// Of cues of this plan that are elsewhere in the other.
+    /// Cues of this plan that have other times in the other plan.
     pub(super) cues: Vec<GhostCue>,
     pub(super) lanes: Vec<Lane>,
 }
@@ -128,7 +128,7 @@ pub(super) struct Body {
     pub(super) joints: Vec<Joint>,
 }
 
-/// `offset + scale * value of the device`; always `offset` without one.
+/// `offset + scale * value of the device`; without a device always `offset`.
 #[derive(Debug, Serialize)]
 pub(super) struct Coordinate {
     pub(super) device: Option<usize>,
@@ -143,7 +143,7 @@ pub(super) enum Shape {
     Box([f64; 3]),
 }
 
-/// A joint in the frame of the link before it.
+/// A joint in the frame of the previous link.
 #[derive(Debug, Serialize)]
 pub(super) struct Joint {
     pub(super) name: String,
@@ -172,7 +172,7 @@ pub(super) struct Cue {
     pub(super) start: f64,
     pub(super) end: f64,
     pub(super) slack: f64,
-    /// On the way that determines when the act ends.
+    /// Whether it is on the critical path, which determines when the act ends.
     pub(super) critical: bool,
     pub(super) robots: Vec<usize>,
     pub(super) source: usize,
@@ -186,7 +186,7 @@ pub(super) struct Lane {
     pub(super) robot: usize,
     pub(super) device: usize,
     pub(super) control: String,
-    /// Which of the values of a step, from 0.
+    /// Index of the value within a step, from 0.
     pub(super) value: usize,
     pub(super) worst_error: f64,
     pub(super) worst_at: f64,
@@ -219,7 +219,7 @@ pub(super) struct Played {
     pub(super) no_return: Option<f64>,
     pub(super) lease: Option<f64>,
     pub(super) fate: Fate,
-    /// When it was over, or everything was being stopped.
+    /// When it was over, or a stop of everything began.
     pub(super) over: Option<f64>,
     pub(super) robots: Vec<PlayedRobot>,
 }

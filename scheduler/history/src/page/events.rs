@@ -1,4 +1,4 @@
-//! What happened, in words: what the operator was told, or what the journal says where nobody knows what was told.
+//! The events of a mission in words: from the messages to the operator, or from the journal if those are not known.
 
 use downbeat_mission::report::ActFate;
 use downbeat_mission::{Progress, Record};
@@ -9,7 +9,7 @@ use super::planned::Places;
 use super::played::{Epoch, Told};
 use crate::history::Happened;
 
-/// The events of a mission from the progress that was reported to the operator.
+/// The events of a mission, from the messages to the operator.
 pub(super) fn of_told(told: &[Told], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
     of_happened(told.iter().map(|(at, told)| (*at, Happened::Told(told))), places, epoch)
 }
@@ -33,7 +33,7 @@ pub(super) fn of_happened<'a>(
 /// The kind of an event, its robot, and its text.
 type Event<'a> = (&'static str, Option<&'a RobotId>, String);
 
-/// `None` for events that are frequent, and that the page shows elsewhere.
+/// `None` for frequent events that the page shows elsewhere.
 fn told(progress: &Progress) -> Option<Event<'_>> {
     let of_mission = |kind, text: String| Some((kind, None, text));
     match progress {
@@ -46,7 +46,7 @@ fn told(progress: &Progress) -> Option<Event<'_>> {
         }
         Progress::Decided { act, .. } => of_mission("decided", decided(act)),
         Progress::Committed { act, .. } => {
-            of_mission("committed", format!("{act} is committed: every lease reaches over its start"))
+            of_mission("committed", format!("{act} is committed: all robots have confirmed its start"))
         }
         Progress::Finished { robot, .. } => {
             Some(("finished", Some(robot), "has ended all its scripts".to_owned()))
@@ -71,15 +71,15 @@ fn told(progress: &Progress) -> Option<Event<'_>> {
         }
         Progress::Failed(failure) => Some(("failed", Some(&failure.robot), failure.kind.to_string())),
         Progress::LinkLost { robot, reason, .. } => {
-            Some(("link_lost", Some(robot), format!("its link is lost: {reason}")))
+            Some(("link_lost", Some(robot), format!("its link was lost: {reason}")))
         }
-        Progress::Reattached { robot } => Some(("reattached", Some(robot), "is back on its link".to_owned())),
+        Progress::Reattached { robot } => Some(("reattached", Some(robot), "has reconnected".to_owned())),
         Progress::Dropped { robot } => Some(("dropped", Some(robot), LEFT_OUT.to_owned())),
         Progress::NtpLost { .. } => of_mission("ntp_lost", "the NTP server does not answer".to_owned()),
         Progress::NtpBack { .. } => of_mission("ntp_back", "the NTP server answers again".to_owned()),
         Progress::JournalWrittenAgain => of_mission(
             "journal_written_again",
-            "the journal was removed or replaced, and is written again".to_owned(),
+            "the journal was removed or replaced and has been restored".to_owned(),
         ),
         Progress::JournalLost { reason } => of_mission("journal_lost", reason.clone()),
         Progress::Stopping { reason, .. } => of_mission("stopping", format!("{STOPPING}: {reason}")),
@@ -97,7 +97,7 @@ fn recorded(record: &Record) -> Option<Event<'_>> {
         Record::Prepared(promise) => of_mission("prepared", sent(&named(promise.number))),
         Record::Decided { number, .. } => of_mission("decided", decided(&named(*number))),
         Record::Committed { number } => {
-            of_mission("committed", format!("the commitment of {} is written down", named(*number)))
+            of_mission("committed", format!("the commitment of {} is recorded", named(*number)))
         }
         Record::StopConfirmed { robot } => Some(("stop_confirmed", Some(robot), AT_REST.to_owned())),
         Record::ActSkipped(over) => of_mission("act_skipped", skipped("an act", &over.fate)),
@@ -113,7 +113,7 @@ fn recorded(record: &Record) -> Option<Event<'_>> {
 
 const CHECKED: &str = "all robots are checked";
 const AT_REST: &str = "has confirmed its stop";
-const LEFT_OUT: &str = "is left out from here on";
+const LEFT_OUT: &str = "is left out from now on";
 const STOPPING: &str = "everything is being stopped";
 
 fn sent(act: &str) -> String {

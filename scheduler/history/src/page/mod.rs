@@ -1,5 +1,5 @@
-//! A mission, or trials of one, as a page for a browser: one file, which needs neither a network nor this program. `viewer/` has the code of the
-//! page; here is what it shows.
+//! A mission, or trials of one, as a page for a browser: one file, which needs neither a network nor this program. `viewer/` contains the
+//! code of the page, this module its data.
 
 mod columns;
 mod compared;
@@ -38,37 +38,37 @@ pub use self::written::{OtherScenario, Written};
 const TEMPLATE: &str = include_str!("page.html");
 /// The program and its version.
 const PROGRAM: &str = concat!("downbeat ", env!("CARGO_PKG_VERSION"));
-/// Where the mission belongs.
+/// Placeholder for the mission.
 const PLACE: &str = "@@MISSION@@";
 
-/// What a dry run leaves for a page.
+/// The data of a dry run for a page.
 #[derive(Debug)]
 pub struct Rehearsed<'a> {
-    /// What was played.
+    /// The choreography that was played.
     pub choreography: &'a Choreography,
-    /// Where it is written.
+    /// Its source locations.
     pub outline: &'a Outline,
-    /// Its robots, and their bodies.
+    /// Its robots and their bodies.
     pub fleet: &'a Fleet,
-    /// What was found in its files.
+    /// The findings in its files.
     pub findings: &'a [Finding],
-    /// What became of it, with what each robot set.
+    /// The result, with the values that each robot set.
     pub played: &'a dry_run::Played,
-    /// What the operator was told.
+    /// The messages to the operator.
     pub told: &'a [Told],
 }
 
-/// The page of a dry run. The same mission gives the same bytes.
+/// Creates the page of a dry run. The same mission gives the same bytes.
 ///
 /// # Errors
-/// JSON that cannot be written, which does not happen with memory to spare.
+/// JSON cannot be written, which does not happen unless memory runs out.
 pub fn of_dry_run(rehearsed: &Rehearsed<'_>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mission = rehearsed.mission(&mut columns);
     page(&mission, &columns)
 }
 
-/// The page of a dry run, with another plan behind it and what differs.
+/// Creates the page of a dry run in comparison with another plan, which it shows in the background.
 ///
 /// # Errors
 /// As for [`of_dry_run`].
@@ -79,7 +79,7 @@ pub fn of_difference(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>) -> io::Re
     page(&mission, &columns)
 }
 
-/// The page of a mission that was played, with the cues and bodies of its scenario if that is given.
+/// Creates the page of a mission that was played, with the cues and bodies of its scenario if that is given.
 ///
 /// # Errors
 /// As for [`of_dry_run`].
@@ -89,7 +89,7 @@ pub fn of_history(history: &History, written: Option<&Written<'_>>) -> io::Resul
     page(&mission, &columns)
 }
 
-/// The page of a mission that was played, with another one behind it and what differs.
+/// Creates the page of a mission that was played in comparison with another one, which it shows in the background.
 ///
 /// # Errors
 /// As for [`of_dry_run`].
@@ -100,8 +100,8 @@ pub fn of_run_difference(history: &History, other: &OtherRun<'_>) -> io::Result<
     page(&mission, &columns)
 }
 
-/// The page of trials. `replay` are the words of the command that plays one of them again, but for `--trial K`. The same results
-/// give the same bytes.
+/// Creates the page of trials. `replay` is the command that plays one of them again, as words without `--trial K`. The same results give
+/// the same bytes.
 ///
 /// # Errors
 /// As for [`of_dry_run`].
@@ -146,12 +146,12 @@ impl Rehearsed<'_> {
     }
 }
 
-/// Writes a page as a whole: where that fails, what was there before is still there.
+/// Writes a page atomically: if that fails, the previous content is preserved.
 ///
 /// # Errors
 /// The file cannot be written.
 pub fn save(path: &Path, page: &str) -> io::Result<()> {
-    // What a link leads to is written, not the link; a pipe or a device is written to as it is.
+    // Resolves a link to write its target instead; a pipe or a device is written directly.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
     if path.exists() && !path.is_file() || ["/dev", "/proc"].iter().any(|system| path.starts_with(system)) {
         return fs::write(&path, page);
@@ -165,7 +165,7 @@ pub fn save(path: &Path, page: &str) -> io::Result<()> {
     written
 }
 
-/// Writes a file that did not exist, with the permissions of the one that it will replace.
+/// Writes a new file with the permissions of the one that it will replace.
 fn write_new(part: &Path, page: &str, replaced: &Path) -> io::Result<()> {
     let mut file = fs::File::create_new(part)?;
     if let Ok(known) = fs::metadata(replaced) {
@@ -175,8 +175,8 @@ fn write_new(part: &Path, page: &str, replaced: &Path) -> io::Result<()> {
     file.sync_all()
 }
 
-/// The template with the mission or the trials in it: gzip of the JSON's length, the JSON and the columns, as base64, which no name can escape
-/// from.
+/// Inserts the mission or the trials into the template. Base64 of gzip of the JSON's length, the JSON and the columns: no name can escape
+/// from it.
 fn page(mission: &impl Serialize, columns: &Columns) -> io::Result<String> {
     let json = serde_json::to_vec(mission)?;
     let length =

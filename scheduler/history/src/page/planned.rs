@@ -1,4 +1,4 @@
-//! What is to happen: robots, groups, and every act with its cues and steps.
+//! The plan: robots, groups, and every act with its cues and steps.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,7 @@ use super::document::{
 };
 use downbeat_show::waits;
 
-/// Where robots and devices are in the document.
+/// The indices of robots and devices in the document.
 #[derive(Debug, Default)]
 pub(super) struct Places {
     robots: HashMap<RobotId, usize>,
@@ -34,7 +34,7 @@ impl Places {
         self.devices.get(&(robot, device.to_owned())).copied()
     }
 
-    /// The next robot, and its devices.
+    /// Adds the next robot with its devices.
     pub(super) fn add(&mut self, id: &RobotId, devices: impl Iterator<Item = String>) {
         let robot = self.robots.len();
         self.robots.insert(id.clone(), robot);
@@ -61,7 +61,7 @@ pub(super) fn robots(robots: &[&FleetRobot], places: &Places) -> Vec<Robot> {
     robots.iter().enumerate().map(robot).collect()
 }
 
-/// What the page shows of a body that is driven by speeds as if it had devices for it: names and units.
+/// Names and units of pseudo-devices that represent a body driven by speeds.
 const DRIVEN: [(&str, &str); 3] =
     [("x of its drive", "m"), ("y of its drive", "m"), ("yaw of its drive", "rad")];
 
@@ -102,7 +102,7 @@ fn driven_lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> V
     lanes
 }
 
-/// To a tenth of a millimetre: a small part of what the path is off anyway.
+/// Rounds to a tenth of a millimetre, which is small compared with the error of the path.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
@@ -161,7 +161,7 @@ fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
     Body { x, y, z, yaw, shape, joints }
 }
 
-/// The end of the last link, as a joint that does not move.
+/// The end of the last link, as a fixed joint.
 fn tip(xyz: [f64; 3], radius: f64) -> Joint {
     let value = Coordinate { device: None, scale: 0.0, offset: 0.0 };
     let (rpy, axis) = ([0.0; 3], [0.0, 0.0, 1.0]);
@@ -186,7 +186,7 @@ pub(super) fn plans(
     choreography.acts.iter().map(|act| plan_of(act, outline, places, columns)).collect()
 }
 
-/// An act with its cues by its name: not all acts of the file need to be played.
+/// Finds the cues of an act by its name, because not all acts of the file need to be played.
 pub(super) fn plan_of(act: &scripts::Act, outline: &Outline, places: &Places, columns: &mut Columns) -> Plan {
     let written = outline.acts.iter().find(|written| written.name == act.name);
     plan(act, written.map_or(&[], |written| &written.cues), places, columns)
@@ -238,7 +238,7 @@ pub(super) fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) 
                 let of_device = |lane: &&mut Lane| {
                     lane.robot == robot && lane.device == device && lane.control == control
                 };
-                // Those of a robot stand together at the end.
+                // The lanes of a robot are adjacent and at the end.
                 match lanes.iter_mut().rev().take_while(|lane| lane.robot == robot).find(of_device) {
                     Some(lane) => lane.scripts.push(script),
                     None => lanes.push(Lane {
@@ -265,7 +265,7 @@ fn named(control: ControlType, value: usize) -> String {
     }
 }
 
-/// The steps of each value that they have, with the control type of the first of them.
+/// The steps of each of their values, with the control type of the first step that has the value.
 fn values_of(script: &urrcp::Script) -> Vec<(ControlType, Points)> {
     let mut all: Vec<(ControlType, Points)> = Vec::new();
     for step in script.steps() {

@@ -1,4 +1,4 @@
-//! What happened: acts, what the operator was told, and what robots set.
+//! The course of a mission: acts, messages to the operator, and values that robots set.
 
 use std::collections::BTreeMap;
 
@@ -14,15 +14,15 @@ use downbeat_mission::Progress;
 use downbeat_mission::report::{ActReport, ActRobot, Report};
 use downbeat_rehearsal::dry_run::{self, act_of};
 
-/// What the operator was told, and when.
+/// A message to the operator with its time.
 pub type Told = (Timestamp<Server>, Progress);
 
-/// The instant at which the page counts from zero.
+/// The instant that is time zero of the page.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Epoch(pub(super) Timestamp<Server>);
 
 impl Epoch {
-    /// Milliseconds from there.
+    /// Milliseconds since the epoch.
     pub(super) fn millis(self, at: Timestamp<Server>) -> f64 {
         (at - self.0).as_millis_f64()
     }
@@ -62,7 +62,7 @@ pub(super) fn acts(
     acts
 }
 
-/// When an act was decided and committed, and the instants that were told then.
+/// When an act was decided and committed, and the instants that were reported with that.
 #[derive(Debug, Default)]
 pub(super) struct Phases {
     pub(super) decided: Option<Timestamp<Server>>,
@@ -72,7 +72,7 @@ pub(super) struct Phases {
 }
 
 impl Phases {
-    /// By what was told since an act was sent.
+    /// Collects the phases from the messages about an act.
     pub(super) fn of(told: &[Told], name: &str, planned: Timestamp<Server>) -> Self {
         let decided = told.iter().find_map(|(at, told)| match told {
             Progress::Decided { act, start, no_return, leases_end, .. }
@@ -112,19 +112,19 @@ fn robots(
     act.robots.iter().filter_map(robot).collect()
 }
 
-/// When the first script of a robot really started, in true time.
+/// When the first script of a robot really started, by the true clock.
 fn started(number: u32, log: &[LogEntry]) -> Option<Timestamp<Server>> {
     let of_act = |entry: &&LogEntry| entry.request_id.as_deref().and_then(act_of) == Some(number);
     Some(Timestamp::from_nanos(log.iter().find(of_act)?.true_ns))
 }
 
-/// When a robot was told to have ended all its scripts of an act.
+/// When the operator was informed that a robot had ended all its scripts of an act.
 pub(super) fn finished(told: &[Told], robot: &RobotId, number: u32) -> Option<Timestamp<Server>> {
     let of_robot = |told: &Progress| matches!(told, Progress::Finished { robot: of, number: act } if of == robot && *act == number);
     told.iter().find(|(_, told)| of_robot(told)).map(|(at, _)| *at)
 }
 
-/// What robots set, each device of each act by itself, at the true time at which that is to be seen.
+/// The values that robots set, per device and act, at the true times at which they become visible.
 pub(super) fn set(
     played: &dry_run::Played,
     choreography: &Choreography,
@@ -156,7 +156,7 @@ pub(super) fn set(
     all
 }
 
-/// Readings that the scenario asked for, by the time at which they were asked for.
+/// Readings that the scenario requested, at the times of the requests.
 pub(super) fn read(
     report: &Report,
     places: &Places,
@@ -183,7 +183,7 @@ pub(super) fn read(
     series.collect()
 }
 
-/// What is known of clocks at the end, which holds for the whole mission.
+/// The final knowledge of the clocks, which applies to the whole mission.
 pub(super) fn clocks(
     report: &Report,
     places: &Places,

@@ -65,12 +65,12 @@ impl History {
         }
     }
 
-    /// The robots as they described themselves, and their devices.
+    /// The robots and devices, according to the robots' descriptions.
     pub(super) fn places(&self) -> Places {
         self.described().0
     }
 
-    /// What was sent in each act, for the robots and devices of another mission.
+    /// The scripts that were sent in each act, for the robots and devices of another mission.
     pub(super) fn plans_among(&self, places: &Places, columns: &mut Columns) -> Vec<Plan> {
         let epoch = self.epoch();
         let sent: Vec<Sent> = self.promises().map(|(_, promise)| Sent::of(promise)).collect();
@@ -79,7 +79,7 @@ impl History {
         self.plans(None, &sent, &acts, (places, columns))
     }
 
-    /// The robots as they described themselves.
+    /// The robots, according to their descriptions.
     fn described(&self) -> (Places, Vec<Robot>) {
         let described: Vec<Described> = self.robots.iter().map(Described::of).collect();
         let mut places = Places::default();
@@ -104,7 +104,7 @@ impl History {
         plans
     }
 
-    /// The planned start of the first act; before anything was sent, the first thing that is known.
+    /// The planned start of the first act; without any act, the first known instant.
     fn epoch(&self) -> Epoch {
         let start = self.promises().next().map(|(_, promise)| promise.start);
         let records = self.records.iter().map(|(at, _)| *at);
@@ -121,7 +121,7 @@ impl History {
         let report = self.report_of(number);
         let name = self.name_of(act.promise);
         let phases = Phases::of(&self.told, &name, start);
-        // The commitment is written down before it is made: where it is known when that was, this counts.
+        // The commitment is recorded before it is made, so its actual time takes precedence if it is known.
         let committed = if self.told.is_empty() { self.recorded(committed) } else { phases.committed };
         let over = over(self.happened(), &name, number, timestamp);
         let robots = robots(act, report, &self.told, (places, epoch));
@@ -201,7 +201,7 @@ impl History {
         all
     }
 
-    /// An exchange leaves the offset open by half of its round trip.
+    /// An exchange leaves an uncertainty of half of its round trip.
     fn clocks(&self, places: &Places, epoch: Epoch, columns: &mut Columns) -> Vec<Clock> {
         let known = self.robots.iter().filter(|robot| !robot.clock.is_empty());
         let clock = |robot: &KnownRobot| {
@@ -222,7 +222,7 @@ struct Sent<'a> {
     promise: &'a Promise,
     duration: Span,
     robots: Vec<RobotId>,
-    /// What was added for the clock of each robot.
+    /// The time added for the clock of each robot.
     shifts: BTreeMap<RobotId, Span>,
 }
 
@@ -241,7 +241,7 @@ impl<'a> Sent<'a> {
     }
 }
 
-/// A robot with the devices that it described, and further ones that were driven.
+/// A robot with its described devices, and further ones that were driven.
 struct Described {
     id: RobotId,
     devices: Vec<(DeviceId, Device)>,
@@ -277,7 +277,7 @@ fn lanes_of(robot: &KnownRobot, act: &Sent<'_>, places: &Places, columns: &mut C
             continue;
         }
         let Some(device) = device.parse().ok().and_then(|id| places.device(place, &id)) else { continue };
-        // What is sent again is written down again.
+        // Repeated messages are recorded repeatedly.
         let mut steps: Vec<&PlannedStep> = steps.iter().collect();
         steps.sort_by_key(|step| step.due);
         steps.dedup_by_key(|step| step.due);

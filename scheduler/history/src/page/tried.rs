@@ -1,5 +1,5 @@
-//! The page of trials: what they showed together. Single trials become a histogram, so that the page of 100,000 is as small as the
-//! page of a hundred. `viewer/src/trials.ts` is the other side of these types.
+//! The page of trials with their combined results. Single trials become a histogram, so that the page of 100,000 is as small as the page
+//! of a hundred. `viewer/src/trials.ts` is the counterpart of these types.
 
 use serde::Serialize;
 use urrcp::{RobotId, Span};
@@ -8,9 +8,9 @@ use super::document::{Kind, VERSION};
 use downbeat_mission::requirements::Judged;
 use downbeat_rehearsal::trials::{ActResult, LeadResult, Quantiles, Reason, Results, RobotResult, Share};
 
-/// Columns of a histogram at most, but for the one of all beyond.
+/// Maximum number of columns of a histogram, not counting the one for all larger values.
 const COLUMNS_MAX: i64 = 60;
-/// A histogram ends at so many times the 99 % quantile: a few trials far away do not push all others into one column.
+/// A histogram ends at this multiple of the 99 % quantile, so that a few outliers do not squeeze all others into one column.
 const P99S_SHOWN: i64 = 3;
 
 #[derive(Debug, Serialize)]
@@ -21,9 +21,9 @@ pub(super) struct Tried<'a> {
     scenario: &'a str,
     world: &'a str,
     trials: usize,
-    /// As text: a number of JSON in a browser does not hold 64 bits.
+    /// As text, because JSON numbers in a browser have fewer than 64 bits.
     seed: String,
-    /// The command that plays one of them again, but for `--trial K`.
+    /// The command that plays one of the trials again, without `--trial K`.
     replay: &'a [String],
     starts: Share,
     finishes: Share,
@@ -41,13 +41,13 @@ pub(super) struct Tried<'a> {
     requirements: &'a [Judged],
 }
 
-/// How often the spread was in each of several steps of equal width from 0: with its lower edge and without its upper one.
+/// The number of spreads in each of several intervals of equal width from 0, which include their lower and exclude their upper bound.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 struct Histogram {
     #[serde(rename = "width_ms")]
     width: Span,
     counts: Vec<usize>,
-    /// Trials beyond the last of these.
+    /// Number of trials beyond the last interval.
     beyond: usize,
 }
 
@@ -86,7 +86,7 @@ impl Histogram {
         let largest = quantiles.max.as_nanos();
         let end = largest.min(quantiles.p99.as_nanos().saturating_mul(P99S_SHOWN));
         let width = width(end);
-        // The last column holds `end`.
+        // The last column contains `end`.
         let mut counts = vec![0; usize::try_from(end / width).unwrap_or_default() + 1];
         let mut beyond = 0;
         for spread in spreads {
@@ -100,7 +100,7 @@ impl Histogram {
     }
 }
 
-/// The smallest of 1, 2 and 5 times a power of 10 nanoseconds with which columns up to `end` are few enough.
+/// The smallest of 1, 2 and 5 times a power of 10 nanoseconds with which columns up to `end` do not exceed the maximum.
 fn width(end: i64) -> i64 {
     let powers = std::iter::successors(Some(1_i64), |power| power.checked_mul(10));
     let widths = powers.flat_map(|power| [1, 2, 5].map(|factor| power.saturating_mul(factor)));

@@ -1,4 +1,4 @@
-//! The scenario of a mission that was played, where it is given: it has the cues, lines and bodies, which no recording has.
+//! The scenario of a mission that was played, if it is given: it contains the cues, lines and bodies, which no recording contains.
 
 use std::collections::HashSet;
 
@@ -11,24 +11,24 @@ use super::document::Plan;
 use super::planned::{self, Places};
 use crate::history::History;
 
-/// A scenario as it compiles, next to its files.
+/// A compiled scenario and its files.
 #[derive(Clone, Copy, Debug)]
 pub struct Written<'a> {
-    /// What it compiles to.
+    /// The result of compilation.
     pub choreography: &'a Choreography,
-    /// Where it is written.
+    /// Its source locations.
     pub outline: &'a Outline,
-    /// Its robots, and their bodies.
+    /// Its robots and their bodies.
     pub fleet: &'a Fleet,
-    /// What was found in its files.
+    /// The findings in its files.
     pub findings: &'a [Finding],
 }
 
-/// The scenario is not what was played.
+/// The scenario is not the one that was played.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "the scenario is not what was played: the script of `{robot}/{device}` differs in every act; it may have changed since, or was \
-     played at another speed"
+    "the scenario is not the one that was played: the script of `{robot}/{device}` differs in every act; it may have changed since, or was \
+     played at a different speed"
 )]
 pub struct OtherScenario {
     robot: RobotId,
@@ -36,11 +36,11 @@ pub struct OtherScenario {
 }
 
 impl Written<'_> {
-    /// Whether every script that was promised is one of this scenario's, by the hash of its content. The act by which the mission
-    /// approached is in no scenario.
+    /// Checks that every promised script belongs to this scenario, by its content hash. The approach act is exempt, because no scenario
+    /// contains it.
     ///
     /// # Errors
-    /// [`OtherScenario`] names the first script of an act that is not.
+    /// [`OtherScenario`] names the first script of an act that does not.
     pub fn check(&self, history: &History) -> Result<(), OtherScenario> {
         let approached = |promise: &Promise| Approach::may_be_named(&history.name_of(promise));
         let mut promises = history.promises().map(|(_, promise)| promise);
@@ -70,7 +70,7 @@ impl Written<'_> {
     }
 }
 
-/// Robot, device and the hash of its content.
+/// Robot, device and content hash.
 type Script = (RobotId, DeviceId, ContentHash);
 
 fn scripts(act: &Act) -> impl Iterator<Item = Script> + '_ {

@@ -1,11 +1,11 @@
-//! From the decision to the start: rounds of questions bring all leases to end just before the start, and the commitment
-//! carries all of them over it.
+//! From the decision to the start: rounds of questions make all leases end just before the start, and the commitment extends all of them
+//! beyond it.
 //!
-//! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler falls silent: what it
-//! sent before lets no robot start. A moment later one message lets any robot start. The scheduler speaks again, which is
-//! the commitment, once every robot has answered one of the last two rounds, every clock is right, and the commitment is on
-//! the disk. If this is not the case in time, it never speaks, and no robot starts. A scheduler that stalled during the last rounds
-//! asks again, if the leases can still end just before the start.
+//! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler stops sending: its earlier messages
+//! let no robot start. A moment later, one message lets any robot start. The scheduler sends it, the commitment, once every robot has
+//! answered one of the last two rounds, every clock is right, and the commitment is on disk. If this does not happen in time, it never
+//! sends it, and no robot starts. A scheduler that stalled during the last rounds asks again, if the leases can still end just before the
+//! start.
 
 use downbeat_plan::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
@@ -17,10 +17,10 @@ use crate::record::Record;
 use crate::robot_state::RobotState;
 use crate::{Outcome, Progress};
 
-/// A failure is noted so long before the last instant for the commitment, so that the others can still be committed.
+/// How long before the last instant for the commitment a failure is noted, so that the others can still be committed.
 const FAIL_AHEAD: Span = Span::from_millis(5);
 
-/// What is on the disk.
+/// State of the commitment record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum OnDisk {
     Nothing,
@@ -28,40 +28,40 @@ enum OnDisk {
     Commitment,
 }
 
-/// A decided act on its way to the commitment.
+/// A decided act before its commitment.
 #[derive(Clone, Debug)]
 pub(crate) struct Approach {
-    /// When the next round is due; from the critical instant on, when the act is given up.
+    /// The next round; after the critical instant, the time at which the act is given up.
     wakeup: Timestamp<Server>,
-    /// When the last two rounds were sent, the newer one last.
+    /// Sending times of the last two rounds, the newer one last.
     rounds: [Timestamp<Server>; 2],
     on_disk: OnDisk,
-    /// Members before it have answered one of the last two rounds.
+    /// The members before this place have answered one of the last two rounds.
     heard: usize,
-    /// When the robots were asked again after the critical instant, because this process had stalled during the last rounds.
+    /// The time at which the robots were asked again after the critical instant, because this process had stalled during the last rounds.
     late_round: Option<Timestamp<Server>>,
-    /// When this process took over from the one that decided.
+    /// The time at which this process took over from the one that decided.
     taken_up: Option<Timestamp<Server>>,
 }
 
-/// A committed act that has not started everywhere.
+/// A committed act that has not started on all robots.
 #[derive(Clone, Debug)]
 pub(crate) struct Commitment {
     next_round: Timestamp<Server>,
     since: Timestamp<Server>,
-    /// When the last robot has started.
+    /// The instant by which the last robot has started.
     begun: Timestamp<Server>,
-    /// When a robot may next have played something, and have room for more.
+    /// The next instant at which a robot may have played a script and have room for more.
     room: Timestamp<Server>,
-    /// Members before it have answered since the commitment.
+    /// The members before this place have answered since the commitment.
     heard: usize,
     told: Told,
-    /// When it is looked, as late as a withdrawal allows, who has not answered; `None`: the others start in any case, or it
-    /// was looked.
+    /// The time of the check for missing answers, as late as a withdrawal permits. `None` if the others start in any case, or after the
+    /// check.
     doubt: Option<Timestamp<Server>>,
 }
 
-/// Whether the operator was told how long the commitment took.
+/// Whether the operator was informed how long the commitment took.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Told {
     NotYet,
@@ -69,26 +69,26 @@ enum Told {
 }
 
 impl Approach {
-    /// The first round is sent at once.
+    /// The approach of a new decision. The first round is sent at once.
     pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
         let (rounds, on_disk) = ([now, now], OnDisk::Nothing);
         Self { wakeup: now, rounds, on_disk, heard: 0, late_round: None, taken_up: None }
     }
 
-    /// Another process has decided: robots may not have been asked by this one before it is too late.
+    /// The approach of an act that another process has decided. This process may be too late to ask the robots.
     pub(super) const fn taken_up(now: Timestamp<Server>) -> Self {
         Self { taken_up: Some(now), ..Self::beginning(now) }
     }
 
-    /// Whether a robot that has not said that it holds its scripts has failed. Where this process comes too late itself, its
-    /// word may not have been read, or it was not asked in time.
+    /// Whether a robot that has not confirmed that it holds its scripts has failed. If this process itself is late, the confirmation may
+    /// be unread, or the robot was not asked in time.
     fn blames_silence(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
         let in_time = now <= self.commit_by(timing) && !self.was_held_up(timing);
         in_time && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
     }
 
-    /// Every robot has to answer a question that was sent at this instant or later: one of the last two rounds, but none before the
-    /// limit that was printed for silence.
+    /// The time since which a question must have been asked that every robot has to answer: one of the last two rounds, but none before
+    /// the limit that was printed for silence.
     fn since(&self, timing: &Timing) -> Timestamp<Server> {
         self.rounds[0].max(timing.doubtful_from())
     }
@@ -112,8 +112,8 @@ impl Approach {
         self.late_round == Some(now)
     }
 
-    /// Whether this process took up the act after the last instant at which it may ask robots, so that no robot can answer. It
-    /// would send nothing until it is too late to commit the act, and the leases of acts that play would end.
+    /// Whether this process took over the act after the last instant at which it may ask robots, so that no robot can answer. It would
+    /// send nothing until the commitment is too late, and the leases of acts that play would end.
     fn was_taken_up_too_late(&self, timing: &Timing) -> bool {
         self.on_disk == OnDisk::Nothing && self.taken_up.is_some_and(|at| at >= timing.critical())
     }
@@ -126,7 +126,8 @@ impl Approach {
         timing.commit_by(self.rounds[1])
     }
 
-    /// Who has not answered by then has failed: what the others still need is left, the record and the commitment itself.
+    /// Robots that have not answered by this instant have failed. It leaves enough time for the others: for the record and the commitment
+    /// itself.
     fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
         let latest = self.commit_by(timing) - FAIL_AHEAD;
         let latest = timing.speak_by(self.rounds[1]).map_or(latest, |by| latest.min(by));
@@ -157,7 +158,7 @@ impl Commitment {
 }
 
 impl Act {
-    /// A round of questions, the record of the commitment, or the commitment itself.
+    /// Performs a round of questions, the record of the commitment, or the commitment itself.
     pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if self.present().next().is_none() {
             self.stage = Stage::Deserted;
@@ -214,20 +215,20 @@ impl Act {
         actions
     }
 
-    /// The commitment is written down ahead of time: the disk may be slow.
+    /// Whether to write the commitment now. It is written ahead of time, because the disk may be slow.
     fn may_be_recorded(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
         if approach.on_disk != OnDisk::Nothing || now < timing.record_from() {
             return false;
         }
         let since = approach.rounds[0];
-        // Leases that were shortened end long before another process could read the record: robots that are still missing
-        // may be left out, and the others start.
+        // Shortened leases end long before another process could read the record. Robots that are still missing may be left out, and the
+        // others start.
         let shortened = timing.pace.leases == Leases::Shortened;
         shortened || self.present().all(|member| member.holds_since(&robots[member.robot], since))
     }
 
-    /// From the critical instant on: commits once everything is well, or gives up in time.
+    /// After the critical instant: commits once all conditions hold, or gives up in time.
     fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
@@ -236,14 +237,14 @@ impl Act {
             (approach.since(timing), approach.commit_by(timing), approach.fail_by(timing));
         let held_up = approach.was_held_up(timing).then(|| timing.critical());
         approach.wakeup = fail_by;
-        // Those that have answered stay so while nothing new is asked: each event looks at the first that has not.
+        // A member that has answered remains so while nothing new is asked. Each event checks from the first that has not.
         let holds =
             |member: &super::Member| !member.takes_part() || member.holds_since(&robots[member.robot], since);
         let heard = self.members[approach.heard..].iter().take_while(|member| holds(member)).count();
         approach.heard += heard;
         let all = approach.heard == self.members.len();
         let on_disk = approach.on_disk;
-        // When it is too late, robots may have lost what they held: a process that takes the act up must not find it committed.
+        // If it is too late, robots may have lost their scripts. A process that takes over the act must not find it committed.
         if all && on_disk == OnDisk::Nothing && now <= commit_by {
             approach.on_disk = OnDisk::Asked;
             return vec![ActAction::Record(Record::Committed { number: self.number })];
@@ -263,7 +264,7 @@ impl Act {
         self.commit(now)
     }
 
-    /// Members that have not said in time that they hold their scripts, and those whose clock was set since the decision.
+    /// Members that have not confirmed in time that they hold their scripts, and those whose clock was set since the decision.
     fn not_committable(
         &self,
         now: Timestamp<Server>,
@@ -279,7 +280,8 @@ impl Act {
             let kind = match robots[member.robot].broken() {
                 Some(reason) => FailureKind::LinkDown { reason: reason.to_owned() },
                 None if blamed => {
-                    let awaited = "word shortly before the start that it holds its scripts".to_owned();
+                    let awaited =
+                        "confirmation shortly before the start that it holds its scripts".to_owned();
                     FailureKind::Silent { awaited, within: now - since }
                 }
                 None => return None,
@@ -302,7 +304,7 @@ impl Act {
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
-    /// Keeps the leases over the start, and learns whether the commitment has reached every robot.
+    /// Keeps the leases beyond the start, and detects whether the commitment has reached every robot.
     pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let doubtful = self.doubtful(now, robots);
         if !doubtful.is_empty() {
@@ -325,7 +327,8 @@ impl Act {
         actions
     }
 
-    /// Robots whose clocks are ahead may have played a script, and need the next one, before the last robot has started.
+    /// Sends further scripts to robots whose clocks are ahead: they may have played a script and need the next one before the last robot
+    /// has started.
     fn make_room(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if !matches!(&self.stage, Stage::Committed(commitment) if now >= commitment.room) {
             return Vec::new();
@@ -333,28 +336,28 @@ impl Act {
         let actions = self.look_for_ends(now, robots);
         let next = self.next_watch(now, robots);
         if let Stage::Committed(commitment) = &mut self.stage {
-            // Also in the quiet around the start: what comes later is refused as late.
+            // Also in the quiet around the start: a later script is refused as late.
             commitment.room = next;
         }
         actions
     }
 
-    /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: it
-    /// cannot be known whether they will start.
+    /// Robots that have not answered the commitment while it can still be withdrawn, if the scenario requests a withdrawal. It is unknown
+    /// whether they will start.
     fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
         let due = commitment.doubt.take_if(|at| now >= *at).is_some();
-        // Where this process stood still until no withdrawal helps, answers may have come that it has not read: as with any
-        // other act that plays, silence is judged once they are.
+        // If this process stalled until no withdrawal helps, it may not have read answers that have arrived. As in any other act that
+        // plays, silence is judged after they are read.
         if !due || now >= timing.begins() {
             return Vec::new();
         }
         let (since, within) = (commitment.since, now - commitment.since);
         let silent = self.present().filter(|member| !has_answered(&robots[member.robot], since));
         let failure = |robot: usize| {
-            let awaited = "answer to the commitment, and `on_doubt` is `withdraw`".to_owned();
+            let awaited = "confirmation of the start (`on_doubt` is `withdraw`)".to_owned();
             (robot, FailureKind::Silent { awaited, within })
         };
         silent.map(|member| failure(member.robot)).collect()
@@ -379,7 +382,7 @@ impl Act {
     }
 }
 
-/// Whether a robot has answered a question that was sent at `since` or later, if it answers any.
+/// Whether a robot has answered a question that was sent at `since` or later. True for a robot that never answers any.
 fn has_answered(robot: &RobotState, since: Timestamp<Server>) -> bool {
     robot.questions.answered().is_none_or(|at| at >= since)
 }

@@ -9,7 +9,7 @@ use crate::robot_state::RobotState;
 use crate::script::ScriptRef;
 use crate::{ClockMode, Record};
 
-/// A clock that has changed by more was set: 50 ppm take more than five hours for it.
+/// A clock that has changed by more was set: a drift of 50 ppm would take more than five hours.
 const DRIFT_MAX: Span = Span::from_millis(1_000);
 
 impl Act {
@@ -27,7 +27,7 @@ impl Act {
         if planned.was_ever_sent() && !lost {
             return None;
         }
-        // The offset is right for the middle of the script, so it is off by half of the drift at either end.
+        // The offset is exact for the middle of the script, so its error at either end is half of the drift.
         let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
         let before = member.before(script.script)?;
         let since = planned.plan.start.span() - before.plan.start.span();
@@ -35,9 +35,9 @@ impl Act {
         let change = offset_at(middle)? - member.shift_of(before);
         let change = match member.clock_steps {
             Some(steps) if steps == clock_steps && change.abs() <= DRIFT_MAX => change,
-            // After a clock was set, a script continues with the offset of the one before.
+            // After a clock was set, a script continues with the offset of the previous one.
             Some(_) => Span::ZERO,
-            // A clock may have been set before this process took over: its offset is approached no faster than clocks drift.
+            // A clock may have been set before this process took over. The offset then changes at most as fast as clocks drift.
             None => change.clamp(Span::ZERO - slewed, slewed),
         };
         let shift = member.translation(script.script, change)?;
@@ -53,8 +53,8 @@ impl Act {
         (shift != member.shift && !lost).then_some(Record::Translated { request_id, shift })
     }
 
-    /// How far apart, or off the plan, the robots that played it to its end certainly were, because their clocks drifted. A robot
-    /// whose clock was set meanwhile is not judged: its plan may not follow that clock.
+    /// How far apart, or off the plan, the robots that played it to its end certainly were because of clock drift. A robot whose clock
+    /// was set meanwhile is not judged, because its plan may not follow that clock.
     pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
         let start = self.timing.as_ref()?.start;
         let deviation = |member: &Member| {
@@ -70,8 +70,8 @@ impl Act {
                 least: off - reading.uncertainty,
                 most: off + reading.uncertainty,
                 is_measured,
-                // The plan of a robot that follows NTP is that of its own clock: this machine's may be off as well. The plan of an
-                // act that was taken up is that of the clock that this machine had before.
+                // The plan of a robot that follows NTP is based on its own clock, and this machine's clock may be off as well. The plan
+                // of an act that was taken over is based on the earlier clock of this machine.
                 by_plan: is_measured && member.clock_steps.is_some(),
             })
         };
@@ -86,7 +86,7 @@ impl Act {
     }
 }
 
-/// How far a robot was off its plan at its end, by the clock of this machine.
+/// The deviation of a robot from its plan at its end, by the clock of this machine.
 struct Deviation {
     end: Timestamp<Server>,
     least: Span,
@@ -96,7 +96,7 @@ struct Deviation {
 }
 
 /// The largest time by which two of these robots were certainly apart. The robots are sorted by their ends, between which the clock of
-/// this machine may have drifted at this rate. Its drift does not affect robots whose plans follow that clock.
+/// this machine may have drifted at `rate`. Its drift does not affect robots whose plans follow that clock.
 fn apart<'a>(all: impl Iterator<Item = &'a Deviation>, rate: f64) -> Option<Span> {
     let mut all = all.peekable();
     let first = all.peek()?.end;
@@ -113,15 +113,15 @@ fn apart<'a>(all: impl Iterator<Item = &'a Deviation>, rate: f64) -> Option<Span
 }
 
 impl Member {
-    /// The largest offset with which the last script of a device was sent, or is to be sent.
+    /// The largest offset of the last script of any device, whether already sent or not.
     pub(crate) fn last_shift(&self) -> Option<Span> {
         let scripts = self.scripts();
         let is_last = |index: &usize| *index + 1 == scripts.len() || self.before(index + 1).is_none();
         (0..scripts.len()).filter(is_last).map(|index| self.shift_of(&scripts[index])).max()
     }
 
-    /// The offset for a script that is sent for the first time, given its change since the script before. A script that follows
-    /// another one begins when that one has ended by the same clock, or later.
+    /// The offset for a script that is sent for the first time, given the change since the previous script. A following script begins at
+    /// or after the end of the previous one, by the same clock.
     fn translation(&self, script: usize, change: Span) -> Option<Span> {
         let (before, follows) = (self.before(script)?, &self.scripts()[script]);
         let pause = follows.plan.start.span() - before.plan.start.span() - before.duration();

@@ -9,8 +9,8 @@ use crate::robot_state::RobotState;
 use crate::script::{Script, ScriptRef};
 
 impl Act {
-    /// The instant at which another process comes to rest that may still run a script lost by the robot. `None` if no process
-    /// can run the script, `Some(None)` if it may run forever.
+    /// The instant at which another process that may still run a script lost by the robot comes to rest. `None` if no process can run the
+    /// script, `Some(None)` if it may run forever.
     pub(crate) fn runs_elsewhere(
         &self,
         script: ScriptRef,
@@ -31,7 +31,7 @@ impl Act {
     }
 }
 
-/// Whether a script ends with a speed or an acceleration, which lasts as long as its lease.
+/// Whether a script ends with a speed or an acceleration, which continues as long as its lease.
 fn leaves_a_rate_on(script: &Script) -> bool {
     let last = script.plan.script.steps().last();
     last.is_some_and(|step| is_rate(step.setpoint.control_type) && step.setpoint.value != 0.0)

@@ -1,4 +1,4 @@
-//! What must hold of an act between two events. The statements are those of `docs/mission.md`.
+//! Invariants of an act between two events, as stated in `docs/mission.md`.
 
 use std::collections::BTreeSet;
 

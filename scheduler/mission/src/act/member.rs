@@ -1,4 +1,4 @@
-//! A robot of an act: what it was sent, and whether it still takes part.
+//! A robot of an act: the scripts that it was sent, and whether it still takes part.
 
 use downbeat_plan::DeviceScript;
 use urrcp::{DeviceId, RequestId, Robot, Server, Span, Timestamp};
@@ -16,7 +16,6 @@ const BEYOND_START: Span = Span::from_millis(1_000);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Part {
     Taking,
-    /// It was left out.
     Dropped,
 }
 
@@ -26,31 +25,31 @@ pub(crate) struct Member {
     /// Its index in the mission.
     pub(crate) robot: usize,
     pub(super) part: Part,
-    /// What is added to the act's timestamp so that it is right by the robot's own clock.
+    /// The offset added to the act's timestamp to convert it to the robot's clock.
     pub(super) shift: Span,
-    /// How often its robot's clock had been set when the act was sent; `None` if another process sent it.
+    /// The number of times that its robot's clock had been set when the act was sent; `None` if another process sent it.
     pub(super) clock_steps: Option<u32>,
     scripts: Vec<Script>,
-    /// One for each device, in order of their scripts.
+    /// One for each device, in the order of their scripts.
     pub(super) chains: Vec<Chain>,
-    /// When it was last asked for reports that were overdue.
+    /// The last time at which it was asked for overdue reports.
     pub(super) asked: Option<Timestamp<Server>>,
-    /// When it was first asked for its newest overdue report.
+    /// The first time at which it was asked for its newest overdue report.
     pub(super) asked_since: Option<Timestamp<Server>>,
 }
 
-/// What requests are asked about together: those whose lease a question does not shorten come last, the others in order of the
-/// instant at which they begin after the start of the act.
+/// Key of the requests in one question: requests whose lease the question does not shorten come last, the others in order of their start
+/// after the start of the act.
 type Group = (bool, Option<Span>);
 
-/// How far the scripts of one device are, which stand together and in order of time. Each event looks at those that are
-/// under way and not at all that ever were or will be.
+/// Progress of the scripts of one device, which are contiguous and in order of time. An event inspects only those under way, not all past
+/// and future ones.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chain {
     pub(super) first: usize,
-    /// Those before it have completed.
+    /// The scripts before this one have completed.
     pub(super) completed: usize,
-    /// Those from here on were never sent.
+    /// The scripts from this one on were never sent.
     pub(super) unsent: usize,
     pub(super) end: usize,
 }
@@ -70,7 +69,6 @@ impl Member {
         Self { robot, part, shift, clock_steps, scripts, chains, asked: None, asked_since: None }
     }
 
-    /// Changes one of its scripts.
     pub(super) fn change<R>(&mut self, script: usize, change: impl FnOnce(&mut Script) -> R) -> R {
         let changed = change(&mut self.scripts[script]);
         let place = self.chains.partition_point(|chain| chain.end <= script);
@@ -84,13 +82,13 @@ impl Member {
         changed
     }
 
-    /// Names its requests.
+    /// Sets the id of a script's request.
     pub(super) fn name(&mut self, script: usize, id: Option<RequestId>) {
         self.scripts[script].name(id);
     }
 
-    /// Another process named it, and may have sent it with this offset. The record of another offset for a later script may be
-    /// lost if the clock of the robot is measured.
+    /// Takes over an id that another process gave, which may have sent the script with this offset. The record of another offset for a
+    /// later script may be lost if the clock of the robot is measured.
     pub(super) fn taken_up(&mut self, script: usize, id: RequestId, (shift, clock): (Span, ClockMode)) {
         let follows = self.before(script).is_some();
         if !follows {
@@ -106,13 +104,13 @@ impl Member {
         self.scripts[script].taken_up();
     }
 
-    /// The scripts that are under way: those that were sent and have not completed, and the next one of each device.
+    /// The scripts under way: those that were sent and have not completed, and the next one of each device.
     pub(crate) fn under_way(&self) -> impl Iterator<Item = (usize, &Script)> {
         let of_chain = |chain: &Chain| chain.completed..chain.end.min(chain.unsent + 1);
         self.chains.iter().flat_map(of_chain).map(|index| (index, &self.scripts[index]))
     }
 
-    /// For each device its scripts that have not completed, in order of time.
+    /// For each device: its scripts that have not completed, in order of time.
     pub(crate) fn chains(&self) -> impl Iterator<Item = impl Iterator<Item = (usize, &Script)>> {
         self.chains
             .iter()
@@ -131,18 +129,18 @@ impl Member {
         self.shift
     }
 
-    /// The offset that is added to the timestamp of this script's request.
+    /// The offset added to the timestamp of this script's request.
     pub(crate) fn shift_of(&self, script: &Script) -> Span {
         script.shift().unwrap_or(self.shift)
     }
 
-    /// The first script of every device and every other one that was sent in time is accepted.
+    /// Whether the first script of every device and every other script that was sent in time is accepted.
     pub(super) fn has_accepted(&self, timing: &Timing) -> bool {
         self.unaccepted(timing).next().is_none()
     }
 
-    /// Scripts that it still has to accept by the decision. One that got room behind another so late that it is not asked for
-    /// again may be answered later.
+    /// Scripts that it must still accept before the decision. A later script of a device that got room too late to be asked about again
+    /// may be answered later.
     pub(super) fn unaccepted(&self, timing: &Timing) -> impl Iterator<Item = (usize, &Script)> {
         let late = timing.ask_again();
         let follows = move |script: &Script| script.is_out() && !script.was_sent_since(late);
@@ -154,7 +152,7 @@ impl Member {
         self.chains.iter().all(|chain| chain.completed == chain.end)
     }
 
-    /// Nothing of it is still to be sent or can still run.
+    /// Whether no script of it remains to be sent or can still run.
     pub(super) fn is_over(&self) -> bool {
         self.under_way().all(|(_, script)| !script.is_out() && !script.is_planned())
     }
@@ -169,13 +167,13 @@ impl Member {
         self.chains.iter().map(|chain| &self.scripts[chain.first])
     }
 
-    /// The script before this one on its device. Scripts of one device stand together, in order of time.
+    /// The previous script on its device. The scripts of one device are contiguous, in order of time.
     pub(super) fn before(&self, script: usize) -> Option<&Script> {
         let before = self.scripts.get(script.checked_sub(1)?)?;
         (before.plan.device == self.scripts[script].plan.device).then_some(before)
     }
 
-    /// Its device has accepted the first script of its chain, or is to have been sent all of it by another process.
+    /// Whether its device has accepted the first script of its chain, or another process may have sent the whole chain.
     pub(super) fn may_follow(&self, script: usize) -> bool {
         let chain = self.chains.iter().find(|chain| (chain.first..chain.end).contains(&script));
         let first = chain.map(|chain| &self.scripts[chain.first]);
@@ -183,8 +181,7 @@ impl Member {
         self.before(script).is_none() || taken_up || first.is_some_and(Script::was_accepted)
     }
 
-    /// How many questions a round asks it on the way to its start, at most: one for each instant at which one of its devices
-    /// begins.
+    /// The maximum number of questions per round on the way to the start: one for each instant at which one of its devices begins.
     pub(crate) fn questions(&self) -> usize {
         let mut begins: Vec<Span> = self.firsts().map(|script| script.plan.start.span()).collect();
         begins.sort_unstable();
@@ -192,29 +189,29 @@ impl Member {
         begins.len()
     }
 
-    /// Whether scripts of its device wait to be sent behind this one.
+    /// Whether further scripts of its device wait to be sent after this one.
     pub(super) fn waits_for(&self, script: usize) -> bool {
         self.chains.iter().any(|chain| chain.first == script && chain.unsent < chain.end)
     }
 
-    /// How long after the start of the act a script begins whose pending lease is shortened: one that begins within a
-    /// lease of the start, and does not follow another of its device. Those that begin later lose their lease long before,
-    /// and those that follow others cannot begin without them.
+    /// How long after the start of the act a script begins, if its pending lease is shortened. It is shortened if the script begins
+    /// within a lease of the start and is the first of its device. Later scripts would lose their lease long before, and following
+    /// scripts cannot begin without the first one.
     pub(super) fn shortened_offset(&self, script: usize, lease: Span) -> Option<Span> {
         let offset = self.scripts[script].plan.start.span();
         (offset < lease && self.before(script).is_none()).then_some(offset)
     }
 
-    /// The instant of the robot's clock until which a script may wait for its start while its act is not committed.
+    /// The instant of the robot's clock until which a script may wait for its start while the act is not committed.
     pub(super) fn brink_of(&self, script: usize, timing: &Timing, ahead: Option<Span>) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
         let shift = self.shift_of(&self.scripts[script]);
-        // A clock that was set forward since the script was sent brings its start forward, and not this limit.
+        // If a clock was set forward since the script was sent, the start of the script comes earlier, but this limit does not.
         let ahead = ahead.unwrap_or(shift).min(shift + timing.early());
         (timing.brink() + offset + ahead).assume_clock()
     }
 
-    /// The same instant for a committed act: it lies after the start of the script.
+    /// The same instant for a committed act: after the start of the script.
     pub(super) fn beyond_start(&self, script: usize, timing: &Timing) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
         (timing.start + offset + self.shift_of(&self.scripts[script]) + BEYOND_START).assume_clock()
@@ -229,16 +226,17 @@ impl Member {
         question: Question,
     ) -> Vec<NamedScripts> {
         let shortens = question == Question::Shortens;
-        // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
+        // A question without a lease renews everything that the robot has. It comes last, so that the shortened leases are already
+        // shorter.
         let mut groups: Vec<(Group, NamedScripts)> = Vec::new();
-        // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
+        // A following script of a device cannot begin without the first one. To save bandwidth, not every round asks about it.
         let asked = |index: usize, script: &Script| {
             script.is_unaccounted() && !(shortens && self.before(index).is_some())
         };
         for (index, script) in self.under_way().filter(|(index, script)| asked(*index, script)) {
             let offset = self.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
             let key = (offset.is_none(), offset);
-            // There are few: one for each instant at which devices begin.
+            // There are few groups: one for each instant at which devices begin.
             let place = groups.binary_search_by_key(&key, |(key, _)| *key).unwrap_or_else(|place| {
                 let lease = offset.map(|offset| timing.lease_at(now) + offset);
                 groups.insert(place, (key, NamedScripts { lease, until: None, requests: Vec::new() }));
@@ -256,8 +254,8 @@ impl Member {
         groups.into_iter().map(|(_, named)| named).collect()
     }
 
-    /// The pending lease with which a script is sent. One that follows another of its device in the same act cannot begin
-    /// unless that has begun, so it waits under the lease under which the other one runs, where that is the longer one.
+    /// The pending lease with which a script is sent. A script that follows another of its device in the same act cannot begin before
+    /// that one has begun. It therefore waits under the running lease of the other one, if that is longer.
     pub(crate) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
         match self.before(script) {
             None => Some(lease),
@@ -265,7 +263,7 @@ impl Member {
         }
     }
 
-    /// The pending lease of a script that waits while its act plays: it may have been shortened.
+    /// The pending lease of a script that waits while its act plays. It may have been shortened.
     pub(super) fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
         let shortened = timing.pace.leases == Leases::Shortened;
         let offset = self.shortened_offset(script, timing.lead.lease).filter(|_| shortened);
@@ -275,16 +273,16 @@ impl Member {
         }
     }
 
-    /// The shortest of the leases that a script which is out has from now on: while it waits, the pending one counts as well.
+    /// The shortest lease of a sent script from now on, including the pending lease while it waits.
     pub(super) fn shortest_lease(&self, script: usize, timing: &Timing) -> Option<Span> {
         let waits = matches!(self.scripts[script].state(), ScriptState::Sent | ScriptState::Held);
         let pending = waits.then(|| self.pending_lease_now(script, timing)).flatten();
         pending.into_iter().chain(self.scripts[script].shortest_lease()).min()
     }
 
-    /// Whether it has answered that it holds the first script of every device, to a question sent at `since` or later. Those
-    /// that follow cannot begin without them, and may be sent until it is their turn. A robot that takes no inquiries is
-    /// held to its answers to other questions, if it ever gave one.
+    /// Whether it has confirmed that it holds the first script of every device, in answer to a question sent at `since` or later. The
+    /// following scripts cannot begin without them, and may be sent until their turn. For a robot that takes no inquiries, answers to
+    /// other questions are required, if it ever gave one.
     pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
         let answered = robot.questions.answered();
         if !robot.is_up() || !self.firsts().all(Script::was_accepted) {
@@ -298,7 +296,7 @@ impl Member {
     }
 }
 
-/// The members of an act: its robots that are there.
+/// The members of an act: its robots that take part in the mission.
 pub(crate) fn members(plan: &downbeat_plan::Plan, robots: &[RobotState]) -> Vec<Member> {
     members_among(plan, robots, |robot| robot.standing == Standing::In)
 }

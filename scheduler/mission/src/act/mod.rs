@@ -1,7 +1,7 @@
-//! One act as a machine: it waits, is prepared, decided, committed, plays and is over.
+//! One act as a state machine: it waits, is prepared, decided, committed, plays and is over.
 //!
-//! It is told what happened and returns what is to be done; it sends nothing, and nothing else changes what it knows. One
-//! file a stage. It reads of the robots what the mission knows of them.
+//! It receives events and returns actions. It sends nothing itself, and only events change its state. Each stage has a file. It reads
+//! the mission's state of the robots.
 
 mod approaching;
 mod drift;
@@ -36,29 +36,29 @@ pub(crate) use playing::LAPSE;
 pub(crate) use resumed::Reached;
 pub(crate) use timing::Timing;
 
-/// How far an act is.
+/// Stage of an act.
 #[derive(Clone, Debug)]
 enum Stage {
     /// Its condition does not hold yet.
     Waiting(waiting::Waiting),
     /// It may be sent as soon as it fits.
     Ready {
-        /// The instant at which it should start: the end of the act before, or the time that it waits for.
+        /// The intended start: the end of the previous act, or the time that the act waits for.
         target: Option<Timestamp<Server>>,
-        /// When to look again whether it fits; `None`: whenever something has changed.
+        /// Next check whether the act fits; `None`: at the next change.
         look: Option<Timestamp<Server>>,
     },
-    /// What it promises is being written down; requests go out once that is on the disk.
+    /// The promise is being written; requests are sent once it is on disk.
     Promised,
-    /// Requests are out; the decision is due.
+    /// Requests are sent; the decision is pending.
     Preparing(preparing::Preparing),
-    /// All have accepted; the leases are brought near the start, and the commitment is due.
+    /// All have accepted; the leases are shortened towards the start, and the commitment is pending.
     Approaching(Approach),
-    /// The leases reach over the start.
+    /// The leases extend beyond the start.
     Committed(Commitment),
     /// The start has passed.
     Playing(playing::Playing),
-    /// It will not be committed, and another act still plays. Its robots drop it; once that act has ended, it is withdrawn.
+    /// It will not be committed, and another act still plays. Its robots drop it. Once the other act has ended, this one is withdrawn.
     Lapsing(Outcome),
     /// No robot was left to play it before its commitment.
     Deserted,
@@ -66,7 +66,7 @@ enum Stage {
     Over,
 }
 
-/// The name of a stage.
+/// Stage of an act without its data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Progressed {
     Waiting,
@@ -80,36 +80,36 @@ pub(crate) enum Progressed {
     Over,
 }
 
-/// What an act wants done.
+/// An action that an act requests.
 #[derive(Clone, Debug)]
 #[must_use]
 pub(crate) enum ActAction {
     /// Read a sensor.
     Read { robot: usize, sensor: DeviceId, what: Reading },
-    /// It has waited for too long: the mission goes this way instead.
+    /// It has waited for too long; the mission goes this way instead.
     TimedOut(Way),
-    /// Send this script's request.
+    /// Send the request of this script.
     Send(ScriptRef),
-    /// Send to every device of these robots what it has room for.
+    /// Send as many scripts to every device of these robots as it has room for.
     Refill(Vec<usize>),
-    /// Ask these robots what became of their scripts.
+    /// Ask these robots about the state of their scripts.
     Ask(Vec<usize>),
     /// These robots have failed.
     Fail(Vec<(usize, FailureKind)>),
-    /// It cannot start: withdraw it.
+    /// Withdraw the act, because it cannot start.
     Withdraw(Outcome),
-    /// Write this down.
+    /// Write this record.
     Record(Record),
-    /// Tell the operator.
+    /// Report this to the operator.
     Tell(Progress),
 }
 
-/// Requests that a robot is asked for together.
+/// Requests about which a robot is asked in one question.
 #[derive(Clone, Debug)]
 pub(crate) struct NamedScripts {
-    /// The pending lease that they have from then on, where that is shorter than theirs.
+    /// The pending lease that the question gives them, if it is shorter than their own.
     pub(crate) lease: Option<Span>,
-    /// When the lease ends at the latest, however late the question arrives, by the robot's own clock.
+    /// The latest end of the lease, by the robot's own clock, however late the question arrives.
     pub(crate) until: Option<Timestamp<Robot>>,
     pub(crate) requests: Vec<RequestId>,
 }
@@ -134,27 +134,27 @@ pub(crate) struct Act {
     follow: Way,
     /// How often the act was withdrawn and prepared again.
     attempts: u32,
-    /// The start that must be kept: the operator's, or that of the attempts before.
+    /// The start that must be kept: the operator's, or that of the earlier attempts.
     fixed: Option<Timestamp<Server>>,
     since: Timestamp<Server>,
-    /// The planned end of the act before it, if that still played when this one began to wait.
+    /// The planned end of the previous act, if that was still playing when this one began to wait.
     before: Option<Timestamp<Server>>,
-    /// When nothing before it plays any more.
+    /// The instant since which no earlier act plays.
     alone_since: Option<Timestamp<Server>>,
-    /// When the mission began to try to reach its robots without a link, before it promises the act.
+    /// The time at which the mission began to reconnect to the act's robots without a link, before it promises the act.
     links_tried: Option<Timestamp<Server>>,
     timing: Option<Timing>,
     members: Vec<Member>,
-    /// For each robot of the mission, by its index, where it stands in `members`; those that come after the last member are left out.
+    /// For each robot of the mission, by its index: its place in `members`. The vector ends at the last member.
     place: Vec<Option<usize>>,
     readings_asked: usize,
     readings: Vec<TakenReading>,
-    /// The devices whose motions are verified, once the act is committed.
+    /// The devices whose motions are verified once the act is committed.
     watched: Vec<Watched>,
 }
 
 impl Act {
-    /// The act of that index in the choreography, about to wait for its condition.
+    /// The act with this index in the choreography, about to wait for its condition.
     pub(crate) fn new(
         choreography: Arc<Choreography>,
         index: usize,
@@ -185,42 +185,42 @@ impl Act {
         }
     }
 
-    /// Counts the acts of the mission.
+    /// The act's number in the mission, starting at 0.
     pub(crate) const fn number(&self) -> u32 {
         self.number
     }
 
-    /// Which act of the choreography it is.
+    /// The act's index in the choreography.
     pub(crate) const fn index(&self) -> usize {
         self.index
     }
 
-    /// What the scenario says of it.
+    /// The act as the scenario defines it.
     pub(crate) fn written(&self) -> &downbeat_plan::Act {
         &self.choreography.acts[self.index]
     }
 
-    /// Its name as people know it.
+    /// The act's name for users.
     pub(crate) fn name(&self) -> String {
         act_name(&self.choreography, self.index)
     }
 
-    /// Where the mission goes after it.
+    /// The way that the mission takes after this act.
     pub(crate) const fn follow(&self) -> Way {
         self.follow
     }
 
-    /// Since when it is the next one.
+    /// The time since which it is the next act.
     pub(crate) const fn since(&self) -> Timestamp<Server> {
         self.since
     }
 
-    /// When the mission began to try to reach its robots without a link; `None` if it has not.
+    /// The time at which the mission began to reconnect to the act's robots without a link; `None` if it has not begun.
     pub(crate) const fn links_tried(&self) -> Option<Timestamp<Server>> {
         self.links_tried
     }
 
-    /// The mission tries to reach its robots without a link.
+    /// Notes that the mission begins to reconnect to robots without a link.
     pub(crate) const fn tries_links(&mut self, now: Timestamp<Server>) {
         self.links_tried = Some(now);
     }
@@ -273,7 +273,7 @@ impl Act {
         self.members.iter().filter(|member| member.takes_part())
     }
 
-    /// A robot's part in it, whether it still takes part or not.
+    /// A robot's part in the act, whether it still takes part or not.
     pub(crate) fn member(&self, robot: usize) -> Option<&Member> {
         self.place_of_member(robot).map(|place| &self.members[place])
     }
@@ -297,7 +297,7 @@ impl Act {
         self.members[script.member].robot
     }
 
-    /// Its requests may be sent: what it promises is on the disk.
+    /// Whether its requests may be sent, because its promise is on disk.
     pub(crate) const fn is_open(&self) -> bool {
         matches!(
             self.stage,
@@ -305,13 +305,13 @@ impl Act {
         )
     }
 
-    /// Whether one of its robots may have something of it.
+    /// Whether a robot may have received part of the act.
     pub(crate) const fn was_sent(&self) -> bool {
         self.timing.is_some()
     }
 
-    /// Whether a script may be sent as far as those before it on its device are concerned. Its lease relies on the first one:
-    /// where that is lost on the way, what follows it would begin without it and without the others.
+    /// Whether a script may be sent, considering the earlier scripts on its device. Its lease relies on the first one. If that one is
+    /// lost on the way, the script would begin without it and without the other robots.
     pub(crate) fn lets_follow(&self, member: usize, script: usize) -> bool {
         let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
         !uncommitted || self.members[member].may_follow(script)
@@ -333,7 +333,7 @@ impl Act {
         self.members.iter().flat_map(Member::scripts).any(Script::has_begun)
     }
 
-    /// A robot may have something of it that it has not spoken of.
+    /// Whether a robot may have a script of this act that it has not reported.
     pub(crate) fn is_unaccounted(&self) -> bool {
         self.members.iter().flat_map(Member::scripts).any(Script::is_unaccounted)
     }
@@ -348,7 +348,7 @@ impl Act {
         self.present().flat_map(Member::scripts).any(|script| script.is_final() && !script.has_completed())
     }
 
-    /// How far it is, to tell whether it went on.
+    /// The act's stage, to detect progress.
     pub(crate) const fn progress(&self) -> Progressed {
         match self.stage {
             Stage::Waiting(_) => Progressed::Waiting,
@@ -363,10 +363,10 @@ impl Act {
         }
     }
 
-    /// Nothing before it plays any more.
+    /// Notes that no earlier act plays any longer.
     pub(crate) fn comes_next(&mut self, now: Timestamp<Server>) {
         self.alone_since.get_or_insert(now);
-        // It may have waited for room that the act before it has left without a word.
+        // It may have waited for room that the previous act has freed without notice.
         self.look_again();
     }
 
@@ -374,12 +374,12 @@ impl Act {
         self.alone_since.is_some()
     }
 
-    /// The mission goes elsewhere after it.
+    /// Makes the mission take another way after this act.
     pub(crate) fn lead_to(&mut self, way: Way) {
         self.follow = way;
     }
 
-    /// A robot takes part no longer.
+    /// Removes a robot from the act.
     pub(crate) fn drop_robot(&mut self, robot: usize) {
         if let Some(place) = self.place_of_member(robot) {
             self.members[place].part = Part::Dropped;
@@ -387,8 +387,8 @@ impl Act {
         self.look_again();
     }
 
-    /// If a robot is left out: the requests that it may have received before this process took the act up, without those whose
-    /// fate it has reported.
+    /// If a robot is left out: the requests that it may have received before this process took over the act, except those whose fate it
+    /// has reported.
     pub(crate) fn unheard_of(&self, robot: usize) -> Option<NamedScripts> {
         self.left_out_with(robot, Script::is_unheard_since_taken_up)
     }
@@ -405,7 +405,7 @@ impl Act {
         (!requests.is_empty()).then_some(NamedScripts { lease: None, until: None, requests })
     }
 
-    /// Robots have come; those that are there now take part, if nothing has been sent.
+    /// Adds robots that have become available, if nothing has been sent.
     pub(crate) fn gather(&mut self, robots: &[RobotState]) {
         if !self.was_sent() {
             self.members = members(&self.written().plan, robots);
@@ -413,7 +413,7 @@ impl Act {
         }
     }
 
-    /// Does what is due at `now`.
+    /// Performs everything that is due at `now`.
     pub(crate) fn advance(
         &mut self,
         now: Timestamp<Server>,
@@ -439,7 +439,7 @@ impl Act {
         watched
     }
 
-    /// When [`Act::advance`] is next due; `None`: when something happens.
+    /// When [`Act::advance`] is next due; `None`: at the next event.
     pub(crate) fn wakeup(&self) -> Option<Timestamp<Server>> {
         let timing = self.timing.as_ref();
         match &self.stage {
@@ -457,7 +457,7 @@ impl Act {
         }
     }
 
-    /// The record that it waits for is on the disk.
+    /// Notes that the awaited record is on disk.
     pub(crate) fn recorded(&mut self) -> Vec<ActAction> {
         match &mut self.stage {
             Stage::Promised => self.open(),
@@ -485,9 +485,9 @@ impl Act {
         })
     }
 
-    /// The requests that a robot may have, in the groups in which it is asked for them, each with the pending lease that
-    /// the question carries: while the act approaches its start, one that ends before the script would begin. `ahead` is what
-    /// the robot's clock is ahead of the server's, if that is known: all leases end at one instant, whatever a clock shows.
+    /// The requests that a robot may have, in the groups of its questions. Each group has the pending lease that the question carries.
+    /// While the act approaches its start, that lease ends before the script would begin. `ahead` is how far the robot's clock is ahead
+    /// of the server's, if known. All leases end at the same instant, whatever a clock shows.
     pub(crate) fn names_of(
         &self,
         robot: usize,
@@ -503,20 +503,20 @@ impl Act {
         self.members[place].names(timing, now, ahead, question)
     }
 
-    /// Whether a robot may have a request of it.
+    /// Whether a robot may have a request of this act.
     pub(crate) fn has_something_on(&self, robot: usize) -> bool {
         let place = self.place_of(robot).filter(|_| self.was_sent());
         place.is_some_and(|place| self.members[place].under_way().any(|(_, script)| script.is_unaccounted()))
     }
 
-    /// Whether every message to a robot has to come behind a question that carries a lease.
+    /// Whether every message to a robot must follow a question that carries a lease.
     pub(crate) fn approaches(&self, robot: usize) -> bool {
         matches!(self.stage, Stage::Approaching(_)) && self.place_of(robot).is_some()
     }
 
-    /// What a robot may have of it and could begin, with leases that end before that as while the act approaches its start;
-    /// nothing once it is committed or those leases have ended. They end no earlier than they have to: a process that takes
-    /// the act up may still commit it, and cannot lengthen them.
+    /// The requests of this act that a robot may have and could begin, with leases that end before the start, as in the approach. Empty
+    /// once the act is committed or those leases have ended. The leases end no earlier than necessary: a process that takes over the act
+    /// may still commit it, and cannot extend them.
     pub(crate) fn to_withdraw(
         &self,
         robot: usize,
@@ -534,7 +534,7 @@ impl Act {
         named
     }
 
-    /// Whether nothing may be sent to a robot now: it would carry its lease over a start that is not committed.
+    /// Whether nothing may be sent to a robot now, because it would extend the robot's lease beyond a start that is not committed.
     pub(crate) fn hushes(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
         let undecided = match &self.stage {
@@ -545,18 +545,18 @@ impl Act {
         critical && undecided && self.place_of(robot).is_some()
     }
 
-    /// When something that is due now may be sent, if its robots are about to start.
+    /// The earliest instant at which a message that is due now may be sent, considering the quiet around the start.
     pub(crate) fn out_of_quiet(&self, now: Timestamp<Server>) -> Timestamp<Server> {
         self.timing.as_ref().map_or(now, |timing| timing.out_of_quiet(now))
     }
 
-    /// Whether a message that cannot wait may still go to a robot that is hushed, behind a question with a shorter lease.
+    /// Whether an urgent message may still go to a hushed robot, behind a question with a shorter lease.
     pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));
         timing.is_some() && self.approaches(robot)
     }
 
-    /// Something has changed that may let it go on.
+    /// Notes a change that may permit the act to continue.
     pub(crate) fn look_again(&mut self) {
         match &mut self.stage {
             Stage::Playing(playing) => playing.recheck(),
@@ -574,7 +574,7 @@ fn places(members: &[Member]) -> Vec<Option<usize>> {
     places
 }
 
-/// The name of an act as people know it.
+/// The name of an act for users.
 pub(crate) fn act_name(choreography: &Choreography, act: usize) -> String {
     let act = &choreography.acts[act];
     if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }

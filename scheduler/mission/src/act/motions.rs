@@ -7,12 +7,12 @@ use crate::motion::{MotionReport, Watched};
 use crate::robot_state::{Reading, RobotState};
 
 impl Act {
-    /// From now on the first movement of each device that a sensor shows is watched.
+    /// Starts to watch the first movement of each device that a sensor shows.
     pub(crate) fn verify_motions(&mut self, robots: &[RobotState]) {
         self.watched = Watched::of(self, robots);
     }
 
-    /// Asks the sensors whose turn it is.
+    /// Requests the readings that are due.
     pub(super) fn watch_motions(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         let (Some(timing), number) = (&self.timing, self.number) else { return Vec::new() };
         if self.watched.is_empty() || !matches!(self.stage, Stage::Committed(_) | Stage::Playing(_)) {
@@ -48,7 +48,7 @@ impl Act {
         }
     }
 
-    /// What the sensors showed.
+    /// The motions that the sensors showed.
     pub(crate) fn motions(&self, robots: &[RobotState]) -> Vec<MotionReport> {
         let Some(timing) = &self.timing else { return Vec::new() };
         let watched = self.watched.iter();

@@ -1,4 +1,5 @@
-//! From the start to the end: who has started, how exactly, what frees room for further scripts, and who has ended.
+//! From the start to the end: which robots have started, and how exactly, when there is room for further scripts, and which robots have
+//! ended.
 
 use urrcp::{ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Timestamp};
 
@@ -10,34 +11,34 @@ use crate::failure_kind::FailureKind;
 use crate::robot_state::{Reading, RobotState};
 use crate::script::{News, Script, ScriptRef, ScriptState, error_of};
 
-/// How long after its instant a report may still arrive, in addition to the round trip.
+/// How long after its instant a report may still arrive, in addition to two round trips.
 const REPORT_GRACE: Span = Span::from_millis(500);
-/// A script whose planned end has passed by this much has ended on a robot that cannot say so.
+/// A script on a robot that cannot report its end is considered ended this long after its planned end.
 pub(crate) const LAPSE: Span = Span::from_millis(15);
-/// Before a robot that does not report by itself is asked again what became of a script that should have ended.
+/// Interval between questions to a robot that does not report by itself about a script that should have ended.
 const ASK_AGAIN: Span = Span::from_millis(50);
 
-/// For so long the clock of a robot is awaited before its scripts are taken to be over.
+/// How long the clock of a robot is awaited before its scripts are considered over.
 const CLOCK_AWAITED: Span = Span::from_millis(3_000);
 
-/// What coarse clocks may take from a time.
+/// The maximum error of a time due to a coarse clock.
 const GRAIN: Span = Span::from_millis(5);
 
 /// An act that has started.
 #[derive(Clone, Debug)]
 pub(super) struct Playing {
-    /// When reports are next looked for; `None`: at once.
+    /// Next check for reports; `None`: at once.
     watch: Option<Timestamp<Server>>,
     /// When the robots were last asked for overdue reports.
     asked: Option<Timestamp<Server>>,
-    /// How long after its instant a report may still arrive, as it was when reports were last looked for.
+    /// How long after its instant a report may still arrive, as of the last check for reports.
     grace: Span,
-    /// Members before it are done, or take part no longer.
+    /// The members before this place are done, or no longer take part.
     done: usize,
 }
 
 impl Playing {
-    /// `at_once` is an instant that has passed.
+    /// When the next check is due. `at_once` is an instant that has passed.
     pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
         self.watch.unwrap_or(at_once)
     }
@@ -47,7 +48,7 @@ impl Playing {
     }
 }
 
-/// What an answer led to.
+/// Consequences of an answer.
 #[derive(Debug)]
 pub(crate) struct Noted {
     pub(crate) news: News,
@@ -76,7 +77,7 @@ impl Act {
         }
         let robot = &robots[self.robot_of(script)];
         let member = &mut self.members[script.member];
-        // A robot that cannot tell when a script has ended was sent the next one by time, a little too early.
+        // A robot that cannot report the end of a script may be sent the next one, which is timed, slightly too early.
         let state = member.scripts()[script.script].state();
         let full = !robot.tells_fates() && *state == ScriptState::Sent && is_full(response);
         if full {
@@ -113,7 +114,7 @@ impl Act {
         due && untold && accepted
     }
 
-    /// Takes what a robot reported of a request of this act.
+    /// Takes a robot's report about a request of this act.
     pub(crate) fn reported(
         &mut self,
         script: ScriptRef,
@@ -145,14 +146,14 @@ impl Act {
             .timing
             .as_ref()
             .map(|timing| timing.start + member.scripts()[script.script].plan.start.span());
-        // It may have come, and been played, before the robot forgot it.
+        // The robot may have received and played it, and then forgotten it.
         let over = news == News::NeverReceived && begins.is_some_and(|begins| arrived >= begins);
         let news = if over { member.change(script.script, Script::lose) } else { news };
         self.noted(script, news, robots)
     }
 
-    /// What is to be done where a robot says of a script what cannot be true; `None` where it can. Of a script that is over
-    /// nothing new is heard.
+    /// Returns the consequences of an impossible statement about a script; `None` if the statement is possible. Statements about a
+    /// finished script are ignored.
     fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &[RobotState]) -> Option<Noted> {
         let member = &self.members[reference.member];
         let script = &member.scripts()[reference.script];
@@ -193,7 +194,7 @@ impl Act {
         let accepted = |member: &Member| self.timing.as_ref().is_some_and(|it| member.has_accepted(it));
         let mut actions = Vec::new();
         if news == News::Accepted && member.waits_for(script.script) {
-            // What follows the first script of a device is sent once that is there.
+            // The following scripts of the device are sent once the first one has arrived.
             actions.push(ActAction::Refill(vec![robot]));
         }
         match &news {
@@ -214,7 +215,7 @@ impl Act {
                 if robots[robot].reports() {
                     self.watch_for(script.member, robots)
                 } else {
-                    // The robot is asked at the end of the scripts that it is sent now.
+                    // The robot is asked at the end of the scripts that are sent to it now.
                     self.look_again()
                 }
             }
@@ -244,7 +245,7 @@ impl Act {
         Some(script.started_at()? - planned.assume_clock())
     }
 
-    /// Whether a script can have come to its end when its robot's clock shows this, as far as clocks go.
+    /// Whether a script can have ended when its robot's clock shows this time, within the resolution of clocks.
     pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let shift = member.shift_of(planned);
@@ -252,7 +253,7 @@ impl Act {
         end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
     }
 
-    /// How far an answer that a script has begun or ended is from the time that it was to begin or end at, by its robot's clock.
+    /// The difference between the reported start or end of a script and the planned one, by its robot's clock.
     pub(crate) fn off_its_time(&self, script: ScriptRef, response: &ControlResponse) -> Option<Span> {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start = self.timing.as_ref()?.start;
@@ -263,12 +264,12 @@ impl Act {
         Some((response.timestamp - (due + member.shift_of(planned)).assume_clock()).abs())
     }
 
-    /// Nobody knows any more what becomes of a script.
+    /// Marks the fate of a script as permanently unknown.
     pub(crate) fn lose_sight_of(&mut self, script: ScriptRef) {
         self.members[script.member].change(script.script, Script::lapse);
     }
 
-    /// Ends the act when all is done, and finds reports that are overdue.
+    /// Ends the act when all scripts are done, and finds overdue reports.
     pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
         if self.has_ended(now, robots) {
@@ -300,7 +301,7 @@ impl Act {
             && self.rests_until().is_none_or(|end| now >= end)
     }
 
-    /// When the last movement ends of those that continue after their last steps.
+    /// The end of the last movement that continues after its last step.
     fn rests_until(&self) -> Option<Timestamp<Server>> {
         let start = self.timing.as_ref()?.start;
         let plans = self.present().flat_map(Member::scripts).map(|script| &script.plan);
@@ -308,7 +309,7 @@ impl Act {
         resting.map(|plan| start + plan.start.span() + plan.duration()).max()
     }
 
-    /// Whether nothing of it can still run. Each event looks at the first that can.
+    /// Whether none of its scripts can still run. Each event checks only from the first member that is not done.
     fn is_played(&mut self, robots: &[RobotState]) -> bool {
         let Stage::Playing(playing) = &mut self.stage else { return false };
         let done = |member: &&Member| !member.takes_part() || member.is_done();
@@ -317,7 +318,7 @@ impl Act {
         rest.all(|member| member.is_done() || (may_lapse(member, &robots[member.robot]) && member.is_over()))
     }
 
-    /// Whether robots that were left out before this process took the act up may soon report which steps they played.
+    /// Whether robots that were left out before this process took over the act may soon report the steps that they played.
     fn awaits_those_left_out(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let may_answer = |member: &Member| {
             let robot = &robots[member.robot];
@@ -326,7 +327,8 @@ impl Act {
         now < self.since + REPORT_GRACE && self.members.iter().any(may_answer)
     }
 
-    /// Another script of a member that reports by itself is what is awaited now. What is awaited of the others is the same.
+    /// Adds the next check for a member that reports by itself and now plays another script. The checks for the other members are
+    /// unchanged.
     fn watch_for(&mut self, member: usize, robots: &[RobotState]) {
         let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
         let next = self.watched(&self.members[member], robots, *grace).flatten().min();
@@ -336,7 +338,7 @@ impl Act {
         }
     }
 
-    /// What is due by the clocks of single robots, before the act plays on all of them.
+    /// Checks by the clocks of single robots, before the act plays on all of them.
     pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.refill_lapsed(now, robots);
         actions.extend(self.ask_for_overdue(now, robots));
@@ -348,14 +350,14 @@ impl Act {
         if lapsed.is_empty() { Vec::new() } else { vec![ActAction::Refill(lapsed)] }
     }
 
-    /// Scripts whose time has passed on robots that cannot say so. Returns those robots.
+    /// Lets scripts lapse if their time has passed on robots that cannot report it. Returns those robots.
     fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
         let Some(timing) = &self.timing else { return Vec::new() };
         let grace = self.report_grace(robots);
         let mut lapsed = Vec::new();
         for member in self.members.iter_mut().filter(|member| member.takes_part()) {
             let robot = &robots[member.robot];
-            // After a resumption the clock by which a robot plays is not known at first.
+            // After a resumption, the clock by which a robot plays is initially unknown.
             if robot.clock.samples() == 0 && now < self.since + CLOCK_AWAITED {
                 continue;
             }
@@ -368,7 +370,7 @@ impl Act {
                 member.change(script, Script::lapse);
                 lapsed.push(member.robot);
             }
-            // Refused because the queue was full for a moment longer.
+            // It was refused because the queue was full slightly longer.
             if lapses(robot) && member.under_way().any(|(_, script)| script.is_planned()) {
                 lapsed.push(member.robot);
             }
@@ -377,7 +379,7 @@ impl Act {
         lapsed
     }
 
-    /// Asks for reports that are overdue; robots that do not answer for as long again have failed.
+    /// Asks for overdue reports. If a robot does not answer within the same time again, it fails.
     fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let grace = self.report_grace(robots);
         let again = ASK_AGAIN.max((grace - REPORT_GRACE) / 2);
@@ -385,7 +387,7 @@ impl Act {
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
         for (place, member) in self.members.iter().enumerate().filter(|(_, member)| member.takes_part()) {
             let robot = &robots[member.robot];
-            // Without a link nothing can be reported, nor before it is heard again; it is given up in its own time.
+            // A robot without a link cannot report, nor one that has sent nothing on a new link. A lost link has its own deadline.
             if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
                 continue;
             }
@@ -426,8 +428,8 @@ impl Act {
         actions
     }
 
-    /// When a robot is asked what became of a script; `None` once nothing is awaited. A robot that does not report by itself
-    /// is asked when the script should have ended.
+    /// The time at which a robot is asked about a script; `None` if nothing is pending. A robot that does not report by itself is asked
+    /// when the script should have ended.
     fn report_due(
         &self,
         member: &Member,
@@ -444,7 +446,7 @@ impl Act {
         let start = timing.start + script.starts() + late;
         let end = planned_end(timing.start, script) + late;
         match script.state() {
-            // Sent when its device has room.
+            // It is sent when its device has room.
             ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
             ScriptState::Ended(_) => None,
             ScriptState::Planned => Some(begin + grace),
@@ -455,7 +457,7 @@ impl Act {
         }
     }
 
-    /// When something is next looked for on a robot, for each of its scripts that are under way.
+    /// The times of the next checks of a robot, for each of its scripts under way.
     fn watched<'a>(
         &'a self,
         member: &'a Member,
@@ -468,7 +470,7 @@ impl Act {
                 return Some([at; 2]);
             }
             let asked = self.report_due(member, script, robot, grace)?;
-            // A report that stays out is a failure after as long again.
+            // If the report is still missing after the same time again, the robot fails.
             Some([asked, asked + grace])
         })
     }
@@ -487,7 +489,7 @@ impl Act {
         next.min(now + self.patience_with_silent_ones(robots))
     }
 
-    /// While a robot that does not report by itself owes an answer, or must be sent something again, it is asked soon.
+    /// The interval of the next check: short while a robot that does not report by itself owes an answer or must be sent a script again.
     fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
@@ -505,8 +507,8 @@ impl Act {
         longest_round_trip(self, robots) * 2 + REPORT_GRACE
     }
 
-    /// When a robot that cannot be heard has surely ended what it has of this act: its leases have run out, or, without
-    /// them, its scripts are over by `patience`. Before the start the decision and the commitment see to it.
+    /// The time by which an unreachable robot has certainly ended its scripts of this act: the end of its leases, or, without leases, the
+    /// end of the scripts plus `patience`. Before the start, the decision and the commitment handle it.
     pub(crate) fn gives_up(
         &self,
         robot: usize,
@@ -527,7 +529,7 @@ impl Act {
         ends.max()
     }
 
-    /// The leases under which its scripts play now, the shortest of a robot.
+    /// The shortest lease under which a robot plays scripts of this act now.
     pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
@@ -539,32 +541,32 @@ impl Act {
             if now >= begins(script) {
                 script.shortest_lease()
             } else {
-                // The next script waits, and is lost when the longer of its leases has ended.
+                // The next script waits. It is lost when the longer of its leases has ended.
                 script.shortest_lease().max(member.pending_lease_now(index, timing))
             }
         };
         member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
     }
 
-    /// The shortest of the leases under which robots play it that play another act as well.
+    /// The shortest lease of this act on robots that also play the other act.
     pub(crate) fn lease_with(&self, other: &Self) -> Option<Span> {
         let both = self.present().filter(|member| other.place_of(member.robot).is_some());
         both.flat_map(Member::scripts).filter_map(Script::shortest_lease).min()
     }
 
-    /// When the next of the scripts that a robot holds begins.
+    /// The start of the next script that a robot holds.
     pub(crate) fn next_begin(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let start = self.timing.as_ref()?.start;
         let out = self.member(robot)?.under_way().filter(|(_, script)| script.is_out());
         out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
     }
 
-    /// The shortest of the leases that a script has from now on.
+    /// The shortest lease of a script from now on.
     pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
         self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
     }
 
-    /// The shortest lease that this act needs renewed between its rounds.
+    /// The shortest lease of this act that must be renewed between its rounds.
     pub(crate) fn shortest_lease(&self) -> Option<Span> {
         let timing = self.timing.as_ref()?;
         let before = (!self.is_playing()).then_some(timing.lead.lease);
@@ -575,7 +577,7 @@ impl Act {
         leases.chain(before).min()
     }
 
-    /// Asks for the readings of the scenario whose time has come.
+    /// Requests the scenario's readings that are due.
     fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = Vec::new();
         while self.reading_due().is_some_and(|due| now >= due) {
@@ -597,7 +599,7 @@ impl Act {
         Some(self.timing.as_ref()?.start + planned.at)
     }
 
-    /// A reading that the scenario asked for has come.
+    /// Takes a reading that the scenario requested.
     pub(crate) fn read(&mut self, which: usize, robot: &RobotState, value: Option<f64>) {
         if let Some(planned) = self.choreography.acts[self.index].readings.get(which) {
             let (robot, sensor) = (robot.id.clone(), planned.sensor.clone());
@@ -606,16 +608,16 @@ impl Act {
     }
 }
 
-/// How much later than planned a robot may be by its own clock, as was told or as it shows by now, negative if it is surely
-/// earlier; where that is not known, as the latest of the fleet.
+/// How much later than planned a robot may be by its own clock, from the announced skew or the current reading. Negative if it is
+/// certainly earlier. If it is unknown, the latest of the fleet.
 pub(super) fn late_of(timing: &Timing, robot: &RobotState) -> Span {
     let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
     let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
     told.max(shown).unwrap_or(timing.pace.late)
 }
 
-/// Whether a robot that was asked at `asked` for reports is asked again, the newest of which was due at `due`: not while an
-/// answer is still under way. A robot that cannot keep up would be asked ever more.
+/// Whether a robot that was asked for reports at `asked` is asked again; its newest report was due at `due`. It is not asked while an
+/// answer is still under way, because a robot that cannot keep up would receive more and more questions.
 fn may_be_asked(
     now: Timestamp<Server>,
     asked: Option<Timestamp<Server>>,
@@ -628,9 +630,9 @@ fn may_be_asked(
     due.is_some_and(|due| asked < due) || now >= asked + if owed { grace } else { again }
 }
 
-/// Whether a robot had the opportunity to report on a script since `due`: while this process is suspended, and before it resumes a
+/// Whether a robot had the opportunity to report on a script since `due`. While this process is suspended, and before it resumes a
 /// mission, it neither sends inquiries nor reads messages. A robot that reports by itself has done so before it answers a question. The
-/// answer to an inquiry that does not name the script counts only if the robot has ignored the name for `grace`.
+/// answer to an inquiry that does not contain the script is accepted only if the robot has ignored the script's id for `grace`.
 fn was_asked(
     member: &Member,
     script: &Script,
@@ -645,22 +647,22 @@ fn was_asked(
     script.reported_at() >= Some(due) || ignored()
 }
 
-/// What became of a script of a member may be left unknown when its time has passed.
+/// Whether the fate of a member's script may remain unknown after its time has passed.
 fn may_lapse(member: &Member, robot: &RobotState) -> bool {
     lapses(robot) || member.under_way().any(|(_, script)| lost_with_its_process(script, robot))
 }
 
-/// What became of its scripts cannot be learned from it.
+/// Whether the fate of the robot's scripts cannot be learned from it.
 fn lapses(robot: &RobotState) -> bool {
     !robot.tells_fates()
 }
 
-/// Its robot reports by itself and cannot be asked, and reported to a process that has died: nothing more may be heard of it.
+/// Whether the robot reports by itself, cannot be asked, and reported to a process that has died. No further report may arrive.
 fn lost_with_its_process(script: &Script, robot: &RobotState) -> bool {
     robot.reports() && !robot.takes_inquiries() && script.is_unheard_since_taken_up()
 }
 
-/// When nobody can tell any more what became of a script that is out; `None` where its robot tells.
+/// The time after which the fate of a sent script can no longer be learned; `None` if its robot reports it.
 fn lapses_at(timing: &Timing, script: &Script, robot: &RobotState, grace: Span) -> Option<Timestamp<Server>> {
     if script.is_final() {
         return None;

@@ -21,11 +21,11 @@ enum Asked {
     Again,
 }
 
-/// An act whose requests are out.
+/// An act whose requests have been sent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Preparing {
     asked: Asked,
-    /// Members before it have accepted everything.
+    /// The members before this place have accepted everything.
     accepted: usize,
 }
 
@@ -39,7 +39,7 @@ impl Preparing {
 }
 
 impl Act {
-    /// The instant at which it should start, once it is ready: the end of the act before, or the time that it waits for.
+    /// The intended start of a ready act: the end of the previous act, or the time that the act waits for.
     pub(crate) const fn target(&self) -> Option<Timestamp<Server>> {
         match self.stage {
             Stage::Ready { target, .. } => target,
@@ -47,19 +47,19 @@ impl Act {
         }
     }
 
-    /// Whether it is time to look whether it fits.
+    /// Whether it is time to check whether it fits.
     pub(crate) fn is_looked_at(&self, now: Timestamp<Server>) -> bool {
         matches!(&self.stage, Stage::Ready { look, .. } if look.is_none_or(|at| now >= at))
     }
 
-    /// It does not fit yet: look again then, or when something has changed.
+    /// Schedules the next check whether it fits. It is also checked when something has changed.
     pub(crate) fn look_again_at(&mut self, at: Option<Timestamp<Server>>) {
         if let Stage::Ready { look, .. } = &mut self.stage {
             *look = at;
         }
     }
 
-    /// All its robots have been left out: there is nothing to play.
+    /// Deserts the act if all its robots have been left out.
     pub(super) fn leave_if_deserted(&mut self) -> Vec<ActAction> {
         if self.present().next().is_none() {
             self.stage = Stage::Deserted;
@@ -67,8 +67,8 @@ impl Act {
         Vec::new()
     }
 
-    /// It is to be sent with these instants. `shift_of` tells what is added to its timestamp for each robot. Returns the names
-    /// under which requests are known forever, also after a crash of this machine.
+    /// Promises the act with these instants. `shift_of` returns the offset added to its timestamp for each robot. Returns the ids of the
+    /// requests, which are unique even after a crash of this machine.
     pub(crate) fn promise(
         &mut self,
         timing: Timing,
@@ -83,7 +83,7 @@ impl Act {
             member.shift = shift_of(&robots[member.robot]);
             member.clock_steps = Some(robots[member.robot].clock.steps());
             for s in 0..member.scripts().len() {
-                // Sessions are named by this program, far below the limit.
+                // This program generates session names, far below the limit.
                 let id =
                     RequestId::new(format!("{session}{micros}/{}/{}/{s}", self.number, member.robot)).ok();
                 let reference = ScriptRef { act: self.number, member: m, script: s };
@@ -131,7 +131,7 @@ impl Act {
         }
     }
 
-    /// The disk is slow: what is not promised in time is not sent.
+    /// Withdraws the act if its promise is not stored by the decision, because the disk is slow.
     pub(super) fn await_promise(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         match &self.timing {
             Some(timing) if now >= timing.decision => {
@@ -141,24 +141,24 @@ impl Act {
         }
     }
 
-    /// The promise is on the disk: requests may go out.
+    /// Sends the requests, because the promise is on disk.
     pub(super) fn open(&mut self) -> Vec<ActAction> {
         self.stage = Stage::Preparing(Preparing { asked: Asked::Once, accepted: 0 });
         vec![ActAction::Refill(self.present().map(|member| member.robot).collect())]
     }
 
-    /// A script's request is on its way.
+    /// Notes that a script's request is sent.
     pub(crate) fn sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {
         self.members[script.member].change(script.script, |script| script.sent(now));
     }
 
-    /// The one decision, as soon as all have accepted or when it is due: the act starts if every robot has accepted
-    /// everything, else none starts.
+    /// Makes the one decision, as soon as all have accepted or when it is due. The act starts if every robot has accepted everything;
+    /// otherwise none starts.
     pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let (Stage::Preparing(preparing), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
-        // Each event looks at the first that has not accepted.
+        // Each event checks from the first member that has not accepted.
         let accepted = |member: &&Member| !member.takes_part() || member.has_accepted(timing);
         preparing.accepted += self.members[preparing.accepted..].iter().take_while(accepted).count();
         let all = preparing.accepted == self.members.len();
@@ -173,10 +173,10 @@ impl Act {
             self.stage = Stage::Deserted;
             return Vec::new();
         }
-        // A decision that comes late would shorten what the leases need to run out before the start.
+        // A late decision would leave too little time for the leases to end before the start.
         let too_late = now > timing.brink() - timing.lead.lease;
         if !all {
-            // Where this process stood still, acceptances may have come that it has not read: only a link that is down is blamed.
+            // If this process stalled, it may not have read acceptances that have arrived. Only a robot whose link is down is blamed.
             let held_up = now > timing.decision + HELD_UP;
             let blamed = |member: &&Member| {
                 let had_time = !held_up && has_had_time(now, member, timing);
@@ -214,7 +214,7 @@ impl Act {
         std::iter::once(ActAction::Record(record)).chain(tell).collect()
     }
 
-    /// Progress that is reported at the decision, and by a process that takes the act up before its commitment.
+    /// Progress reported at the decision, and by a process that takes over the act before its commitment.
     pub(crate) fn decided(&self) -> Option<Progress> {
         let timing = self.timing.as_ref()?;
         let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
@@ -223,13 +223,13 @@ impl Act {
     }
 }
 
-/// Whether a robot has had half of the time in which all have to accept. It has less if the promise was not on the disk sooner.
+/// Whether a robot has had half of the preparation time to accept. It has less if the promise was stored late.
 fn has_had_time(now: Timestamp<Server>, member: &Member, timing: &Timing) -> bool {
     let mut awaited = member.unaccepted(timing).filter_map(|(_, script)| script.first_sent_at());
     awaited.any(|sent| (now - sent) * 2 >= timing.lead.prepare)
 }
 
-/// What has not been answered is sent again, in case it was lost.
+/// The unanswered requests, to be sent again in case they were lost.
 fn unanswered(act: u32, timing: &Timing, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
     let waits =
         |member: &Member| member.takes_part() && !member.has_accepted(timing) && robots[member.robot].is_up();
@@ -256,7 +256,6 @@ fn awaited_acceptance(member: &Member, timing: &Timing) -> String {
     }
 }
 
-/// The request of a script.
 pub(super) fn request(
     timing: &Timing,
     member: &Member,

@@ -16,23 +16,23 @@ use crate::resume::Changed;
 use crate::robot_state::{RobotState, Standing};
 use crate::script::ScriptRef;
 
-/// How far the other process came.
+/// Progress of the other process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reached {
     /// All had accepted.
     Decision,
-    /// The commitment was on the disk.
+    /// The commitment was on disk.
     Commitment,
 }
 
-/// Nothing has been measured yet: what a local network stays below.
+/// The round trip before the first measurement: an upper limit for a local network.
 const ROUND_TRIP: Span = Span::from_millis(10);
 
 impl Act {
-    /// Takes up what was promised. An act that was not committed still has to be, if there is time; one that was may play.
+    /// Takes over a promised act. If it was not committed, it still must be, if there is time. If it was, it may play.
     ///
     /// # Errors
-    /// [`Changed`] where what was promised is not what the choreography says.
+    /// [`Changed`] if the promise does not match the choreography.
     pub(crate) fn take_up(
         choreography: Arc<Choreography>,
         promise: &Promise,
@@ -41,7 +41,7 @@ impl Act {
         now: Timestamp<Server>,
     ) -> Result<Self, Changed> {
         if promise.act >= choreography.acts.len() {
-            return Err(Changed { what: format!("there is no act {} any more", promise.act + 1) });
+            return Err(Changed { what: format!("act {} no longer exists", promise.act + 1) });
         }
         let mut act = Self::new(choreography, promise.act, promise.number, robots, now, None);
         // Includes robots that were left out after the promise: the report contains the steps that they played.
@@ -65,7 +65,7 @@ impl Act {
                 let Some(promised) = of_device.and_then(VecDeque::pop_front).filter(same) else {
                     let (robot, device) = (&robot.id, &script.plan.device);
                     return Err(Changed {
-                        what: format!("`{robot}` device `{device}` was promised another script"),
+                        what: format!("device `{device}` of `{robot}` was sent a different script"),
                     });
                 };
                 let id = promised.request_id.clone();
@@ -76,7 +76,7 @@ impl Act {
         act.attempts = promise.prepared_again;
         act.stage = match reached {
             Reached::Decision => Stage::Approaching(Approach::taken_up(now)),
-            // The commitment is written down ahead of time, and was not sent yet.
+            // The commitment is written ahead of time, and was not sent yet.
             Reached::Commitment if act.timing.as_ref().is_some_and(|timing| now < timing.critical()) => {
                 let mut approach = Approach::taken_up(now);
                 approach.recorded();
@@ -90,8 +90,8 @@ impl Act {
         Ok(act)
     }
 
-    /// An act that plays keeps the doubt that was stated at its decision: this process does not know the leases and links of
-    /// that time.
+    /// Keeps the doubt that was stated at the decision, for an act that plays. This process does not know the leases and links of that
+    /// time.
     pub(crate) fn keep_doubt(&mut self, stated: Option<Span>) {
         let plays = self.is_playing();
         if let Some(timing) = self.timing.as_mut().filter(|_| plays) {
@@ -118,7 +118,7 @@ impl Act {
         Timing::new(promise.timestamp, lead, pace, self.written().plan.duration())
     }
 
-    /// Scripts whose planned start has passed may have been sent: their robots are asked about all of them at once.
+    /// Marks scripts whose planned start has passed as possibly sent. Their robots are asked about all of them at once.
     pub(crate) fn note_as_sent_until(&mut self, now: Timestamp<Server>) {
         let Some(start) = self.timing.as_ref().map(|timing| timing.start) else { return };
         for member in &mut self.members {
@@ -131,7 +131,7 @@ impl Act {
         }
     }
 
-    /// The names of all its requests.
+    /// The ids of all its requests.
     pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
         let of_member = |(m, member): (usize, &super::Member)| {
             let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {

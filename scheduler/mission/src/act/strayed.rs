@@ -1,5 +1,5 @@
-//! Robots that will not start with the others though they hold their scripts: what shows it is their clock, or how long
-//! nothing reached them.
+//! Robots that will not start with the others although they hold their scripts. Their clock shows it, or the time for which no message
+//! reached them.
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
@@ -11,12 +11,12 @@ use crate::robot_state::RobotState;
 use crate::script::{Script, ScriptState};
 use crate::skew::SkewBudget;
 
-/// What coarse clocks may take from a time.
+/// The maximum error of a time due to a coarse clock.
 const GRAIN: Span = Span::from_millis(5);
 
 impl Act {
-    /// Members whose clock has strayed so far since the act was sent that they would start too far from the others. One that
-    /// was set forward may have its robot start before the commitment, so it is looked at when it shows, and not only then.
+    /// Members whose clock has strayed so far since the act was sent that they would start too far from the others. A robot whose clock
+    /// was set forward may start before the commitment, so it is checked as soon as this shows, not only then.
     pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
         if !matches!(self.stage, Stage::Promised | Stage::Preparing(_) | Stage::Approaching(_)) {
             return Vec::new();
@@ -27,8 +27,8 @@ impl Act {
         self.by_index(strayed, robots)
     }
 
-    /// While the act plays, the clock of a robot turns out to have been set since its scripts were translated: those that have not
-    /// begun would start too far from their plan. `None` where that is not certain.
+    /// The failure of a robot whose clock has been set since its scripts were translated, while the act plays. Scripts that have not
+    /// begun would start too far from their plan. `None` if that is not certain.
     pub(crate) fn clock_was_set(
         &self,
         now: Timestamp<Server>,
@@ -44,14 +44,14 @@ impl Act {
         let (common, doubt) = self.common_deviation(member, now, robots)?;
         let offset = deviation - common;
         let tolerance = self.written().plan.start_tolerance;
-        // Scripts may have been translated by the offset that was predicted for the end of the act.
+        // Scripts may have been translated by the offset predicted for the end of the act.
         let length = timing.end.max(now) - timing.timestamp;
         let drift = Span::from_millis_f64(length.as_millis_f64() * DRIFT_BOUND);
         let is_certain = offset.abs() > tolerance + uncertainty + doubt + drift;
         is_certain.then_some(FailureKind::Clock { offset, uncertainty, tolerance })
     }
 
-    /// How far off the plan a robot would start the scripts that it has not begun, positive if it is early, and how uncertain that is.
+    /// How far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty.
     fn deviation(
         &self,
         member: &Member,
@@ -65,7 +65,7 @@ impl Act {
         let (left, uncertainty) = match (known, state.settings.clock) {
             (Some(known), _) => known,
             (None, ClockMode::Measured) => (Span::ZERO, Span::ZERO),
-            // The offset that it had is not known.
+            // Its earlier offset is unknown.
             (None, ClockMode::Ntp) => return None,
         };
         let ahead = |script: &&Script| timing.start + script.plan.start.span() > now;
@@ -78,7 +78,7 @@ impl Act {
     }
 
     /// The deviation that all members have in common if this machine's clock differs from that of the process that translated their
-    /// scripts, and its uncertainty; zero for an act that this process has sent. `None` until it is known.
+    /// scripts, and its uncertainty. Zero for an act that this process has sent. `None` until it is known.
     fn common_deviation(
         &self,
         member: &Member,
@@ -109,9 +109,9 @@ impl Act {
         failing.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
     }
 
-    /// While it approaches its start a clock has shown to be another one than when it was sent. Returns what there is to tell of
-    /// that: failures and silence are noticed as long before the start as the leases end now. What starts before its lease ends,
-    /// and there is no time left to let that end earlier, fails.
+    /// Adapts the leases if a clock is found to have changed since the act was sent, while the act approaches its start. Returns the
+    /// progress to report: the limits for failures and silence move with the end of the leases. A robot that starts before its lease ends
+    /// fails, if there is no time left to make that end earlier.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if !matches!(self.stage, Stage::Approaching(_)) {
             return Vec::new();
@@ -129,8 +129,8 @@ impl Act {
         self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
     }
 
-    /// Lets the leases end as early as the clocks of its robots show by now. Returns those that start earlier still, where there is
-    /// no time left for that.
+    /// Makes the leases end as early as the current clock readings require. Returns robots that still start earlier, if there is no time
+    /// left.
     pub(super) fn allow_for_shown(
         &mut self,
         now: Timestamp<Server>,
@@ -145,8 +145,8 @@ impl Act {
         self.by_index(early, robots)
     }
 
-    /// Why a robot cannot have kept a script that it has accepted: between two instants by its clock no question reached it, for
-    /// longer than its lease. It may not be able to say so. Later than the last instant for a withdrawal it is let be.
+    /// The reason why a robot cannot have kept an accepted script: between two instants by its clock, no question reached it for longer
+    /// than its lease. It may not be able to report that. Ignored after the last instant for a withdrawal.
     pub(crate) fn ran_out(
         &self,
         now: Timestamp<Server>,
@@ -165,7 +165,7 @@ impl Act {
         Some(link_lost(script, unreached(script)?, ("pending", lease)))
     }
 
-    /// The same of a script that had begun by then: its robot has dropped it, and all that its device held behind it.
+    /// The same for a script that had already begun: its robot has dropped it, and all following scripts of its device.
     pub(crate) fn broke_off(
         &self,
         robot: usize,
@@ -185,8 +185,9 @@ impl Act {
 }
 
 fn link_lost(script: &Script, silence: Span, (which, lease): (&str, Span)) -> FailureKind {
-    let message =
-        format!("no question is known to have reached it for {silence}, and its {which} lease is {lease}");
+    let message = format!(
+        "no message is known to have reached the robot for {silence}, and its {which} lease is {lease}"
+    );
     let error = ControlError::new(ErrorCode::LinkLost, message);
     FailureKind::Script { device: script.plan.device.clone(), error }
 }

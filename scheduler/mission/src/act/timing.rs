@@ -1,71 +1,71 @@
 //! The instants of an act that has been sent, and the leases with which it approaches its start.
 //!
-//! All leases before the start end at one instant, the *brink*, unless the act is committed: whatever is sent to a robot up
-//! to the *critical* instant carries a lease that ends there. From the instant of the *commitment* on, a little later, one
-//! message carries the lease of any robot over its start. In between nothing is sent. A scheduler that dies before the
-//! commitment therefore starts no robot, and one that dies after it every one. `docs/mission.md` draws it.
+//! All leases before the start end at one instant, the *brink*, unless the act is committed. Every message to a robot up to the
+//! *critical* instant carries a lease that ends there. From the instant of the *commitment*, a little later, one message extends the
+//! lease of any robot beyond its start. Nothing is sent in between. A scheduler that dies before the commitment therefore starts no
+//! robot, and one that dies after it starts every robot. `docs/mission.md` draws it.
 
 use urrcp::{RobotId, Server, Span, Timestamp};
 
 use crate::lead::LeadTime;
 use crate::skew::SkewBudget;
 
-/// Least pending lease of the last rounds: several scheduling delays of a busy host.
+/// Minimum pending lease of the last rounds: several scheduling delays of a busy host.
 const FINAL_LEASE_MIN: Span = Span::from_millis(30);
-/// Least time between two rounds to robots that take inquiries.
+/// Minimum time between two rounds to robots that take inquiries.
 const PERIOD_MIN: Span = Span::from_millis(5);
-/// Least time between two rounds where a robot keeps the lease with which it was sent its scripts.
+/// Minimum time between two rounds if a robot keeps the lease that was sent with its scripts.
 const PERIOD_MIN_FIXED: Span = Span::from_millis(20);
-/// What a round takes for each robot: to write, send, read and answer one question.
+/// Duration of a round per robot: to write, send, read and answer one question.
 const ROUND_EACH: Span = Span::from_micros(25);
-/// What it takes for each script that is asked about.
+/// Duration of a round per script that is asked about.
 const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
-/// So many questions to one robot count towards the time between two rounds.
+/// The maximum number of questions per robot that extend the time between two rounds.
 const QUESTIONS_MAX: usize = 3;
-/// The commitment leaves a robot at least so long to receive it before its lease ends.
+/// The minimum time that the commitment leaves a robot to receive it before its lease ends.
 const DELIVERY_MIN: Span = Span::from_millis(8);
-/// A withdrawal for doubt is sent so long before its last instant: later than the answers to the commitment come in.
+/// How long before its last instant a withdrawal for doubt is sent: later than the arrival of the answers to the commitment.
 const WITHDRAWN_BY: Span = Span::from_millis(5);
-/// What a process may still do after it was stopped, as on a busy host.
+/// How long a process may continue after it was stopped, as on a busy host.
 const STANDS_STILL: Span = Span::from_millis(10);
-/// What a withdrawal takes on this machine and on the robot, in addition to its way.
+/// Duration of a withdrawal on this machine and on the robot, in addition to its travel time.
 const WITHDRAWAL: Span = Span::from_millis(20);
 
-/// What can wait is not sent from a round trip and so long before the planned start: messages wake threads, which take cores
-/// from robots that start on this host.
+/// Messages that can wait are not sent from a round trip and this time before the planned start. They wake threads, which take cores from
+/// robots that start on this host.
 const QUIET_BEFORE: Span = Span::from_millis(1);
-/// However long a round trip takes, it is sent until so long before the start.
+/// The quiet begins at most this long before the start, however long a round trip takes.
 const QUIET_BEFORE_MAX: Span = Span::from_millis(5);
-/// So long after the planned start it is sent again.
+/// The quiet ends this long after the planned start.
 const QUIET_AFTER: Span = Span::from_millis(1);
 
-/// A robot whose clock was not measured is taken to start this much early or late, at most, if the tolerance allows.
+/// The maximum assumed start error of a robot whose clock was not measured, early or late, if the tolerance allows it.
 pub(crate) const CLOCK_UNKNOWN: Span = Span::from_millis(20);
 
-/// Whether robots let the scheduler shorten their pending leases.
+/// Whether robots permit the scheduler to shorten their pending leases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Leases {
     /// All members take inquiries, and the scenario leaves the lease to the scheduler.
     Shortened,
-    /// They stay as they were sent.
+    /// They stay as sent.
     Fixed,
 }
 
-/// What is known of the fleet that plays an act.
+/// Measurements of the fleet that plays an act.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
-    /// How many robots.
+    /// Number of robots.
     pub(crate) robots: usize,
-    /// How many scripts a round asks about.
+    /// Number of scripts that a round asks about.
     pub(crate) scripts: usize,
-    /// How many questions a round asks one robot, at most: one for each lease.
+    /// The maximum number of questions per robot in a round: one for each lease.
     pub(crate) questions: usize,
     pub(crate) leases: Leases,
-    /// The longest of the round trips that links keep to nearly always.
+    /// The longest of the round trips that links nearly always keep.
     pub(crate) round_trip: Span,
     /// How much earlier than planned a robot may start, because its clock is ahead.
     pub(crate) early: Span,
-    /// How much later.
+    /// How much later than planned a robot may start.
     pub(crate) late: Span,
     /// How long the journal takes to put a record on the disk.
     pub(crate) record: Span,
@@ -74,7 +74,8 @@ pub(crate) struct Measured {
 }
 
 impl Measured {
-    /// Of many questions the last rounds ask no more slowly than this: the interval of doubt would become long.
+    /// The number of questions that slow the last rounds down. More do not slow them further, because the interval of doubt would become
+    /// long.
     fn questions(&self) -> i64 {
         i64::try_from(self.questions.clamp(1, QUESTIONS_MAX)).unwrap_or(1)
     }
@@ -103,22 +104,22 @@ pub(crate) struct Pace {
     pub(crate) late: Span,
     /// The pending lease of the last rounds.
     final_lease: Span,
-    /// The shortest that it could be.
+    /// The shortest possible value of it.
     lease_least: Span,
-    /// Between two of the last rounds.
+    /// Time between two of the last rounds.
     pub(crate) period: Span,
     record: Span,
     lateness: Span,
 }
 
 impl Pace {
-    /// For a fleet whose requests carry this pending lease.
+    /// The pace for a fleet whose requests carry this pending lease.
     pub(crate) fn of(measured: &Measured, lease: Span) -> Self {
         let round = measured.round();
         let lease_least = measured.lease_least().min(lease);
         let (final_lease, period) = match measured.leases {
             Leases::Shortened => {
-                // Several rounds may be under way at once, as far as a link that carries little lets them.
+                // Several rounds may be under way at once, as far as a link with little bandwidth permits it.
                 (lease_least, PERIOD_MIN.max(measured.round_trip / 2) * measured.questions())
             }
             Leases::Fixed => (lease, PERIOD_MIN_FIXED),
@@ -136,8 +137,8 @@ impl Pace {
         }
     }
 
-    /// For a fleet that may start earlier and later than it was measured to; `None` where the last rounds cannot carry so
-    /// long a lease: one message could no longer reach over all starts.
+    /// The pace for a fleet that may start earlier and later than measured. `None` if the last rounds cannot carry the longer lease,
+    /// because one message could no longer reach beyond all starts.
     fn widened(self, (early, late): (Span, Span), lease: Span) -> Option<Self> {
         let (early, late) = (self.early.max(early), self.late.max(late));
         let lease_least = self.lease_least + (early - self.early) + (late - self.late);
@@ -148,19 +149,18 @@ impl Pace {
         (lease_least <= lease).then_some(Self { early, late, final_lease, lease_least, ..self })
     }
 
-    /// How long a robot may hear nothing around the critical instant: from the last round until the commitment, and what a message
-    /// may travel longer than another.
+    /// How long a robot may receive nothing around the critical instant: from the last round until the commitment, plus the variation of
+    /// the travel time.
     pub(crate) fn silence(&self) -> Span {
         self.period + self.early + self.late + self.round_trip * 3 / 2
     }
 
-    /// From the decision to the start this is needed at least: four of the last rounds, in which the commitment is
-    /// written down, and the last lease.
+    /// The minimum time from the decision to the start: four of the last rounds, in which the commitment is written, and the last lease.
     pub(crate) fn needed(&self) -> Span {
         self.early + self.round_trip + self.final_lease + self.period * 4 + self.record
     }
 
-    /// From the end of the leases with which requests were sent to the start at least this.
+    /// The minimum time from the end of the leases that requests carry to the start.
     pub(crate) fn margin(&self) -> Span {
         self.early + self.round_trip * 3 / 2
     }
@@ -174,28 +174,28 @@ pub(crate) struct Timing {
     pub(crate) start: Timestamp<Server>,
     pub(crate) lead: LeadTime,
     pub(crate) decision: Timestamp<Server>,
-    /// When the last step is planned.
+    /// The planned time of the last step.
     pub(crate) end: Timestamp<Server>,
     pub(crate) pace: Pace,
-    /// What spread the clocks allow.
+    /// The spread of the starts that the clocks allow.
     pub(crate) skew: Option<SkewBudget>,
-    /// The doubt that the process before this one stated, where this one has taken the act up after its start.
+    /// The doubt that the previous process stated, if this one has taken over the act after its start.
     pub(crate) stated_doubt: Option<Span>,
     /// The robot whose link determines the lead, and its round trip.
     pub(crate) slowest: Option<(RobotId, Span)>,
-    /// How much later it starts than it should: at the end of the act before, or at the time that it waits for.
+    /// The delay of its start against the intended one: the end of the previous act, or the time that it waits for.
     pub(crate) gap: Option<Span>,
-    /// The shortest lease under which its robots may still play an act before it: they are not left alone for longer while this
-    /// one is to be committed.
+    /// The shortest lease under which its robots may still play an earlier act. They are not left alone for longer than that while this
+    /// act is being committed.
     pub(crate) played: Option<Span>,
-    /// When the last acceptance came.
+    /// Arrival time of the last acceptance.
     pub(crate) accepted_at: Option<Timestamp<Server>>,
-    /// When the commitment was sent, and when its last answer came; `None` until all have answered.
+    /// The sending time of the commitment, and the arrival time of its last answer; `None` until all have answered.
     pub(crate) round: Option<(Timestamp<Server>, Timestamp<Server>)>,
 }
 
 impl Timing {
-    /// Of an act that is sent at `timestamp` and plays for `duration`.
+    /// The instants of an act that is sent at `timestamp` and plays for `duration`.
     pub(crate) fn new(timestamp: Timestamp<Server>, lead: LeadTime, pace: Pace, duration: Span) -> Self {
         let start = timestamp + lead.total();
         Self {
@@ -215,9 +215,9 @@ impl Timing {
         }
     }
 
-    /// A clock that was set since the act was sent may let its robot start earlier or later than planned, within the tolerance:
-    /// leases are to end before it and to reach beyond it, if two of the last rounds can still see to it, and robots that still play
-    /// are not left alone for too long by that. Returns whether it is so.
+    /// Adapts the leases to a clock that was set since the act was sent: its robot may start earlier or later than planned, within the
+    /// tolerance. The leases must end before that start or reach beyond it. Two of the last rounds must remain for this, and robots that
+    /// still play must not be left alone for too long. Returns whether that is possible.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early_and_late: (Span, Span)) -> bool {
         let before = self.pace;
         let widened = before.widened(early_and_late, self.lead.lease);
@@ -233,8 +233,8 @@ impl Timing {
         in_time
     }
 
-    /// How much earlier than planned a robot may start and lose its lease before, if a message to it does not travel longer
-    /// than the half of a round trip.
+    /// How much earlier than planned a robot may start and lose its lease before, if a message to it travels for at most half a round
+    /// trip.
     pub(crate) fn early_at_most(&self) -> Span {
         self.pace.early + self.pace.round_trip / 2
     }
@@ -244,46 +244,46 @@ impl Timing {
         self.pace.early
     }
 
-    /// When a robot whose clock is ahead may start.
+    /// The earliest start of a robot whose clock is ahead.
     pub(crate) fn earliest_start(&self) -> Timestamp<Server> {
         self.start - self.pace.early
     }
 
-    /// All leases end here unless the act is committed: what was sent before may arrive up to a round trip later, and a
-    /// robot whose clock is ahead starts before the others.
+    /// The instant at which all leases end, unless the act is committed. Messages sent before it may arrive up to a round trip later, and
+    /// a robot whose clock is ahead starts before the others.
     pub(crate) fn brink(&self) -> Timestamp<Server> {
         self.earliest_start() - self.pace.round_trip
     }
 
-    /// What is sent later may carry the lease of a robot over its start: nothing is sent before the commitment.
+    /// A later message may extend the lease of a robot beyond its start. Nothing is sent from here until the commitment.
     pub(crate) fn critical(&self) -> Timestamp<Server> {
         self.brink() - self.pace.final_lease
     }
 
-    /// From here on one message carries the lease of any robot over its start, also of one that starts late.
+    /// From this instant, one message extends the lease of any robot beyond its start, also of one that starts late.
     pub(crate) fn commit_from(&self) -> Timestamp<Server> {
         self.begun() - self.pace.final_lease
     }
 
-    /// The latest instant at which the commitment still reaches every robot before its lease ends. `last_round` was the last
-    /// time that anything was sent.
+    /// The latest instant at which the commitment still reaches every robot before its lease ends. `last_round` is the time of the last
+    /// message.
     pub(crate) fn commit_by(&self, last_round: Timestamp<Server>) -> Timestamp<Server> {
         let leases_end = self.brink().min(last_round + self.lease_at(last_round));
         leases_end - DELIVERY_MIN.max(self.pace.round_trip * 2).max(self.pace.lateness)
     }
 
-    /// When those that still play must be spoken to again at the latest, if nothing was sent since `last_round`.
+    /// The latest instant at which robots that still play must receive another message, if nothing was sent since `last_round`.
     pub(crate) fn speak_by(&self, last_round: Timestamp<Server>) -> Option<Timestamp<Server>> {
         Some(last_round + self.played? - DELIVERY_MIN.max(self.pace.round_trip * 2))
     }
 
-    /// The pending lease that whatever is sent at this instant has to carry.
+    /// The pending lease that a message at this instant must carry.
     pub(crate) fn lease_at(&self, at: Timestamp<Server>) -> Span {
         (self.brink() - at).max(Span::ZERO).min(self.lead.lease)
     }
 
-    /// Whether a message may go to a robot after the critical instant, behind a question with a lease that still ends at the
-    /// brink: there has to be time left for the commitment.
+    /// Whether a message may go to a robot after the critical instant, behind a question with a lease that still ends at the brink.
+    /// Enough time must remain for the commitment.
     pub(crate) fn lets_through(&self, at: Timestamp<Server>) -> bool {
         self.pace.leases == Leases::Shortened && self.lease_at(at) >= DELIVERY_MIN * 2
     }
@@ -293,11 +293,11 @@ impl Timing {
         self.pace.final_lease
     }
 
-    /// When the round after one at `now` is due, while the act approaches its start.
+    /// When the next round is due after one at `now`, while the act approaches its start.
     pub(crate) fn round_after(&self, now: Timestamp<Server>) -> Timestamp<Server> {
         let left = (self.critical() - now) / 3;
         let interval = (self.lease_at(now) / 4).min(left).max(self.pace.period);
-        // The last one comes a period before the critical instant, so that its answers are there by then.
+        // The last one comes a period before the critical instant, so that its answers arrive before it.
         let last = self.critical() - self.pace.period;
         match now + interval {
             next if now < last && next > last => last,
@@ -310,27 +310,27 @@ impl Timing {
         self.pace.record
     }
 
-    /// From here on the commitment is written down as soon as every robot holds its scripts.
+    /// From this instant, the commitment is written as soon as every robot holds its scripts.
     pub(crate) fn record_from(&self) -> Timestamp<Server> {
         self.critical() - self.pace.record - self.pace.period * 2
     }
 
-    /// A failure that is known by then is withdrawn before any robot starts.
+    /// The latest instant at which a known failure can be withdrawn before any robot starts.
     pub(crate) fn no_return(&self) -> Timestamp<Server> {
         self.start - self.pace.early - self.pace.round_trip * 3 - WITHDRAWAL
     }
 
-    /// A withdrawal that is sent now should still reach every robot before it starts.
+    /// The latest instant at which a withdrawal should still reach every robot before it starts.
     pub(crate) fn last_withdrawal(&self) -> Timestamp<Server> {
         self.start - self.pace.early - self.pace.round_trip - WITHDRAWN_BY
     }
 
-    /// A robot that goes silent without a word later than so long before the start may be noticed too late.
+    /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
     pub(crate) fn doubt(&self) -> Span {
         self.start - (self.critical() - self.pace.period * 2) + self.pace.round_trip + STANDS_STILL
     }
 
-    /// Silence that begins later may be noticed too late.
+    /// The instant from which silence may be noticed too late.
     pub(crate) fn doubtful_from(&self) -> Timestamp<Server> {
         self.start - self.doubt()
     }
@@ -340,19 +340,19 @@ impl Timing {
         self.timestamp + (self.decision - self.timestamp) * 2 / 3
     }
 
-    /// When something that can wait may be sent if it is due at `at`: the same instant, or the end of the quiet around the start.
+    /// When a message that can wait may be sent if it is due at `at`: the same instant, or the end of the quiet around the start.
     pub(crate) fn out_of_quiet(&self, at: Timestamp<Server>) -> Timestamp<Server> {
         let before = (self.pace.round_trip + QUIET_BEFORE).min(QUIET_BEFORE_MAX);
         let until = self.start + QUIET_AFTER;
         if at > self.start - before && at < until { until } else { at }
     }
 
-    /// Before it no robot starts.
+    /// No robot starts before this instant.
     pub(crate) fn begins(&self) -> Timestamp<Server> {
         self.start - self.pace.early
     }
 
-    /// When the last robot has started.
+    /// The instant by which the last robot has started.
     pub(crate) fn begun(&self) -> Timestamp<Server> {
         self.start + self.pace.late
     }
@@ -366,7 +366,7 @@ mod tests {
         timing_on(leases, round_trip, Span::ZERO)
     }
 
-    /// On a machine that is so late.
+    /// The timing on a machine with this lateness.
     fn timing_on(leases: Leases, round_trip: Span, lateness: Span) -> Timing {
         let (early, late) = (Span::from_millis(1), Span::from_millis(2));
         let record = Span::from_millis(20);
@@ -462,7 +462,7 @@ mod tests {
             for at in [start - before + Span::from_nanos(1), start, end - Span::from_nanos(1)] {
                 assert_eq!(timing.out_of_quiet(at), end);
             }
-            // A lease that was renewed just before is still far from its end.
+            // A lease that was renewed just before still ends much later.
             assert!(start - before + timing.final_lease() > end + millis(20));
         }
     }
@@ -537,7 +537,7 @@ mod tests {
         let (last, period) = (timing.critical() - timing.pace.period, timing.pace.period);
         assert_eq!(next(timing.decision), Span::from_millis(60), "a quarter of the lease");
         let near = timing.critical() - Span::from_millis(30);
-        assert_eq!(next(near), Span::from_millis(10), "a third of what is left");
+        assert_eq!(next(near), Span::from_millis(10), "a third of the remaining time");
         assert_eq!(timing.round_after(last - Span::from_millis(2)), last);
         assert_eq!(timing.round_after(last), timing.critical());
         assert_eq!(timing.round_after(last + Span::from_millis(1)), last + Span::from_millis(1) + period);

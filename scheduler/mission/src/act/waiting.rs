@@ -1,4 +1,4 @@
-//! What an act waits for before it is sent.
+//! The condition that an act waits for before it is sent.
 
 use downbeat_plan::{Wait, Way};
 use urrcp::{Server, Span, Timestamp};
@@ -8,24 +8,24 @@ use crate::robot_state::{Reading, RobotState};
 use crate::zone::SkippedTime;
 use crate::{MissionOptions, Progress};
 
-/// Between two readings of a sensor that an act waits for.
+/// Interval between readings of a sensor that an act waits for.
 const POLL: Span = Span::from_millis(100);
 
 /// An act whose condition does not hold yet.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Waiting {
-    /// The operator said go.
+    /// Whether the operator has sent the go.
     go_received: bool,
-    /// What it waits for has been told.
+    /// Whether its condition has been reported.
     announced: bool,
-    /// When its sensor is read next.
+    /// The next reading of its sensor.
     poll: Option<Timestamp<Server>>,
-    /// What its sensor read last.
+    /// The last reading of its sensor.
     read: Option<f64>,
 }
 
 impl Act {
-    /// Looks whether its condition holds.
+    /// Checks whether its condition holds.
     pub(super) fn wait(
         &mut self,
         now: Timestamp<Server>,
@@ -36,7 +36,7 @@ impl Act {
         let Stage::Waiting(waiting) = &mut self.stage else { return Vec::new() };
         let written = &self.choreography.acts[self.index];
         if let Some(fixed) = fixed {
-            // An act begins when the one before it has ended, however early it was meant to.
+            // An act begins after the end of the previous act, even if it was planned earlier.
             let target = Some(self.before.map_or(fixed, |end| end.max(fixed)));
             self.stage = Stage::Ready { target, look: None };
             return Vec::new();
@@ -82,7 +82,7 @@ impl Act {
         self.fixed_target(options).map(instant_of)
     }
 
-    /// When an act with a fixed start begins: at that instant, or when the act before it has ended.
+    /// The start of an act with a fixed start: that instant, or the end of the previous act if that is later.
     pub(crate) fn start_to_keep(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
         self.fixed_start(options).and(self.target())
     }
@@ -92,7 +92,7 @@ impl Act {
         over.into_iter().chain(waiting.poll).min()
     }
 
-    /// A reading came for which it may wait. Returns what there is to tell of it.
+    /// Takes a reading that it may wait for. Returns the progress to report.
     pub(crate) fn sensor_read(&mut self, value: Option<f64>) -> Option<Progress> {
         let Wait::Sensor { range, .. } = &self.choreography.acts[self.index].wait else { return None };
         let Stage::Waiting(waiting) = &mut self.stage else { return None };
@@ -103,12 +103,12 @@ impl Act {
         (before != value).then(|| Progress::Reading { act: self.name(), value })
     }
 
-    /// Whether it waits for the operator and has no go yet, be it that another act plays before it.
+    /// Whether it waits for the operator and has no go yet. An earlier act may still be playing.
     pub(crate) fn awaits_operator(&self) -> bool {
         matches!(&self.stage, Stage::Waiting(waiting) if !waiting.go_received && self.written().wait == Wait::Operator)
     }
 
-    /// The operator says go. `false`: it does not wait for that now.
+    /// Takes the operator's go. Returns `false` if the act does not wait for it now.
     pub(crate) fn go(&mut self) -> bool {
         let counts = self.is_alone() && self.awaits_operator();
         if let Stage::Waiting(waiting) = &mut self.stage {
@@ -117,8 +117,8 @@ impl Act {
         counts
     }
 
-    /// What it waits for, for people, once it does; nothing for an act that follows at once. A time comes whatever plays
-    /// before it, the operator and sensors are waited for once nothing does.
+    /// A description of its condition for users, once it waits; `None` for an act that follows at once. It waits for a time even while an
+    /// earlier act plays, but for the operator and sensors only after that.
     pub(crate) fn announcement(&mut self, options: &MissionOptions) -> Option<Progress> {
         let (fixed, alone) = (self.fixed_target(options), self.is_alone());
         let Stage::Waiting(waiting) = &mut self.stage else { return None };
@@ -138,17 +138,18 @@ impl Act {
         };
         let awaits = match (written.timeout, written.on_timeout) {
             (None, _) => awaits,
-            (Some(timeout), Way::End) => format!("{awaits}, for {timeout} at most, then the end"),
-            (Some(timeout), Way::Fail) => format!("{awaits}, for {timeout} at most"),
+            (Some(timeout), Way::End) => format!("{awaits}, for at most {timeout}, then the mission ends"),
+            (Some(timeout), Way::Fail) => format!("{awaits}, for at most {timeout}"),
             (Some(timeout), Way::Act(other)) => {
-                format!("{awaits}, for {timeout} at most, then `{}`", act_name(&self.choreography, other))
+                format!("{awaits}, for at most {timeout}, then `{}`", act_name(&self.choreography, other))
             }
         };
         Some(Progress::Waiting { act: self.name(), awaits, at: fixed.map(instant_of) })
     }
 }
 
-/// A mission that plays can no longer be refused: if the clocks skip the time of an act, the act starts at that instant.
+/// The start that results from a target. A mission that plays can no longer be refused: if the clocks skip the time of an act, the act
+/// starts at that instant.
 fn instant_of(target: Result<Timestamp<Server>, SkippedTime>) -> Timestamp<Server> {
     target.unwrap_or_else(|skipped| skipped.at)
 }

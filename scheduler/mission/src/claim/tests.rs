@@ -78,23 +78,20 @@ fn steps_that_are_done_stay_done_but_an_older_answer_may_come_later() {
 fn a_start_lies_between_the_sending_and_its_report() {
     check(told(Status::Started, 902, Some(-50), None, None), "started 125 ms before the script was sent");
     holds(told(Status::Started, 902, Some(90), None, None));
-    check(
-        told(Status::Started, 902, Some(1_100), None, None),
-        "the time of what it reports is 73 ms after it can have been",
-    );
-    check(told(Status::Started, 700, Some(790), None, None), "started 125 ms before it can have");
+    check(told(Status::Started, 902, Some(1_100), None, None), "the reported time is 73 ms in the future");
+    check(told(Status::Started, 700, Some(790), None, None), "started 125 ms earlier than possible");
     holds(told(Status::Started, 840, Some(930), None, None));
-    // The earliest instant that can be: 900 ms, less the tolerance, and less what is not known of its clock and way.
+    // The earliest possible instant: 900 ms, minus the tolerance, minus the uncertainty of its clock and travel time.
     holds(told(Status::Started, 825, None, None, None));
-    check(told(Status::Started, 824, None, None, None), "started 1 ms before it can have");
+    check(told(Status::Started, 824, None, None, None), "started 1 ms earlier than possible");
 }
 
 #[test]
 fn an_end_is_not_reported_before_the_script_can_have_ended() {
-    check(told(Status::Ok, 902, Some(1_000), Some(3), None), "completed 330 ms before");
-    check(told(Status::Ok, 1_000, None, Some(3), None), "completed 225 ms before");
+    check(told(Status::Ok, 902, Some(1_000), Some(3), None), "completed 330 ms earlier than possible");
+    check(told(Status::Ok, 1_000, None, Some(3), None), "completed 225 ms earlier than possible");
     holds(told(Status::Ok, 1_240, Some(1_335), Some(3), None));
-    check(told(Status::Ok, 1_302, Some(1_500), Some(3), None), "after it can have been");
+    check(told(Status::Ok, 1_302, Some(1_500), Some(3), None), "the reported time is 73 ms in the future");
 }
 
 #[test]

@@ -1,30 +1,30 @@
-//! How long round trips take now: a high quantile of the latest ones, which forgets. `docs/clocks.md` has the reasons.
+//! The current duration of round trips: a high quantile of the latest ones, which forgets. `docs/clocks.md` has the reasons.
 
 use std::collections::VecDeque;
 
 use urrcp::{Server, Span, Timestamp};
 
-/// So many exchanges count at most: the third largest of them lies above their 95th percentile.
+/// The maximum number of exchanges considered. The third largest of them is above their 95th percentile.
 const EXCHANGES_MAX: usize = 64;
-/// Older exchanges than this do not count.
+/// Older exchanges than this are ignored.
 const WINDOW: Span = Span::from_millis(30_000);
-/// So many count however old they are, so that one that took long does not stand alone on a link that is seldom used.
+/// This many exchanges are kept whatever their age, so that a slow one is not the only one on a rarely used link.
 const EXCHANGES_KEPT: usize = 3;
-/// Of this many exchanges two may be outliers; of fewer only one.
+/// From this number of exchanges on, two may be outliers; below it, only one.
 const EXCHANGES_MANY: usize = 32;
 
 /// The latest round trips with one robot, in bounded memory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RoundTrips {
-    /// When each ended and how long it took, in order of arrival.
+    /// The end and the duration of each, in order of arrival.
     latest: VecDeque<(Timestamp<Server>, Span)>,
     high: Span,
 }
 
 impl RoundTrips {
-    /// Takes one more, which ended at `at`; what has left the window by then is forgotten. Exchanges that began while
-    /// another was under way tell of the same moment of the link and count as one with it, the longest of them. So does a
-    /// second answer to a question, however many others were answered before it came.
+    /// Takes an exchange that ended at `at`, and discards those that have left the window. Exchanges that began during another one
+    /// describe the same moment of the link. They are merged with it, with the longest duration. This also applies to a second answer to
+    /// a question, however many other questions were answered before it.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
         let (began, outliers) = (at - delay, self.outliers());
         let later = self.latest.back().is_none_or(|(ended, _)| began >= *ended);
@@ -47,13 +47,14 @@ impl RoundTrips {
             largest_forgotten =
                 forgotten.map_or(largest_forgotten, |(_, delay)| delay.max(largest_forgotten));
         }
-        // What comes and goes below it changes nothing.
+        // Changes below it have no effect.
         if delay > self.high || largest_forgotten >= self.high || self.outliers() != outliers {
             self.high = self.above_outliers();
         }
     }
 
-    /// Forgets the exchanges after this one that began before its end: they describe the same moment. Returns the longest of them.
+    /// Discards the exchanges after this one that began before its end, because they describe the same moment. Returns the longest of
+    /// them.
     fn forget_between(&mut self, same: usize, ended: Timestamp<Server>) -> Span {
         let mut largest = Span::ZERO;
         while let Some((at, delay)) =
@@ -66,12 +67,12 @@ impl RoundTrips {
         largest
     }
 
-    /// How long round trips take now. Outliers that stand alone leave it as it is, three in a row raise it at once.
+    /// The current duration of round trips. Isolated outliers do not change it; three in a row raise it immediately.
     pub(super) const fn high(&self) -> Span {
         self.high
     }
 
-    /// Whether an outlier is left out already.
+    /// Whether there are enough exchanges to exclude an outlier.
     pub(super) fn tell_outliers(&self) -> bool {
         self.latest.len() >= EXCHANGES_KEPT
     }
@@ -121,7 +122,7 @@ mod tests {
             let mut trips = RoundTrips::default();
             for (k, delay) in (0..).zip(delays) {
                 trips.add(Timestamp::from_nanos(0) + millis(2_100) * k, millis(delay));
-                // Of the first two exchanges either may be the outlier.
+                // Either of the first two exchanges may be the outlier.
                 assert!(k < 2 || trips.high() < millis(10), "pause at {slow}, exchange {k}: {trips:?}");
             }
         }
@@ -140,7 +141,7 @@ mod tests {
     #[test]
     fn a_pause_counts_as_one_also_where_it_began_under_a_question_that_is_answered() {
         let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
-        // Asked before the last answer came, and after it: both are answered when the pause ends.
+        // Asked before and after the last answer came. Both are answered when the pause ends.
         let pause_ends = at + millis(2_000);
         trips.add(pause_ends, millis(2_000) + Span::from_micros(500));
         trips.add(pause_ends + millis(1), millis(1_900));
@@ -214,14 +215,14 @@ mod tests {
 
     #[test]
     fn what_has_left_the_window_counts_no_more() {
-        // Seldom used, the window is the last three exchanges.
+        // On a rarely used link, the window is the last three exchanges.
         let (mut trips, at) = after(millis(2_100), (0..40).map(|k| if k < 20 { 1 } else { 2_000 }));
         assert_eq!(trips.high(), millis(2_000));
         for k in 1..=2 {
             trips.add(at + millis(40_000) * k, millis(1));
         }
         assert_eq!(trips.high(), millis(1), "{trips:?}");
-        // Often used, it is the last 64.
+        // On a frequently used link, the window is the last 64.
         let (trips, _) = after(millis(2_100), (0..84).map(|k| if k < 20 { 2_000 } else { 1 }));
         assert_eq!(trips.high(), millis(1), "{trips:?}");
     }

@@ -47,12 +47,12 @@ fn at(seconds: f64) -> Timestamp<Server> {
 #[test]
 fn an_exchange_tells_the_offset_half_way_its_bounds_and_the_delay_without_the_robots_own_time() {
     let robot = |nanos: i64| Timestamp::<Robot>::from_nanos(1_000_000_000 + nanos);
-    // There in 300 us, 50 us at the robot, back in 100 us; its clock is 7 ms ahead.
+    // 300 us there, 50 us at the robot, 100 us back; its clock is 7 ms ahead.
     let received = at(1.0) + Span::from_nanos(450_000);
     let sample = ClockSample::from_exchange(at(1.0), robot(7_300_001), robot(7_350_001), received);
     assert_eq!(sample.offset, Span::from_nanos(7_100_001));
     assert_eq!(sample.delay, Span::from_nanos(400_000));
-    // Widened by the nanosecond in which these timestamps count.
+    // Widened by 1 ns, the resolution of these timestamps.
     assert_eq!([sample.lower, sample.upper].map(Span::as_nanos), [6_900_000, 7_300_002]);
     assert_eq!((sample.sent, sample.at), (at(1.0), received));
 }
@@ -105,7 +105,7 @@ fn a_drift_that_wanders_is_followed_for_hours() {
 
 #[test]
 fn a_drift_that_changes_over_the_hours_is_of_the_last_hour() {
-    // As of a machine that warms up: 10 ppm an hour.
+    // As on a machine that warms up: 10 ppm per hour.
     let offset = |t: f64| -20e-6 * t + 10e-6 / 3_600.0 * t * t / 2.0;
     let mut path = Path::new(11, (2_000_000, 6_000_000), offset);
     let mut estimate = ClockEstimate::default();
@@ -124,7 +124,7 @@ fn least_delays_each_way_need_not_meet_in_one_exchange() {
     let mut estimate = ClockEstimate::default();
     let millis = |m: i64| Timestamp::<Server>::from_nanos(m * 1_000_000 + 1);
     let robot = |m: i64| Timestamp::<Robot>::from_nanos((m + 250) * 1_000_000 + 1);
-    // There in 1 ms and back in 40, then there in 40 and back in 1.
+    // First 1 ms there and 40 ms back, then 40 ms there and 1 ms back.
     estimate.add(ClockSample::from_exchange(millis(0), robot(1), robot(1), millis(41)));
     estimate.add(ClockSample::from_exchange(millis(100), robot(140), robot(140), millis(141)));
     let reading = estimate.reading().unwrap();
@@ -222,7 +222,7 @@ fn timestamps_from_the_ends_of_time_are_read_without_overflow() {
 #[test]
 fn the_bounds_that_are_kept_say_no_less_than_those_of_the_whole_window() {
     for seed in 0..20 {
-        // The rate turns round after a quarter of an hour, so that bounds are kept for many rates in turn.
+        // The rate reverses after a quarter of an hour, so that bounds are kept for many rates in turn.
         let offset = |t: f64| if t < 900.0 { 20e-6 * t } else { 20e-6 * (1_800.0 - t) };
         let mut path = Path::new(seed, (20_000_000, 60_000_000), offset);
         let mut estimate = ClockEstimate::default();
@@ -244,7 +244,7 @@ fn the_bounds_that_are_kept_say_no_less_than_those_of_the_whole_window() {
 
 #[test]
 fn a_drift_is_told_once_it_is_known_to_half_its_bound() {
-    // Known to so many millionths by the means; how far it wanders comes on top.
+    // The means are known to `half`; the wander is added.
     let told = |half: f64| {
         let means = Rates { least: 10e-6 - half, most: 10e-6 + half };
         History { means, ..History::default() }.drift()
@@ -262,7 +262,7 @@ fn a_clock_that_may_just_be_right_is_not_blamed() {
     assert_eq!(ClockDoubt::of(micros(-6), micros(5)), ClockDoubt::Clock);
 }
 
-/// What is remembered for the drift: so many bins, which were doubled so often.
+/// The number of bins for the drift, and the number of their doublings.
 fn remembered(estimate: &ClockEstimate) -> (usize, u32) {
     (estimate.history.bins.len(), estimate.history.doublings)
 }

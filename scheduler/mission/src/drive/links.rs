@@ -1,12 +1,12 @@
-//! Which link of a robot counts.
+//! The current link of each robot.
 
 use crate::Event;
 
-/// Tells the links of a mission apart, in the order in which they were made.
+/// Identifies a link of a mission. Numbers are in the order in which the links were made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkNumber(pub u64);
 
-/// The newest link of each robot, as long as it has not broken.
+/// The newest link of each robot, until it breaks.
 #[derive(Debug)]
 pub(super) struct Links {
     current: Vec<Option<LinkNumber>>,
@@ -18,7 +18,7 @@ impl Links {
         Self { current: vec![None; robots], made: 0 }
     }
 
-    /// The number of a new link, which counts from now on.
+    /// The number of a new link, which replaces the robot's current one.
     pub(super) fn connect(&mut self, robot: usize) -> LinkNumber {
         let link = LinkNumber(self.made);
         self.made += 1;
@@ -34,7 +34,7 @@ impl Links {
         self.current[robot] = None;
     }
 
-    /// Whether the mission is to hear of it: only of the link that counts, and nothing after its end.
+    /// Whether the event is passed to the mission: only events of the current link, and none after its end.
     pub(super) fn takes(&mut self, robot: usize, link: LinkNumber, event: &Event) -> bool {
         let counts = self.current[robot] == Some(link);
         if counts && matches!(event, Event::LinkDown { .. }) {

@@ -1,14 +1,14 @@
 //! The one loop that drives a mission, in real time (`run/`), in virtual time (`dry_run/`) and under faults (`simulation/`).
 //!
-//! It takes what happens, hands it to the mission, performs the actions in order, and waits until something happens or the
-//! mission is due. A [`World`] is what differs: clock, links, journal, output, operator.
+//! It takes events, passes them to the mission, performs the actions in order, and waits until an event occurs or the mission is due. A
+//! [`World`] contains the differences: clock, links, journal, output, operator.
 //!
 //! The order at one instant, in every world:
-//! 1. the operator's words;
-//! 2. what the journal says;
-//! 3. what happened on links, in the order of arrival; in virtual worlds all robots do what is due before anything arrives;
-//! 4. what NTP says;
-//! 5. the mission's own timers, so that an answer that arrives just in time counts.
+//! 1. commands of the operator;
+//! 2. events of the journal;
+//! 3. events on links, in the order of arrival; in virtual worlds, all robots do their due work before anything arrives;
+//! 4. events of NTP;
+//! 5. the mission's own timers, so that an answer that arrives just in time is accepted.
 //!
 //! A virtual world never waits, so `at_once` runs the same asynchronous loop without a runtime.
 
@@ -27,26 +27,25 @@ use self::links::Links;
 use crate::report::Report;
 use crate::{Action, Event, Loss, Mission, Progress, Record};
 
-/// Events that are taken before the mission's timers are looked at again, however many more wait.
+/// The maximum number of events taken before the mission's timers are checked again.
 const ROUND_MAX: usize = 1_024;
 
-/// What surrounds a mission.
+/// The environment of a mission.
 pub trait World {
-    /// What the server's clock shows.
+    /// The current time of the server's clock.
     fn now(&self) -> Timestamp<Server>;
 
-    /// The next thing that happens until then, in the order that this module states. `None`: nothing has happened, and it is
-    /// that late now. Without `until` there is nothing but events to wait for.
+    /// The next event until `until`, in the order that this module documents. `None` if no event has occurred until then. Without
+    /// `until`, it waits only for events.
     fn next(&mut self, until: Option<Timestamp<Server>>) -> impl Future<Output = Option<Happened>>;
 
-    /// Begins to connect to a robot after a pause; what becomes of that happens under this number. An older link to the
-    /// robot is closed.
+    /// Begins to connect to a robot after a pause. The events of the connection have this number. An older link to the robot is closed.
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span);
 
-    /// Sends a message on a link. It may wait behind others, if it is not urgent; it never makes the caller wait.
+    /// Sends a message on a link. The message may wait behind others if it is not urgent. Never blocks the caller.
     ///
     /// # Errors
-    /// [`QueueFull`] where too much waits already: the message is lost, and the link of no more use.
+    /// [`QueueFull`] if too many messages already wait. The message is lost, and the link can no longer be used.
     fn send(
         &mut self,
         robot: usize,
@@ -55,74 +54,74 @@ pub trait World {
         urgency: Urgency,
     ) -> Result<(), QueueFull>;
 
-    /// Closes a link and discards what waits to be sent on it.
+    /// Closes a link and discards the messages that wait to be sent on it.
     fn cut(&mut self, robot: usize, link: LinkNumber);
 
-    /// Hands a record to the journal, without waiting for the disk.
+    /// Passes a record to the journal, without waiting for the disk.
     fn write(&mut self, at: Timestamp<Server>, record: Record) -> Filed;
 
-    /// Tells the operator.
+    /// Reports progress to the operator.
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress);
 
-    /// The loop turns once more. Nothing of this may wait.
+    /// Called at each iteration of the loop. Must not block.
     fn turned(&mut self, _mission: &Mission) {}
 
-    /// Answers the oldest go of the operator that has no answer yet: which act it lets begin, or why it counts for none.
+    /// Answers the oldest unanswered go of the operator: the act that it permits to begin, or the reason why it is ignored.
     fn answer(&mut self, _answer: Result<String, String>) {}
 }
 
 /// Whether a message may wait behind others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Urgency {
-    /// Behind all that was sent before it.
+    /// Behind all earlier messages.
     InOrder,
-    /// Ahead of all that waits: a stop.
+    /// Ahead of all waiting messages, for a stop.
     Overtaking,
 }
 
 /// Too many messages wait to be sent on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the robot does not read: {waiting} messages wait for it")]
+#[error("the robot does not read its messages: {waiting} are waiting")]
 pub struct QueueFull {
-    /// How many.
+    /// Number of waiting messages.
     pub waiting: usize,
 }
 
-/// What became of a record that was handed to the journal.
+/// The result of passing a record to the journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Filed {
-    /// There is nothing to wait for, as without a journal.
+    /// There is nothing to wait for, for example without a journal.
     AtOnce,
-    /// The world says by an event when it is on the disk.
+    /// An event of the world will report when it is on disk.
     Waiting,
-    /// The journal takes no more, and why.
+    /// The journal no longer accepts records, with the reason.
     Lost(String),
 }
 
-/// Something that happened in the world.
+/// An event of the world.
 #[derive(Clone, Debug)]
 pub enum Happened {
-    /// On a link. What happens on an older link of the same robot comes too late and is ignored.
+    /// An event on a link. Events on an older link of the same robot are late and ignored.
     OnLink {
-        /// When it happened, by the server's clock.
+        /// The time of the event, by the server's clock.
         at: Timestamp<Server>,
         /// Index of the robot.
         robot: usize,
-        /// On which of its links.
+        /// The number of the link.
         link: LinkNumber,
         /// The event for the mission.
         event: Box<Event>,
     },
-    /// Anywhere else.
+    /// Any other event.
     Event {
-        /// When it happened, by the server's clock.
+        /// The time of the event, by the server's clock.
         at: Timestamp<Server>,
         /// The event for the mission.
         event: Box<Event>,
     },
-    /// The operator leaves without waiting for anything, or nothing will ever happen again.
+    /// The operator leaves without waiting for anything, or no event can ever occur again.
     Left,
-    /// The process is gone.
+    /// The process was killed.
     Killed,
 }
 
@@ -133,7 +132,7 @@ pub async fn drive<W: World>(mission: &mut Mission, world: &mut W) -> Option<Rep
         let link = driver.links.connect(robot);
         world.connect(robot, link, Span::ZERO);
     }
-    // There may be nothing to wait for, as where all robots were in the process that is gone.
+    // There may be nothing to wait for, for example if all robots were in the process that has died.
     if let Some(report) = Report::of(mission) {
         let actions = mission.advance(world.now());
         driver.perform(world, actions);
@@ -167,7 +166,7 @@ pub async fn drive<W: World>(mission: &mut Mission, world: &mut W) -> Option<Rep
     }
 }
 
-/// Runs a future that never waits.
+/// Runs a future that never blocks.
 pub fn at_once<F: Future>(future: F) -> F::Output {
     match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
         Poll::Ready(output) => output,
@@ -175,12 +174,12 @@ pub fn at_once<F: Future>(future: F) -> F::Output {
     }
 }
 
-/// What the loop keeps between two events.
+/// State of the loop between two events.
 struct Driver {
     links: Links,
-    /// What follows from performing actions, for the mission to hear next.
+    /// Consequences of performed actions, to be passed to the mission next.
     pending: VecDeque<(Timestamp<Server>, Event)>,
-    /// Durable records that had not to wait for a disk.
+    /// Number of durable records that did not have to wait for a disk.
     recorded: u64,
     journal: JournalState,
 }
@@ -188,7 +187,7 @@ struct Driver {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum JournalState {
     Taking,
-    /// The mission has been told.
+    /// The mission has been notified.
     Lost,
 }
 
@@ -227,7 +226,7 @@ impl Driver {
         }
     }
 
-    /// What is sent on a link that has broken is lost: the mission hears of the break by its own event.
+    /// Sends a message. A message on a broken link is lost; the mission receives an event about the break.
     fn send<W: World>(&mut self, world: &mut W, robot: usize, message: Message, urgency: Urgency) {
         let Some(link) = self.links.of(robot) else { return };
         if let Err(full) = world.send(robot, link, message, urgency) {

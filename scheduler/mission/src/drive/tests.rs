@@ -1,4 +1,4 @@
-//! The loop in a world made for the purpose.
+//! The loop in a test world.
 
 use downbeat_plan::{DeviceScript, Plan, RobotPlan};
 use urrcp::{
@@ -50,22 +50,22 @@ fn mission_of(robots: &[&str], options: MissionOptions) -> Mission {
     Mission::of_plan(plan, participants, options, BEGIN).unwrap()
 }
 
-/// One robot that never answers, behind a link that takes this many messages.
+/// One robot that never answers, behind a link that takes `room` messages.
 struct Silent {
     now: Timestamp<Server>,
     room: usize,
     happens: VecDeque<Happened>,
     journal: Filed,
     cut: Vec<LinkNumber>,
-    /// The robots to which a link was begun, each with the pause before it.
+    /// The robots to which a connection was begun, each with the pause before it.
     connected: Vec<(usize, Span)>,
     told: Vec<Progress>,
-    /// Happens once a script has been sent.
+    /// An event that happens once a script has been sent.
     once_it_sends: Option<Event>,
     stops: Vec<Stopping>,
 }
 
-/// What the mission does to stop.
+/// Actions of the mission to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stopping {
     Sent,
@@ -137,7 +137,7 @@ fn a_robot_that_does_not_read_loses_its_link_and_the_mission_hears_why() {
     let mut world = Silent::new(1, Filed::AtOnce);
     let report = at_once(drive(&mut mission(), &mut world)).unwrap();
     assert_eq!(world.cut.first(), Some(&LinkNumber(0)));
-    assert!(world.connected.len() > 2, "it is tried again as long as patience lasts");
+    assert!(world.connected.len() > 2, "the link is retried as long as patience lasts");
     let failures: Vec<_> = report.failures.iter().map(|failure| failure.kind.to_string()).collect();
     assert!(failures.iter().any(|failure| failure.contains("does not read")), "{failures:?}");
 }

@@ -1,4 +1,4 @@
-//! The room of a device, compared with a device that is played through by brute force.
+//! The room of a device, compared with a brute-force model of a device.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ enum Open {
     No,
 }
 
-/// An act of one robot: how many scripts each of its devices plays.
+/// An act of one robot, with the number of scripts that each of its devices plays.
 fn act(number: u32, scripts: &[(&str, usize)], open: Open, robots: &[RobotState]) -> Act {
     let planned: Vec<Planned> = scripts
         .iter()
@@ -61,8 +61,8 @@ fn robots(queue: usize) -> Vec<RobotState> {
     vec![bench::robot("r0", Tells::Everything, queue)]
 }
 
-/// What was sent, by act and the place of the script in it. All is accepted at once: what follows the first script of a device
-/// waits for that.
+/// The sent scripts, by act and by the place of the script in it. Each is accepted at once: the following scripts of a device wait for
+/// the first one.
 fn send_all(acts: &mut [Act], robots: &[RobotState]) -> Vec<(u32, usize)> {
     let mut sent = Vec::new();
     loop {
@@ -118,7 +118,7 @@ fn with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent() {
     for (clock, lease, length, expected) in [
         (ClockMode::Ntp, 2_000, 6_000, 4),
         (ClockMode::Measured, 2_000, 6_000, 2),
-        // The device could go on without this machine for longer than that script.
+        // The device could continue without this machine for longer than that script.
         (ClockMode::Measured, 8_000, 6_000, 4),
         (ClockMode::Measured, 2_000, 4_000, 4),
     ] {
@@ -134,7 +134,7 @@ fn with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent() {
         if expected < 4 {
             ends(&mut acts, 0, 0, &robots);
             assert_eq!(send_all(&mut acts, &robots), [(0, 2)]);
-            // What became of the next one is never known: nothing waits for it.
+            // The fate of the next one is never known, so nothing waits for it.
             acts[0].lose_sight_of(ScriptRef { act: 0, member: 0, script: 1 });
             assert_eq!(send_all(&mut acts, &robots), [(0, 3)]);
         }
@@ -173,7 +173,7 @@ fn an_act_fits_when_its_first_scripts_find_room_behind_all_that_is_ahead_of_them
     }
 }
 
-/// A device by brute force: it holds at most `queue` scripts, and all others stand in one line before it.
+/// A brute-force device: it holds at most `queue` scripts, and all others wait in one line.
 struct Device {
     queue: usize,
     held: VecDeque<(u32, usize)>,

@@ -1,5 +1,5 @@
-//! What reports and recordings name is listed in their schema and in the documents: every kind, and no other. The lists come from
-//! the types themselves, so that a new variant fails here until it stands everywhere.
+//! The names in reports and recordings must match the lists in their schema and in the documents exactly. The lists come from the types
+//! themselves, so a new variant fails here until it is listed everywhere.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +20,7 @@ use crate::{
 
 const CHECKS: &str = "/$defs/preflight/properties/rows/items/properties/checks/items/prefixItems";
 
-/// Where the schema lists the variants of a type.
+/// The places at which the schema lists the variants of a type.
 fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
     let at = |pointer: &str| format!("/$defs/{pointer}");
     vec![
@@ -42,7 +42,7 @@ fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
     ]
 }
 
-/// Of a type of another crate, which has to be listed by hand: a variant more does not compile.
+/// The modes must be listed by hand, because the type is from another crate. A new variant does not compile.
 const CLOCK_MODES: [&str; 2] = [clock_mode(ClockMode::Ntp), clock_mode(ClockMode::Measured)];
 
 const fn clock_mode(mode: ClockMode) -> &'static str {
@@ -52,7 +52,7 @@ const fn clock_mode(mode: ClockMode) -> &'static str {
     }
 }
 
-/// The same.
+/// The same for latency sources.
 const LATENCY_SOURCES: [&str; 3] = [
     latency_source(LatencySource::Fleet),
     latency_source(LatencySource::File),
@@ -71,7 +71,7 @@ fn schema() -> Value {
     serde_json::from_str(SCHEMA).unwrap()
 }
 
-/// The words that a part of the schema allows; of an object with one required key, that key or what its `state` may be.
+/// The words that a part of the schema permits. For an object with one required key: that key, or the values of its `state`.
 fn words(schema: &Value, found: &mut BTreeSet<String>) {
     let text = |word: &Value| word.as_str().map(str::to_owned);
     found.extend(schema["enum"].as_array().into_iter().flatten().filter_map(text));

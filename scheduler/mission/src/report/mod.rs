@@ -26,38 +26,37 @@ pub const SCHEMA: &str = include_str!("schema.json");
 pub struct Report {
     /// The scenario's name.
     pub scenario: String,
-    /// The name of the session on whose behalf robots were driven.
+    /// The name of the session for which robots were driven.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
-    /// How it ended.
+    /// The outcome of the mission.
     pub outcome: Outcome,
-    /// Why it was stopped, for people, where neither the outcome nor a failure of a robot says so.
+    /// The reason of the stop, for users, if neither the outcome nor a failure of a robot states it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
-    /// How often the journal was removed or replaced while the mission ran, and written again.
+    /// How often the journal was removed or replaced during the mission, and written again.
     #[serde(skip_serializing_if = "is_zero")]
     pub journal_written_again: u64,
-    /// So many acts had begun, as many as were asked for: the mission came to its end although another act would have
-    /// followed.
+    /// The requested number of acts, if it ended the mission although another act would have followed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acts_max_reached: Option<u32>,
-    /// Planned start of the first cue of the first act reported, by the server's clock.
+    /// Planned start of the first cue of the first reported act, by the server's clock.
     pub start: Option<Timestamp<Server>>,
-    /// Why the start was that far ahead.
+    /// The components of the time until the start.
     pub lead: Option<LeadTime>,
-    /// Largest spread of starts of any act, by the robots' own clocks.
+    /// The largest spread of starts of any act, by the robots' own clocks.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
-    /// The same by the one true clock, which only a dry run has.
+    /// The same by the true clock, which only a dry run has.
     #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_spread: Option<Span>,
     /// The same for the last steps of scripts, because clocks drift while robots play.
     #[serde(rename = "true_end_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_end_spread: Option<Span>,
-    /// What the scenario requires, judged by this dry run.
+    /// The requirements of the scenario, judged by this dry run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub requirements: Vec<Judged>,
-    /// Every act of the scenario, in the order of the file, and what became of it.
+    /// The fate of every act of the scenario, in the order of the file.
     pub course: Vec<ActCourse>,
     /// The acts that were sent, in order.
     pub acts: Vec<ActReport>,
@@ -65,9 +64,9 @@ pub struct Report {
     pub acts_omitted: usize,
     /// Robots in the order of the fleet, over all acts.
     pub robots: Vec<RobotReport>,
-    /// The failures of each robot, in order; of a robot that fails again and again the first ones.
+    /// The failures of each robot, in order. If a robot fails repeatedly, only its first failures.
     pub failures: Vec<Failure>,
-    /// The outcome of the way home. `None` if no way home was requested.
+    /// The outcome of the move to the default positions. `None` if no way home was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub home: Option<TransferReport>,
     /// The outcome of the approach to the act after the last failure. `None` if no approach was necessary.
@@ -76,21 +75,21 @@ pub struct Report {
     /// Robots driven in this process whose hardware may not be at rest, each with the reason.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub not_at_rest: Vec<String>,
-    /// What NTP said of this machine's clock at last, where the fleet file names an NTP server.
+    /// The last state of this machine's clock according to NTP, if the fleet file names an NTP server.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ntp: Option<NtpState>,
-    /// What became of the recording, where there is one.
+    /// The result of the recording, if one was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording: Option<Recorded>,
-    /// How late this host wakes its robots, where a preflight measured it.
+    /// How late this host wakes its robots, if a preflight measured it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wake_up: Option<HostWakeUp>,
-    /// What was checked before.
+    /// The results of the checks before the mission.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preflight: Option<Preflight>,
 }
 
-/// What one robot did over all acts.
+/// The results of one robot over all acts.
 #[derive(Clone, Debug, Serialize)]
 #[cfg_attr(test, derive(Deserialize))]
 pub struct RobotReport {
@@ -98,46 +97,46 @@ pub struct RobotReport {
     pub robot: RobotId,
     /// Whether it takes part.
     pub standing: Standing,
-    /// It accepted all its scripts.
+    /// Whether it accepted all its scripts.
     pub accepted: bool,
-    /// Scripts that it said it had started.
+    /// Number of scripts that it reported as started.
     pub started: usize,
     /// Scripts planned.
     pub scripts: usize,
-    /// Its start error of largest size: actual (by its clock) minus planned.
+    /// Its start error with the largest absolute value: actual start by its own clock, minus planned start.
     #[serde(rename = "start_error_ms")]
     pub start_error: Option<Span>,
-    /// Steps executed, by its own account.
+    /// Steps executed, as it reported.
     pub steps_done: u64,
     /// Steps planned.
     pub steps_planned: u64,
-    /// Steps that came more than a millisecond late, by its own account.
+    /// Steps that came more than a millisecond late, as it reported.
     pub late_steps: u64,
-    /// How late the latest of them was, if the robot reports it.
+    /// The largest lateness of those steps, if the robot reports it.
     #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
     pub late_max: Option<Span>,
-    /// Scripts that it was sent and of which it has not said what became of them.
+    /// Scripts that were sent to it and whose fate it has not reported.
     pub unaccounted: usize,
     /// Requests sent again.
     pub retries: u32,
-    /// How often its link was made again.
+    /// Number of times that its link was re-established.
     pub reconnects: u32,
-    /// Answers that answered nothing it was asked, or whose times could not be true. They counted for nothing.
+    /// Answers that matched no question, or whose times were impossible. They were ignored.
     #[serde(skip_serializing_if = "is_zero")]
     pub ignored_answers: u64,
     /// Further failures of this robot, beyond those that the report lists.
     #[serde(skip_serializing_if = "is_zero")]
     pub failures_omitted: u64,
-    /// How its time was brought to agree with the server's.
+    /// How its clock is synchronized with the server's.
     pub clock_mode: ClockMode,
-    /// Its clock against the server's.
+    /// Its clock compared with the server's.
     pub clock: Option<ClockReading>,
-    /// Devices that declare another latency than was compensated.
+    /// Devices that declare a latency different from the compensated one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_differs: Option<LatencyDiffers>,
-    /// Whether the robot declares `pending_until`, and so drops a script that was not decided. `None`: it has not described itself.
+    /// Whether the robot declares `pending_until`, and therefore drops an undecided script. `None` if it has not described itself.
     pub pending_until: Option<bool>,
-    /// After a stop: whether it is known to be at rest.
+    /// Whether the robot is known to be at rest after a stop.
     pub stop: StopState,
 }
 
@@ -150,28 +149,28 @@ pub struct Recorded {
     pub failure: Option<String>,
 }
 
-/// What became of the stop of a robot.
+/// The state of a robot's stop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum StopState {
-    /// None was sent.
+    /// No stop was sent.
     NotSent,
-    /// The robot confirmed on every device that it has ended what it did, and comes to rest where it is.
+    /// The robot confirmed on every device that it has ended its activity, and comes to rest in place.
     Confirmed,
     /// The robot confirmed on every device that it goes to its default state.
     Home,
-    /// The robot refused it: it belongs to another session by now, whose commands it may execute, and holds nothing of this one.
+    /// The robot refused it, because it now belongs to another session, whose commands it may execute. It holds nothing of this one.
     TakenOver,
     /// No confirmation; it stops by itself when its longest lease ends.
     Unconfirmed {
-        /// When, by the server's clock; `None` if a script runs on without a lease.
+        /// The end of the lease by the server's clock; `None` if a script continues without a lease.
         lease_ends: Option<Timestamp<Server>>,
     },
 }
 
 impl StopState {
-    /// Whether the robot may move although it was to be stopped.
+    /// Whether the robot may move although a stop was requested.
     #[must_use]
     pub const fn is_unconfirmed(&self) -> bool {
         matches!(self, Self::TakenOver | Self::Unconfirmed { .. })
@@ -179,7 +178,7 @@ impl StopState {
 }
 
 impl Report {
-    /// How far apart steps that are planned for one instant were, by the one true clock, which only a dry run has.
+    /// The largest spread of steps that are planned for one instant, by the true clock, which only a dry run has.
     #[must_use]
     pub fn largest_true_spread(&self) -> Option<Span> {
         self.true_spread.max(self.true_end_spread)
@@ -191,7 +190,7 @@ impl Report {
         mission.outcome().map(|outcome| Self::with(mission, outcome.clone()))
     }
 
-    /// What is known if the operator leaves now, without waiting for anything.
+    /// The current report if the operator leaves now, without waiting for anything.
     #[must_use]
     pub fn as_left(mission: &mut Mission, now: Timestamp<Server>) -> Self {
         mission.leave(now);
@@ -237,7 +236,8 @@ impl Report {
     }
 }
 
-/// With `trusts_files`, descriptions come from the fleet's files, because the mission did not request them from the robots.
+/// Reports a robot. With `trusts_files`, descriptions come from the fleet's files, because the mission did not request them from the
+/// robots.
 fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
     let is_described = trusts_files || robot.introduced;
     let totals = &robot.totals;

@@ -3,32 +3,30 @@
 use serde::Serialize;
 use urrcp::Span;
 
-/// The part of `start_tolerance` that waking up may take before it is worth a warning: one in so many. The clocks need most
-/// of it.
+/// Waking up may take this fraction of `start_tolerance` before it causes a warning: one fourth. The clocks need most of the tolerance.
 const SHARE: i64 = 4;
 
-/// What a preflight measured on this host.
+/// The measurement of a preflight on this host.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct HostWakeUp {
-    /// Half of the times it woke later.
+    /// Half of the wake-ups were later than this.
     #[serde(rename = "median_ms")]
     pub median: Span,
-    /// One time in a hundred it woke later.
+    /// One in a hundred wake-ups was later than this.
     #[serde(rename = "p99_ms")]
     pub p99: Span,
-    /// It never woke later.
+    /// No wake-up was later than this.
     #[serde(rename = "longest_ms")]
     pub longest: Span,
-    /// What the measuring thread was granted, for people.
+    /// The scheduling that the measuring thread was granted, for users.
     pub scheduling: String,
-    /// Why that may be too late.
+    /// The reason why that may be too late.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warning: Option<String>,
 }
 
 impl HostWakeUp {
-    /// Adds a warning if this host may be too late for `tolerance`, within which its robots have to start; `None` if it drives
-    /// none.
+    /// Adds a warning if this host may be too late for `tolerance`, within which its robots must start. `None` if it drives no robots.
     #[must_use]
     pub fn judged_by(mut self, tolerance: Option<Span>) -> Self {
         let too_late = |tolerance: &Span| self.p99 > *tolerance / SHARE;
@@ -42,7 +40,7 @@ impl HostWakeUp {
         self
     }
 
-    /// Sentences for people.
+    /// Sentences for users.
     pub fn sentences(&self) -> impl Iterator<Item = String> {
         let measured = format!(
             "this host wakes up {} late (median), {} (p99), {} at most; {}",

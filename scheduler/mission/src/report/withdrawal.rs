@@ -1,4 +1,4 @@
-//! The report of a direct stop: what is known of a mission that another process played.
+//! The report of a direct stop: the available information about a mission that another process played.
 
 use serde::{Deserialize, Serialize};
 use urrcp::{RobotId, SessionId};
@@ -6,44 +6,44 @@ use urrcp::{RobotId, SessionId};
 use super::{Outcome, Report, RobotReport, StopState};
 use crate::Failure;
 
-/// What a direct stop knows. What the mission played before is not known, so none of the keys of that are there. The report of a
-/// mission contains all keys of this one, so a stop reads both alike.
+/// The information of a direct stop. It does not know the earlier course of the mission, so the keys for that are missing. The report of
+/// a mission contains all keys of this one, so a stop reads both in the same way.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Withdrawal {
     /// The scenario's name.
     pub scenario: String,
-    /// The session on whose behalf robots were driven.
+    /// The session for which robots were driven.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
-    /// How it ended.
+    /// The outcome of the mission.
     pub outcome: Outcome,
-    /// Why it was stopped, if neither the outcome nor a failure states the reason.
+    /// The reason of the stop, if neither the outcome nor a failure states it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
-    /// In the order of the fleet.
+    /// The robots in the order of the fleet.
     pub robots: Vec<WithdrawnRobot>,
-    /// In order.
+    /// The failures in order.
     pub failures: Vec<Failure>,
     /// Robots driven in the process whose hardware may not be at rest, each with the reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_at_rest: Vec<String>,
 }
 
-/// What a direct stop knows of a robot.
+/// The information of a direct stop about a robot.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct WithdrawnRobot {
     /// Its id.
     pub robot: RobotId,
     /// Requests sent again.
     pub retries: u32,
-    /// How often its link was made again.
+    /// Number of times that its link was re-established.
     pub reconnects: u32,
-    /// What became of its stop.
+    /// The state of its stop.
     pub stop: StopState,
 }
 
 impl Withdrawal {
-    /// Whether a robot may move although it was to be stopped.
+    /// Whether a robot may move although a stop was requested.
     #[must_use]
     pub fn is_unconfirmed(&self) -> bool {
         !self.not_at_rest.is_empty() || self.robots.iter().any(|robot| robot.stop.is_unconfirmed())

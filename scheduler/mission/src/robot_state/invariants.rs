@@ -1,4 +1,4 @@
-//! What must hold of a robot between two events.
+//! Invariants of a robot between two events.
 
 use urrcp::{Server, Timestamp};
 

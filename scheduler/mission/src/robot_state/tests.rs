@@ -163,7 +163,7 @@ fn an_answer_is_said_when_the_robots_clock_says_so_and_not_later_than_now() {
     let said = |robot: &RobotState, millis| robot.said_at(at(200), bench::by_robot(at(millis)));
     assert!((said(&robot, 5_150) - at(150)).abs() < ms(1), "its clock is five seconds ahead");
     assert_eq!(said(&robot, 9_000), at(200));
-    // By its own clock it was said long after the stop; in truth before it.
+    // By its own clock it was sent long after the stop, but actually before it.
     let response = without_name("a", Status::Ok, 5_000 + STOPPED - 50);
     assert!(!robot.stop_answered(at(STOPPED + 60), &response, |_| false));
 }

@@ -1,4 +1,4 @@
-//! What must hold of a script between two events.
+//! Invariants of a script between two events.
 
 use urrcp::RobotId;
 
@@ -52,7 +52,7 @@ impl Script {
         );
     }
 
-    /// The robot's reports.
+    /// Checks the robot's reports.
     fn check_word(&self, robot: &RobotId) {
         let of = format_args!("{robot}/{}: {self:?}", self.plan.device);
         if self.discredited {

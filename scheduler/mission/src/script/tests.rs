@@ -1,11 +1,11 @@
-//! Whatever a robot says of a script, in whatever order.
+//! Any reports of a robot about a script, in any order.
 
 use proptest::prelude::*;
 
 use super::*;
 use crate::bench::{self, at, by_robot, ms, refusal, report, response};
 
-/// What may be said of a script, or happen to it.
+/// Reports about a script, and events of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Said {
     Accepted,
@@ -30,7 +30,7 @@ fn sent() -> Script {
     script
 }
 
-/// Takes what was said `millis` after it was sent.
+/// Takes a report `millis` after it was sent.
 fn take(script: &mut Script, said: Said, millis: i64) -> News {
     let now = at(millis);
     let id = script.request_id().unwrap().clone();
@@ -143,7 +143,7 @@ fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
         assert!(matches!(take(&mut lost, Said::Unknown, 2), News::Failed(_)), "{first:?}");
         assert_eq!(*lost.state(), ScriptState::Unknown, "what it did is unknown");
     }
-    // A question that went ahead of the request in the same instant says nothing.
+    // A question that overtook the request in the same instant means nothing.
     let mut behind = sent();
     assert_eq!(take(&mut behind, Said::Unknown, 0), News::None);
     let mut again = sent();
@@ -200,7 +200,7 @@ fn a_robot_that_accepted_something_else_has_failed() {
 #[test]
 fn a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name() {
     let mut script = sent();
-    // The clock of a robot that was set back by minutes keeps its queue full for as long.
+    // A robot whose clock was set back by minutes keeps its queue full for the same time.
     for refusals in 1..=5_000 {
         script.refused_for_now();
         let name = script.request_id().expect("a name is never too long").as_str();
@@ -295,7 +295,7 @@ proptest! {
     ) {
         let mut script = sent();
         for (index, said) in said.into_iter().enumerate() {
-            // What has ended is not sent again.
+            // A script that has ended is not sent again.
             if said == Said::Sent && script.is_final() {
                 continue;
             }
@@ -323,7 +323,7 @@ fn of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or
         script.discredit(&claim, &Told::by_response(&began, at(7)));
         assert_eq!((running(&mut script), ended(&mut script)), (News::None, News::None));
         assert_eq!(script.started_at(), None, "{truth_first}");
-        assert_eq!(script.steps_done(), u32::from(truth_first), "no step counts that was said after");
+        assert_eq!(script.steps_done(), u32::from(truth_first), "later steps do not count");
         assert!(script.has_begun() && script.is_final() && !script.has_completed());
     }
 }

@@ -140,7 +140,7 @@ fn a_start_that_is_too_soon_is_later_within_the_permitted_time() {
     assert_eq!(Played::begun(mission).run_to_the_end(), Outcome::Done);
 }
 
-/// Two acts; the first one plays, and the second one has been sent and follows it at once.
+/// Two acts. The first one plays, and the second one, which follows immediately, has been sent.
 pub(super) fn chained(drops_undecided: bool) -> Played {
     let mut mission = waits_in(2);
     mission.robots[0].block.as_mut().unwrap().pending_until = drops_undecided;
@@ -245,7 +245,7 @@ fn robots_go_home_before_the_next_attempt_if_the_operator_says_so_and_stay_witho
     for (rest, sent) in [(Rest::Home, 1), (Rest::InPlace, 0)] {
         let mut played = Played::begun(begins_at_once(Everything));
         played.is_withdrawn();
-        // The stop is confirmed, and the next attempt is on its way to the disk.
+        // The stop is confirmed, and the next attempt is being written to disk.
         played.run_until(played.now + ms(1));
         assert!(!played.mission.acts[0].is_open() && played.mission.acts[0].attempts() == 1);
         let before = played.stops();
@@ -358,7 +358,7 @@ fn a_link_that_broke_while_the_act_was_withdrawn_is_made_again() {
     played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
     assert!(!played.mission.robots[0].lost().unwrap().connecting, "it has confirmed its stop");
     played.mute.clear();
-    // The mission waits for its patience to learn what became of the script of this robot.
+    // The mission waits for its patience to learn the fate of this robot's script.
     for _ in 0..8_000 {
         if played.mission.acts.first().is_some_and(|act| act.attempts() == 1) {
             break;

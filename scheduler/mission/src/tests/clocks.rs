@@ -1,11 +1,11 @@
-//! Clocks that turn out to be others than an act was sent by.
+//! Clocks that turn out to differ from those by which an act was sent.
 
 use super::played::Played;
 use super::*;
 use crate::bench::ms;
 
-/// One act of three robots that was sent. The clocks of the second and the third have been set since, in opposite directions,
-/// and only the latter has not answered yet.
+/// One act of three robots that was sent. The clocks of the second and the third have been set since, in opposite directions, and only
+/// the third has not answered yet.
 fn two_have_strayed() -> Mission {
     let scripts: [&[Planned]; 3] = [&[("a", 0, 400)]; 3];
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
@@ -20,7 +20,7 @@ fn two_have_strayed() -> Mission {
     mission
 }
 
-/// An exchange with a clock that is ahead by so many milliseconds.
+/// An exchange with a clock that is ahead by `ahead` milliseconds.
 fn shows(ahead: i64) -> ClockSample {
     let there = by_robot(at(1)) + ms(ahead);
     ClockSample::from_exchange(at(1), there, there, at(2))
@@ -55,8 +55,8 @@ fn a_robot_whose_clock_has_strayed_from_what_two_acts_were_sent_by_is_blamed_onc
     assert_eq!(blamed.len(), 2, "{blamed:?}");
 }
 
-/// Two acts of a robot whose clock is 400 ms ahead, and whose scripts have this running lease. Returns when the second act is sent and
-/// when the robot ends the first one.
+/// Two acts of a robot whose clock is 400 ms ahead, and whose scripts have this running lease. Returns the time at which the second act
+/// is sent, and the time at which the robot ends the first one.
 fn second_is_sent(running: i64) -> (Timestamp<Server>, Timestamp<Server>) {
     let mut mission = waits_in(2);
     mission.options.greeting = Greeting::Full;
@@ -85,7 +85,7 @@ fn an_act_that_needs_a_longer_silence_than_the_leases_of_another_is_sent_after_i
     assert!(sent >= end, "{sent}, {end}");
 }
 
-/// A mission whose only robot cannot be asked for its scripts. It plays two of four scripts that follow one another, its queue holds two.
+/// A mission whose only robot cannot be asked about its scripts. It plays two of four consecutive scripts; its queue holds two.
 fn plays_a_chain(tells: Tells, clock: ClockMode, ahead: Span) -> Played {
     let mut mission =
         begins_with(tells, &[("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)]);
@@ -100,7 +100,7 @@ fn plays_a_chain(tells: Tells, clock: ClockMode, ahead: Span) -> Played {
     played
 }
 
-/// The process of the robot is replaced by one whose clock is ahead by this much.
+/// Replaces the process of the robot by one whose clock is ahead by `ahead`.
 fn is_replaced(played: &mut Played, ahead: Span) {
     let scripts: Vec<_> = played.mission.robots[0].requests.keys().cloned().collect();
     scripts.iter().for_each(|script| played.loses(script));
@@ -140,7 +140,7 @@ fn a_robot_that_is_back_with_the_same_clock_is_sent_what_waits_once_it_has_answe
     for clock in [ClockMode::Measured, ClockMode::Ntp] {
         let mut played = plays_a_chain(Tells::Nothing, clock, ms(3));
         is_replaced(&mut played, ms(3));
-        assert_eq!(scripts_sent(&played), 0, "{clock:?}: its clock is not known yet");
+        assert_eq!(scripts_sent(&played), 0, "{clock:?}: its clock is unknown yet");
         played.run_until(played.now + ms(20));
         assert_eq!(blamed(&played.mission), [], "{clock:?}");
         assert_eq!(scripts_sent(&played), 1, "{clock:?}: one waits, and its device has no room for more");

@@ -1,4 +1,4 @@
-//! How acts follow each other, what became of them, and how the mission ends by that.
+//! The order of acts, their fates, and the resulting end of the mission.
 
 use downbeat_plan::{Choreography, OnFailure};
 
@@ -125,7 +125,7 @@ fn the_report_of_an_act_tells_its_instants() {
     assert_eq!((device.steps_done, device.steps_planned, device.late_steps), (2, 2, 0));
 }
 
-/// One act of two robots; the others go on without one that fails.
+/// One act of two robots. If one fails, the other continues.
 pub(super) fn without_those_that_fail() -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
     choreography.acts[0].on_failure.default = OnFailure::Without;
@@ -272,7 +272,7 @@ fn the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience(
     assert!(matches!(mission.outcome(), Some(Outcome::JournalLost { .. })), "{:?}", mission.outcome);
 }
 
-/// How a mission ends that is sent with these options, before anything of it plays.
+/// The outcome of a mission that is sent with these options, before any script plays.
 fn sent_with(lease: Option<i64>, options: impl Fn(&mut MissionOptions)) -> Option<Outcome> {
     let mut mission = begins_at_once(Everything);
     let mut choreography = Choreography::clone(&mission.choreography);
@@ -442,7 +442,7 @@ fn an_act_that_the_operator_leaves_before_its_start_was_withdrawn_whatever_was_s
     assert_eq!(mission.fates[0].fate, ActFate::Withdrawn);
 }
 
-/// Robots of one act; the first one has played all of it, and the others play on.
+/// Robots of one act. The first one has played all of it, and the others continue to play.
 fn the_first_is_done(tells: &[Tells]) -> Played {
     let scripts: Vec<Planned> =
         (0..tells.len()).map(|robot| ("a", 0, if robot == 0 { 100 } else { 10_000 })).collect();
@@ -477,7 +477,7 @@ fn an_act_that_is_left_before_it_is_over_was_stopped_though_a_robot_has_played_a
 
 #[test]
 fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_played() {
-    // One that drops undecided scripts cannot begin the act before its commitment.
+    // A robot that drops undecided scripts cannot begin the act before its commitment.
     for (starts, drops, first) in [
         (true, true, ActFate::Stopped),
         (true, false, ActFate::Stopped),

@@ -1,4 +1,4 @@
-//! Who counts as the robot that is meant, when robots are asked again, and robots of other sessions.
+//! The identity of robots, repeated questions, and robots of other sessions.
 
 use downbeat_plan::AllOrNone;
 use urrcp::{AvailabilityResponse, ControlError};
@@ -91,7 +91,7 @@ fn a_robot_whose_answer_is_under_way_is_asked_again_after_three_round_trips_and_
     assert_eq!(asks(&std::mem::take(&mut mission.actions)), 1);
 }
 
-/// A mission that may take a robot of another session, which has proven who it is.
+/// A mission that may take over a robot of another session that has proven its identity.
 fn may_seize() -> Mission {
     let mut mission = begins_at_once(Everything);
     mission.options.greeting = Greeting::Full;
@@ -164,7 +164,7 @@ fn a_robot_that_has_become_free_meanwhile_is_asked_as_any_other() {
     assert_eq!(mission.robots[0].ownership, Ownership::Asked);
 }
 
-/// A mission whose robot says that its device `a`, which begins at 45, can tell where it stands.
+/// A mission whose robot reports that its device `a`, which begins at 45, can report its position.
 fn tells_where_it_stands() -> Mission {
     let mut mission = may_seize();
     let text = serde_json::to_string(mission.robots[0].block.as_ref().unwrap()).unwrap().replacen(
@@ -226,7 +226,7 @@ fn asked() -> Mission {
     mission
 }
 
-/// So many exchanges of timestamps with the robot.
+/// Adds `count` exchanges of timestamps with the robot.
 fn answers_times(mission: &mut Mission, count: i64) {
     for exchange in 0..count {
         let there = by_robot(at(exchange * 10 + 1));
@@ -351,10 +351,10 @@ fn answers_that_counted_for_nothing_are_told_of_a_robot_that_seems_silent() {
     mission.robots[0].exchanges.ignore();
     mission.greeting_overdue(at(5_000));
     let text = mission.robots[0].failures[0].kind.to_string();
-    assert!(text.contains("availability response to a question (1 came that answer none"), "{text}");
+    assert!(text.contains("availability response to a request (answers ignored because they answer no request or have impossible times: 1)"), "{text}");
 }
 
-/// Acts follow each other for ever, played by whichever of two robots are there. The second one is not there at first.
+/// Acts follow each other forever, played by the available ones of two robots. The second one is missing at first.
 fn waits_for_nobody(greeting: Greeting) -> Played {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].next = Way::Act(0);
@@ -362,7 +362,7 @@ fn waits_for_nobody(greeting: Greeting) -> Played {
     begun_without_the_second(choreography, greeting)
 }
 
-/// A mission of two robots. The second one is not there at first.
+/// A mission of two robots. The second one is missing at first.
 fn begun_without_the_second(choreography: Choreography, greeting: Greeting) -> Played {
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
     let participants = vec![participant("r0"), participant("r1")];
@@ -505,7 +505,7 @@ fn a_robot_that_comes_later_and_cannot_join_yet_or_ever_stops_nobody() {
     assert_eq!(unfit.mission.robots[1].failures.len(), 1);
 }
 
-/// The number of availability requests that a robot was sent.
+/// The number of availability requests that were sent to a robot.
 fn asks_of(played: &Played, robot: usize) -> usize {
     let asks = |message: &Message| matches!(message, Message::AvailabilityRequest(_));
     played.sent.iter().filter(|(_, to, message)| *to == robot && asks(message)).count()
@@ -521,7 +521,7 @@ fn a_robot_that_was_absent_and_is_another_one_is_left_out() {
         played.happens(Event::LinkUp { robot: 1 });
         played.happens(told());
         assert_eq!(played.mission.robots[1].standing, Standing::Out);
-        assert_eq!(played.mission.robots[1].failures.len(), 1, "it is told once");
+        assert_eq!(played.mission.robots[1].failures.len(), 1, "reported once");
         assert!(played.mission.robots[1].lost().is_some_and(|lost| lost.connecting));
     }
     assert_eq!(played.mission.phase, Phase::Performing, "the others go on");
@@ -622,7 +622,7 @@ fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
     assert_eq!(kinds, [FailureKind::NotAvailable { error: busy() }]);
 }
 
-/// The same with another smallest step and largest error of the device, in the words of its description.
+/// The same with another smallest step and largest error of the device, as written in its description.
 fn with_limits(change: impl FnOnce(&mut serde_json::Value)) -> Mission {
     let mut mission = tells_where_it_stands();
     let mut block = serde_json::to_value(mission.robots[0].block.as_ref().unwrap()).unwrap();
@@ -799,8 +799,8 @@ fn leads_to(tells: Tells, on_timeout: usize) -> Played {
     played
 }
 
-/// Whether the mission found `b` elsewhere and has not moved it. Checks that the advice helps before an act that is not the first
-/// one.
+/// Whether the mission found `b` at another position and has not moved it. Checks that the advice is helpful before an act that is not
+/// the first one.
 fn refuses_b(played: &Played) -> bool {
     let robot = &played.mission.robots[0];
     let is_b =
@@ -915,7 +915,7 @@ fn an_act_is_promised_to_a_robot_without_a_link_only_after_an_attempt_to_reach_i
         let mission = Mission::new(Arc::clone(&choreography), participants, MissionOptions::default(), at(0));
         let mut played = Played::linked(mission.unwrap(), &[0, 1]);
         played.run_until(at(1_000));
-        // The robot has been away for a while, so the mission waits for a second before it tries again.
+        // The robot has been missing for a while, so the mission waits for a second before its next attempt.
         for _ in 0..10 {
             down(&mut played);
         }

@@ -1,4 +1,4 @@
-//! Robots that say too much, and robots for which the others would have to wait without bound.
+//! Robots that send too many messages, and robots for which the others would have to wait without bound.
 
 use downbeat_plan::OnFailure;
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::bench::{ms, robot};
 use crate::lead::{LEASE_MAX, ROUND_TRIP_LONGEST};
 
-/// One act of two robots; the others go on without one that fails.
+/// One act of two robots. If one fails, the other continues.
 pub(super) fn of_two(tolerance: Span) -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].on_failure.default = OnFailure::Without;
@@ -74,7 +74,7 @@ fn a_robot_that_floods_while_robots_are_greeted_is_refused() {
     assert!(mission.robots[1].has_failed() && !reconnects(&actions), "{actions:?}");
 }
 
-/// After exchanges with the second robot that took so long, and whose clock is ahead by so much.
+/// A mission after exchanges with these values for the second robot.
 fn after_exchanges_of(round_trip: Span, ahead: Span, tolerance: Span) -> Mission {
     let mut mission = of_two(tolerance);
     for (robot, round_trip, ahead) in [(0, ms(1), Span::ZERO), (1, round_trip, ahead)] {
@@ -96,7 +96,7 @@ fn a_robot_whose_round_trips_are_longer_than_any_lease_is_refused() {
         let texts: Vec<_> =
             mission.robots[1].failures.iter().map(|failure| failure.kind.to_string()).collect();
         assert_eq!(texts.len(), usize::from(refused), "{texts:?}");
-        let says = "the link to it is too slow: a round trip takes 3.001 s, at most 3 s is possible";
+        let says = "the link to it is too slow: a round trip takes 3.001 s, expected at most 3 s";
         assert!(texts.iter().all(|text| text.starts_with(says)), "{texts:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Robots whose link breaks, or that say nothing, while they play.
+//! Robots whose link breaks, or that do not answer, while they play.
 
 use urrcp::{ControlType, Millis, Script, Setpoint, Step};
 
@@ -31,7 +31,7 @@ fn a_robot_whose_link_stays_away_is_given_up_and_not_before() {
     mission.give_up_lost(until);
     let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
     assert_eq!(kinds, [FailureKind::LinkDown { reason: "it broke".to_owned() }]);
-    assert_eq!(mission.give_up, None, "nobody else is waited for");
+    assert_eq!(mission.give_up, None, "the mission waits for no other robot");
 }
 
 #[test]
@@ -53,7 +53,7 @@ fn a_robot_that_is_heard_again_is_waited_for_no_more() {
     let until = played.mission.give_up.unwrap();
     played.mute.clear();
     played.happens(Event::LinkUp { robot: 0 });
-    assert_eq!(played.mission.give_up, Some(until), "it has said nothing");
+    assert_eq!(played.mission.give_up, Some(until), "it has not answered");
     played.run_until(played.now + ms(1));
     assert!(played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })));
     assert_eq!(played.mission.give_up, None);
@@ -244,7 +244,7 @@ fn a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_he
         let mut played = Played::begun(one_act(Tells::Answers, 400));
         let start = played.mission.acts[0].timing().unwrap().start;
         played.run_until(start - ms(10));
-        // A round is due as well, and its inquiry, which names no script, is sent and answered first.
+        // A round is due as well. Its inquiry, which contains no script, is sent and answered first.
         played.now = start + ms(400 + late);
         played.run_until(played.now);
         played.delay_reports(ms(60));
@@ -301,7 +301,7 @@ fn the_operator_is_told_what_a_robot_says_of_itself_now_and_then() {
         |played: &Played| played.told.iter().filter(|told| matches!(told, Progress::Heard { .. })).count();
     let before = heard(&played);
     played.run_until(played.now + ms(6_000));
-    // Nine rounds, of which every second one is later than 900 ms after the one that was told of.
+    // There are nine rounds. Every second one is later than 900 ms after the last reported one.
     assert!((4..=5).contains(&(heard(&played) - before)), "{before}, {}", heard(&played));
 }
 

@@ -1,4 +1,4 @@
-//! A mission with robots that do what they are told, in virtual time: what it says while it plays, and how it ends.
+//! A mission with robots that obey, in virtual time: its progress while it plays, and its outcome.
 
 use std::collections::HashMap;
 
@@ -11,10 +11,10 @@ use super::*;
 
 use crate::bench::{ms, refusal, report, response};
 
-/// From a message to its answer.
+/// Time from a message to its answer.
 const ROUND_TRIP: Span = Span::from_micros(400);
 
-/// A script that a robot has: when it starts and ends.
+/// A script that a robot has: the robot, the device, the start and the end.
 type Held = (usize, DeviceId, Timestamp<Server>, Timestamp<Server>);
 
 pub(super) struct Played {
@@ -25,34 +25,34 @@ pub(super) struct Played {
     /// Scripts that have ended before their last step, with the reason and the number of steps done.
     ended: HashMap<RequestId, (ErrorCode, u32)>,
     arrivals: Vec<(Timestamp<Server>, Event)>,
-    /// Robots whose messages are lost both ways from now on.
+    /// Robots whose messages are lost in both directions from now on.
     pub(super) mute: Vec<usize>,
-    /// The positions that the robots state for their devices.
+    /// The positions that the robots report for their devices.
     pub(super) positions: HashMap<DeviceId, f64>,
-    /// Until when devices slow down, and by how much they are away from their positions for each millisecond before that.
+    /// The time until which devices slow down, and their distance from their positions per remaining millisecond.
     pub(super) slows: Option<(Timestamp<Server>, f64)>,
-    /// By how much the positions of devices are off at most. They change all the time, and their sign does every second.
+    /// The maximum error of device positions. The error changes continuously, and its sign changes every second.
     pub(super) jitters: f64,
-    /// Whether robots state the positions of all devices in each answer to an inquiry.
+    /// Whether robots report the positions of all devices in each answer to an inquiry.
     pub(super) states_all: bool,
-    /// Whether the control responses of robots leave out the names of requests.
+    /// Whether the control responses of robots omit the ids of requests.
     pub(super) leaves_out_names: bool,
     /// The times by which the clocks of robots are ahead of the server's.
     pub(super) ahead: HashMap<usize, Span>,
     pub(super) told: Vec<Progress>,
     pub(super) sent: Vec<(Timestamp<Server>, usize, Message)>,
     pub(super) recorded: Vec<Record>,
-    /// The attempts to reach robots again, each with the pause before it.
+    /// The attempts to reconnect to robots, each with the pause before it.
     pub(super) reconnects: Vec<(usize, Span)>,
 }
 
 impl Played {
-    /// All links stand at once, and the first act is sent as soon as it is known how long the disk takes.
+    /// All links are connected at once, and the first act is sent as soon as the duration of a record is known.
     pub(super) fn begun(mission: Mission) -> Self {
         Self::of(mission, Vec::new())
     }
 
-    /// The same; these robots hear nothing, and say nothing.
+    /// The same; the robots in `mute` receive and send nothing.
     pub(super) fn of(mission: Mission, mute: Vec<usize>) -> Self {
         let all: Vec<usize> = (0..mission.robots.len()).collect();
         let mut played = Self::linked(mission, &all);
@@ -61,7 +61,7 @@ impl Played {
         played
     }
 
-    /// The links of these robots are about to stand.
+    /// A mission whose links to these robots are about to be connected.
     pub(super) fn linked(mission: Mission, robots: &[usize]) -> Self {
         let arrivals = robots.iter().map(|robot| (at(0), Event::LinkUp { robot: *robot })).collect();
         Self {
@@ -85,8 +85,8 @@ impl Played {
         }
     }
 
-    /// The process has died, and another one resumes the mission at this instant and is about to connect. Robots have continued,
-    /// and their reports in between are lost.
+    /// The process has died, and another one resumes the mission at `now` and is about to connect. The robots have continued, and their
+    /// reports in between are lost.
     pub(super) fn resumed_at(&self, now: Timestamp<Server>, kept: &Kept, ended: Vec<ActReport>) -> Self {
         let participant = |robot: &RobotState| Participant::new(robot.id.clone(), robot.block.clone());
         let participants = self.mission.robots.iter().map(participant).collect();
@@ -124,7 +124,7 @@ impl Played {
         self.mission.outcome().cloned().expect("it ends")
     }
 
-    /// Until the first act under way has started.
+    /// Runs until the first act under way has started.
     pub(super) fn run_to_the_start(&mut self) {
         let begun = self.mission.acts[0].timing().unwrap().begun();
         self.run_until(begun + ms(5));
@@ -177,7 +177,7 @@ impl Played {
         self.says(self.now + ROUND_TRIP, robot, answer);
     }
 
-    /// What the clock of a robot shows at this instant.
+    /// The time of a robot's clock at this instant.
     fn shown(&self, robot: usize, at: Timestamp<Server>) -> Timestamp<urrcp::Robot> {
         by_robot(at + self.ahead.get(&robot).copied().unwrap_or_default())
     }
@@ -239,7 +239,7 @@ impl Played {
             let now = self.now;
             let cancelled =
                 self.scripts.extract_if(|_, (of, on, _, end)| (*of, &*on) == (robot, device) && *end > now);
-            // Scripts have a step at their start and one at their end.
+            // Scripts have one step at their start and one at their end.
             let steps = |start: Timestamp<Server>| u32::from(start <= now);
             let ended = cancelled.map(|(id, (.., start, _))| (id, (ErrorCode::Cancelled, steps(start))));
             self.ended.extend(ended);
@@ -265,7 +265,7 @@ impl Played {
         self.arrivals.push((at, Event::Received { robot, message }));
     }
 
-    /// A pending lease ends: the robot does not begin the script.
+    /// Ends a pending lease: the robot does not begin the script.
     pub(super) fn drops(&mut self, id: &RequestId) {
         self.loses(id);
         self.ended.insert(id.clone(), (ErrorCode::LinkLost, 0));

@@ -1,4 +1,4 @@
-//! Readings of sensors: to which questions answers without names belong, and what becomes of questions on a link that breaks.
+//! Readings of sensors: the questions to which answers without ids belong, and questions on a link that breaks.
 
 use std::collections::HashMap;
 
@@ -57,7 +57,7 @@ fn readings_that_a_broken_link_lost_in_the_greeting_are_asked_for_again() {
     let range = SensorRange::Above(10.0);
     played.mission.robots[0].settings.require = vec![Requirement { sensor: "a".parse().unwrap(), range }];
     played.mission.robots[0].readings = vec![None];
-    // Its block has arrived, and the readings are on their way.
+    // Its block has arrived, and the readings are pending.
     played.run_until(at(0) + Span::from_micros(500));
     assert!(played.mission.robots[0].introduced && !played.mission.robots[0].has_shown_its_pose());
     played.mutes(0);

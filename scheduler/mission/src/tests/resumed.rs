@@ -194,7 +194,7 @@ fn a_start_without_a_name_may_be_that_of_a_script_that_only_the_process_before_h
     let mut played = Played::begun(begins_with(Tells::Reports, &scripts));
     let start = played.mission.acts[0].timing().unwrap().start;
     played.run_until(start + ms(350));
-    // The robot holds two scripts at a time: the first two count as sent, and leave no room for the third one.
+    // The robot holds two scripts at a time. The first two are considered sent, and leave no room for the third one.
     let resumed = resumed_after(&played, 0).mission;
     let script = |script| ScriptRef { act: 0, member: 0, script };
     assert!(resumed.acts[0].script(script(2)).is_planned());
@@ -359,7 +359,8 @@ fn an_act_that_plays_keeps_the_doubt_that_was_stated_at_its_decision() {
     assert_eq!(Some(resumed.mission.reports[0].doubt), stated);
 }
 
-/// An act of three robots whose clocks are measured, as another process resumes it: their clocks are ahead of its own by this much.
+/// An act of three robots with measured clocks that another process resumes. Their clocks are ahead of its own by `ahead` in
+/// milliseconds.
 fn resumed_with_clocks(ahead: [i64; 3]) -> Vec<(usize, FailureKind)> {
     let chain = [("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)];
     let scripts: [&[Planned]; 3] = [&chain; 3];

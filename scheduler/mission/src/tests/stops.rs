@@ -1,4 +1,4 @@
-//! Stops: how they are sent, repeated, and named.
+//! Stops: how they are sent and repeated, and their ids.
 
 use urrcp::ControlRequest;
 
@@ -111,7 +111,7 @@ fn the_names_of_stops_begin_with_the_session() {
         let stops = asked_to_stop(&mut mission, 1, Rest::InPlace);
         let name = stops[0].request_id.as_ref().unwrap().as_str();
         assert!(name.starts_with(begin), "{name}");
-        assert_eq!(stops[0].timestamp, Some(at(1)), "what was sent before it is taken back");
+        assert_eq!(stops[0].timestamp, Some(at(1)), "earlier requests are withdrawn");
     }
 }
 
@@ -142,7 +142,11 @@ fn what_a_failure_has_stopped_stays_until_the_operator_says_otherwise() {
     mission.abort(at(1), Outcome::Failed, Rest::Home, None);
     mission.actions.clear();
     let stops = asked_to_stop(&mut mission, 2, Rest::InPlace);
-    assert_eq!(stops.iter().map(|stop| stop.home).collect::<Vec<_>>(), [false], "on the way home");
+    assert_eq!(
+        stops.iter().map(|stop| stop.home).collect::<Vec<_>>(),
+        [false],
+        "on the move to the default positions"
+    );
 }
 
 #[test]

@@ -61,9 +61,9 @@ fn a_link_that_is_lost_is_told_with_its_reason() {
 fn a_certificate_that_ends_within_a_month_is_told_of_in_days() {
     const DAY: i64 = 24 * 3_600 * 1_000;
     for (days, expected) in
-        [(None, None), (Some(31), None), (Some(30), None), (Some(29), Some("29 days more"))]
+        [(None, None), (Some(31), None), (Some(30), None), (Some(29), Some("expires in 29 days"))]
             .into_iter()
-            .chain([(Some(1), Some("1 day more")), (Some(-3), Some("0 days more"))])
+            .chain([(Some(1), Some("expires in 1 day:")), (Some(-3), Some("expires in 0 days"))])
     {
         let mut mission = asked();
         mission.robots[0].introduced = true;
@@ -103,7 +103,7 @@ fn a_robot_that_was_taken_from_another_session_is_told_of() {
     mission.robots[0].connected(at(0));
     mission.robots[0].named();
     mission.robots[0].ownership = super::super::seize::Ownership::Seized;
-    let text = "ours, taken from another session";
+    let text = "ours, taken over from another session";
     assert_eq!(verdict(&mission, Check::Free, 0), Verdict::Warning(text.into()));
 }
 

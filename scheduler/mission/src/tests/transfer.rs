@@ -1,4 +1,4 @@
-//! Acts that are planned after a stop: the way home, and the approach to the act after a failure.
+//! Acts that are planned after a stop: the move to the default positions, and the approach to the act after a failure.
 
 use std::sync::Mutex;
 
@@ -37,7 +37,7 @@ impl PlanTransfer for Planner {
     }
 }
 
-/// Two robots play an act of 10 s, and can go home.
+/// Two robots play an act of 10 s, and can move home.
 fn plays(answer: Result<bool, &'static str>, on_failure: OnFailure) -> (Played, Arc<Planner>) {
     let planner = Arc::new(Planner { answer, skips: Mutex::default(), from: Mutex::default() });
     let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
@@ -160,7 +160,7 @@ fn if_no_robot_can_take_part_nobody_goes_home() {
     played.carry_out(actions);
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
     assert!(planner.from.lock().unwrap().is_empty());
-    let reason = "`r0` has failed or does not state its positions".to_owned();
+    let reason = "`r0` has failed or does not report its positions".to_owned();
     assert_eq!(played.mission.home(), Some(&TransferReport::NotPlanned { reason }));
 }
 
@@ -192,7 +192,7 @@ fn without_a_journal_the_robots_stay_where_they_are() {
     assert_eq!(rests(&played), [Some(Rest::InPlace), Some(Rest::InPlace)]);
 }
 
-/// Runs until the way home has started.
+/// Runs until the move to the default positions has started.
 fn runs_home(played: &mut Played) {
     while !played.mission.is_on_its_way_home() {
         played.run_until(played.now + ms(10));
@@ -265,7 +265,7 @@ fn fails_towards_another_act(played: &mut Played, rest: Rest) {
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
 }
 
-/// The same up to the stop.
+/// The same, but only up to the stop.
 fn stops_before_another_act(played: &mut Played, rest: Rest) {
     let then = Arc::make_mut(&mut played.mission.choreography);
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
@@ -299,7 +299,7 @@ fn an_act_that_follows_a_failure_begins_once_the_robots_are_at_their_first_posit
     }
 }
 
-/// A mission that plans no way after a failure. Its devices move linearly, and a stop leaves them at this position.
+/// A mission that plans no approach after a failure. Its devices move linearly, and a stop leaves them at this position.
 fn stays_at(rests_at: f64) -> Played {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
     played.mission.options.transfer = None;
@@ -323,7 +323,7 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
     }
 }
 
-/// The robots take no inquiries from now on, and their devices have sensors.
+/// From now on, the robots take no inquiries, and their devices have sensors.
 fn states_positions_by_sensors(played: &mut Played) {
     for block in played.mission.robots.iter_mut().flat_map(|robot| &mut robot.block) {
         block.inquiry = false;

@@ -1,4 +1,4 @@
-//! How what is to be played differs from what was certified, in sentences.
+//! The differences between a plan and a certified one, in sentences.
 
 use std::collections::BTreeMap;
 
@@ -7,26 +7,26 @@ use urrcp::ContentHash;
 
 use super::{Certificate, CertifiedAct, CertifiedRobot, Options, Subject};
 
-/// Sentences that are listed; more are counted.
+/// Maximum number of sentences to list; the rest is counted.
 const SHOWN: usize = 20;
 
-/// Why this certificate does not cover what is to be played; empty if it does.
+/// Returns the reasons why this certificate does not cover the plan; empty if it does.
 #[must_use]
 pub fn differences(certificate: &Certificate, now: &Subject) -> Vec<String> {
     let mut found = Vec::new();
     let version = env!("CARGO_PKG_VERSION");
     if certificate.downbeat != version {
         found.push(format!(
-            "it was made by downbeat {}, and this is downbeat {version}, which may play the same plan otherwise",
+            "it was made by downbeat {}, but this is downbeat {version}, which may play the same plan differently",
             certificate.downbeat
         ));
     }
     let then = &certificate.subject;
     if then.scenario != now.scenario {
-        found.push(format!("it is of the scenario `{}`, and this is `{}`", then.scenario, now.scenario));
+        found.push(format!("it is for the scenario `{}`, but this is `{}`", then.scenario, now.scenario));
     }
     let options = options(&then.options, &now.options);
-    // Other options change scripts, and naming each of those would hide the reason.
+    // Different options change scripts; a list of those changes would hide the reason.
     if options.is_empty() {
         acts(&then.acts, &now.acts, &mut found);
     } else {
@@ -35,7 +35,7 @@ pub fn differences(certificate: &Certificate, now: &Subject) -> Vec<String> {
     settings("the fleet", &then.fleet, &now.fleet, &mut found);
     robots(then, now, &mut found);
     if found.is_empty() && (then.plan_hash != now.plan_hash || then.fleet_hash != now.fleet_hash) {
-        found.push("its hashes are not those of this plan and this fleet".to_owned());
+        found.push("its hashes do not match this plan and this fleet".to_owned());
     }
     if found.len() > SHOWN {
         let more = found.len() - SHOWN;
@@ -60,10 +60,10 @@ fn options(then: &Options, now: &Options) -> Vec<String> {
         ("--speed", then.speed.to_string(), now.speed.to_string()),
     ];
     let differ = pairs.into_iter().filter(|(_, then, now)| then != now);
-    differ.map(|(name, then, now)| format!("{name}: {now}, certified was {then}")).collect()
+    differ.map(|(name, then, now)| format!("{name}: {now}, but certified with {then}")).collect()
 }
 
-/// An act for people.
+/// The name of an act in a sentence.
 fn called(act: &CertifiedAct) -> String {
     if act.act.is_empty() { "the scenario".to_owned() } else { format!("act `{}`", act.act) }
 }
@@ -76,12 +76,12 @@ fn acts(then: &[CertifiedAct], now: &[CertifiedAct], found: &mut Vec<String>) {
         names_now.sort();
         if names_then == names_now {
             let order: Vec<_> = now.iter().map(|act| format!("`{}`", act.act)).collect();
-            found.push(format!("the order of the acts: it is {} now", order.join(", ")));
+            found.push(format!("the order of the acts is now {}", order.join(", ")));
         }
     }
     let of = |acts: &[CertifiedAct], name: &str| acts.iter().find(|act| act.act == name).cloned();
     for act in then.iter().filter(|act| of(now, &act.act).is_none()) {
-        found.push(format!("{} was certified and is gone", called(act)));
+        found.push(format!("{} was certified but no longer exists", called(act)));
     }
     for act in now {
         let Some(before) = of(then, &act.act) else {
@@ -91,16 +91,16 @@ fn acts(then: &[CertifiedAct], now: &[CertifiedAct], found: &mut Vec<String>) {
         settings(&called(act), &before.settings, &act.settings, found);
         let who = called(act);
         hashes(&before.scripts, &act.scripts, found, |script, what| match what {
-            Change::Other => format!("{who}: the scripts of `{script}` are not those that were certified"),
-            Change::New => format!("{who}: `{script}` moves, and did not when it was certified"),
-            Change::Gone => format!("{who}: `{script}` moved when it was certified, and does not now"),
+            Change::Other => format!("{who}: the scripts of `{script}` differ from the certified ones"),
+            Change::New => format!("{who}: `{script}` moves, but did not when it was certified"),
+            Change::Gone => format!("{who}: `{script}` moved when it was certified, but no longer does"),
         });
     }
 }
 
 fn robots(then: &Subject, now: &Subject, found: &mut Vec<String>) {
     for robot in then.robots.keys().filter(|robot| !now.robots.contains_key(*robot)) {
-        found.push(format!("robot `{robot}` was certified and does not take part"));
+        found.push(format!("robot `{robot}` was certified but does not take part"));
     }
     for (robot, after) in &now.robots {
         match then.robots.get(robot) {
@@ -121,7 +121,7 @@ fn one_robot(who: &str, before: &CertifiedRobot, after: &CertifiedRobot, found: 
     hashes(&before.devices, &after.devices, found, |device, what| match what {
         Change::Other => format!("{who}: the description of its device `{device}` differs"),
         Change::New => format!("{who}: its device `{device}` was not certified"),
-        Change::Gone => format!("{who}: its device `{device}` was certified and is gone"),
+        Change::Gone => format!("{who}: its device `{device}` was certified but no longer exists"),
     });
 }
 
@@ -135,11 +135,13 @@ fn settings(
     let text = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), ToString::to_string);
     for key in keys {
         let (before, after) = (then.get(key), now.get(key));
-        // A hash says nothing to people.
+        // A hash is meaningless to people.
         match before == after {
             true => {}
             false if key == "space" => found.push(format!("{who}: its `space` differs")),
-            false => found.push(format!("{who}: {key} is {}, certified was {}", text(after), text(before))),
+            false => {
+                found.push(format!("{who}: {key} is {}, but {} was certified", text(after), text(before)))
+            }
         }
     }
 }

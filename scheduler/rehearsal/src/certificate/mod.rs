@@ -1,7 +1,7 @@
-//! A certificate: which plan was played in virtual time against which faults, and that what is promised held each time.
+//! A certificate: which plan was played in virtual time with which faults, and that the promise held each time.
 //!
-//! `subject` says what is certified, `differences` how another subject differs, `trials` what is played. This file is the
-//! document. It protects against mistakes: its seal shows damage, and is no signature.
+//! `subject` lists the certified properties, `differences` compares two subjects, `trials` plays the faults. This file contains the
+//! document. It protects against mistakes: its seal detects damage, but is no signature.
 
 mod differences;
 mod subject;
@@ -21,10 +21,10 @@ pub use self::trials::{Injected, Trial, faults, play};
 
 /// The version of the document that this program writes and reads.
 pub const VERSION: u32 = 1;
-/// Bytes of a document that are read at most.
+/// Maximum size of a document in bytes.
 const BYTES_MAX: u64 = 64 << 20;
 
-/// What was played, and what became of it.
+/// A certified plan and the trials that it passed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Certificate {
@@ -34,47 +34,47 @@ pub struct Certificate {
     pub downbeat: String,
     /// Seed of the random delays and clock errors of every trial.
     pub seed: u64,
-    /// What was played.
+    /// The plan and the fleet that were played.
     pub subject: Subject,
-    /// Every fault, in the order in which they were played. The promise held in each.
+    /// Every fault, in the order of play. The promise held in each trial.
     pub trials: Vec<Trial>,
     /// SHA-256 over the canonical JSON of all other keys: sorted keys, no white space.
     pub seal: ContentHash,
 }
 
-/// Why a file is no certificate that can be used.
+/// Why a file is not a usable certificate.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CertificateError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read the certificate `{file}`: {reason}")]
     Unreadable {
         /// The file as the user named it.
         file: String,
-        /// Why, for people.
+        /// The reason, for people.
         reason: String,
     },
-    /// It is not whole, or something else.
+    /// The file is incomplete or not a certificate.
     #[error(
-        "`{file}` is not a whole certificate: {reason}; write it again with `downbeat dry-run --certify`"
+        "`{file}` is not a complete certificate: {reason}; create it again with `downbeat dry-run --certify`"
     )]
     Damaged {
         /// The file as the user named it.
         file: String,
-        /// Why, for people.
+        /// The reason, for people.
         reason: String,
     },
-    /// Another program wrote it.
-    #[error("`{file}` is a certificate of version {version}, and this program reads version {VERSION}")]
+    /// The document has another version.
+    #[error("`{file}` is a certificate of version {version}, expected version {VERSION}")]
     Version {
         /// The file as the user named it.
         file: String,
         /// The version found.
         version: u64,
     },
-    /// What is in it was changed.
+    /// The content was changed.
     #[error(
-        "`{file}` was changed after it was written: its seal does not fit; write it again with `downbeat dry-run --certify`"
+        "`{file}` was changed after it was written: its seal does not match; create it again with `downbeat dry-run --certify`"
     )]
     Seal {
         /// The file as the user named it.
@@ -83,7 +83,7 @@ pub enum CertificateError {
 }
 
 impl Certificate {
-    /// Of trials in all of which the promise held.
+    /// Creates a certificate from trials in which the promise held.
     #[must_use]
     pub fn new(seed: u64, subject: Subject, trials: Vec<Trial>) -> Self {
         let mut certificate = Self {
@@ -98,7 +98,7 @@ impl Certificate {
         certificate
     }
 
-    /// Reads and verifies one.
+    /// Reads and verifies a certificate.
     ///
     /// # Errors
     /// A file that cannot be read, is damaged, was changed, or has another version.
@@ -142,7 +142,7 @@ impl Certificate {
         }
     }
 
-    /// The document, the same bytes for the same certificate.
+    /// Returns the document; equal certificates give the same bytes.
     #[must_use]
     pub fn text(&self) -> String {
         format!("{:#}\n", value_of(self))
@@ -157,12 +157,12 @@ impl Certificate {
     }
 }
 
-/// As a tree with sorted keys. What cannot be one is null: no type of this module.
+/// Serializes with sorted keys. Cannot fail for the types of this module.
 fn value_of(what: &impl Serialize) -> Value {
     sorted(serde_json::to_value(what).unwrap_or(Value::Null))
 }
 
-/// Whether maps of the JSON library keep an order depends on how it was built.
+/// Sorts explicitly, because the key order of the JSON library depends on its build features.
 fn sorted(value: Value) -> Value {
     match value {
         Value::Object(map) => {

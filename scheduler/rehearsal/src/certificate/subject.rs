@@ -1,5 +1,5 @@
-//! What is certified: everything that changes what robots do, in parts, so that a difference can be named. Structs are taken apart
-//! whole, so that a new field does not compile until it is decided whether it counts.
+//! The certified properties: everything that changes the behaviour of robots, in parts, so that a difference can be named. Structs are
+//! destructured completely, so that a new field does not compile until it is classified as relevant or not.
 
 use std::collections::BTreeMap;
 
@@ -15,49 +15,49 @@ use super::{hash_of, sorted};
 use downbeat_runtime::fleet;
 use downbeat_runtime::journal::Asked;
 
-/// A plan and the fleet for which it was made.
+/// A plan and the fleet that it was made for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Subject {
     /// The scenario's name.
     pub scenario: String,
-    /// What was asked for on the command line.
+    /// The options from the command line.
     pub options: Options,
     /// SHA-256 over the name, the acts and the options.
     pub plan_hash: ContentHash,
-    /// SHA-256 over the fleet as it counts here.
+    /// SHA-256 over the relevant part of the fleet.
     pub fleet_hash: ContentHash,
     /// Acts in the order of the scenario.
     pub acts: Vec<CertifiedAct>,
     /// Settings of the whole fleet.
     pub fleet: BTreeMap<String, Value>,
-    /// The robots that play or are read.
+    /// The robots that play or whose sensors are read.
     pub robots: BTreeMap<RobotId, CertifiedRobot>,
 }
 
-/// Options that change what is played.
+/// Options that change the plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
-    /// Only this act.
+    /// Play only this act.
     pub act: Option<String>,
-    /// Beginning with this act.
+    /// Start with this act.
     pub from: Option<String>,
-    /// Only these robots.
+    /// Play only these robots.
     pub only: Vec<RobotId>,
-    /// Times the speed as written.
+    /// Factor on the speed of the scenario.
     pub speed: f64,
 }
 
-/// An act: what leads to it and from it as it is, scripts as hashes.
+/// An act: its waits and transitions in full, its scripts as hashes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertifiedAct {
-    /// Its name; empty where the scenario has no acts of its own.
+    /// Its name; empty if the scenario has no acts of its own.
     pub act: String,
-    /// Waits, ways, policies, leases.
+    /// Waits, transitions, policies, leases.
     pub settings: BTreeMap<String, Value>,
-    /// For each `robot/device` SHA-256 over its scripts: starts, leases, steps.
+    /// SHA-256 over the scripts (starts, leases, steps) of each `robot/device`.
     pub scripts: BTreeMap<String, ContentHash>,
 }
 
@@ -67,16 +67,16 @@ pub struct CertifiedAct {
 pub struct CertifiedRobot {
     /// `clock`, `wake_up`, `encoding`, `require`, and `limits` by device.
     pub settings: BTreeMap<String, Value>,
-    /// SHA-256 over its description, but for its devices.
+    /// SHA-256 over its description, without the devices.
     pub description: ContentHash,
-    /// For each device SHA-256 over its description.
+    /// SHA-256 over each device's description.
     pub devices: BTreeMap<String, ContentHash>,
     /// SHA-256 over its body.
     pub body: ContentHash,
 }
 
 impl Subject {
-    /// What was chosen of a scenario, with the robots that it needs.
+    /// The selected part of a scenario, with the robots that it needs.
     #[must_use]
     pub fn of(choreography: &Choreography, fleet: &Fleet, asked: &Asked) -> Self {
         // Requirements are judged, not played.
@@ -85,7 +85,7 @@ impl Subject {
         let robots = fleet::robots_in(fleet, choreography);
         let robots: BTreeMap<RobotId, CertifiedRobot> =
             robots.into_iter().map(|robot| (robot.id.clone(), certified_robot(robot))).collect();
-        // Groups are put in; which NTP server this machine follows changes no plan.
+        // Groups are already resolved; the NTP server of this machine changes no plan.
         let Fleet { ntp: _, handshake, space, robots: _, groups: _, identity: _, revoked: _, zenoh: _ } =
             fleet;
         let handshake = match handshake {
@@ -132,7 +132,8 @@ fn named<const N: usize>(settings: [(&str, Value); N]) -> BTreeMap<String, Value
 }
 
 fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
-    // Latencies are among what is certified of robots, and scripts start ahead by them. What cues are called, how steps came about and where bodies are follows from the rest, or moves nothing.
+    // Latencies are certified with the robots, and shift the starts of scripts. The names of cues, the origin of steps and the positions
+    // of bodies follow from the rest or move nothing.
     let Act {
         name,
         plan,
@@ -185,7 +186,7 @@ fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
 }
 
 fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
-    // A robot may move to another address, and real ones are not simulated.
+    // A robot may move to another address, and real robots are not simulated.
     let FleetRobot { id: _, address: _, init, simulation: _, limits, body, mission } = robot;
     let MissionSettings { clock, wake_up, encoding, require, latencies, calibrate: _ } = mission;
     let mut settings = named([

@@ -89,14 +89,14 @@ fn every_part_that_differs_is_named() {
         let found = differences(&certificate(), &now);
         assert!(found.iter().any(|sentence| sentence.contains(says)), "`{says}` is not in {found:?}");
     };
-    check(|now| now.acts.reverse(), "the order of the acts: it is `two`, `one` now");
-    check(|now| drop(now.acts.pop()), "act `two` was certified and is gone");
-    check(|now| now.options.speed = 0.5, "--speed: 0.5, certified was 1");
-    check(|now| now.options.act = Some("one".to_owned()), "--act: `one`, certified was all acts");
+    check(|now| now.acts.reverse(), "the order of the acts is now `two`, `one`");
+    check(|now| drop(now.acts.pop()), "act `two` was certified but no longer exists");
+    check(|now| now.options.speed = 0.5, "--speed: 0.5, but certified with 1");
+    check(|now| now.options.act = Some("one".to_owned()), "--act: `one`, but certified with all acts");
     check(
         |now| drop(now.acts[0].settings.insert("next".to_owned(), json!({"act": "two"}))),
-        r#"act `one`: next is {"act":"two"}, certified was "end""#,
+        r#"act `one`: next is {"act":"two"}, but "end" was certified"#,
     );
     check(|now| now.acts[1].scripts.clear(), "act `two`: `left/shoulder` moved when it was certified");
-    check(|now| now.plan_hash = ContentHash::of(b"other"), "its hashes are not those of this plan");
+    check(|now| now.plan_hash = ContentHash::of(b"other"), "its hashes do not match this plan");
 }

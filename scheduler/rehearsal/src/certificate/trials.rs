@@ -1,4 +1,4 @@
-//! Plays a plan against each fault, and holds what was promised against what the robots really set.
+//! Plays a plan with each fault, and compares the promise with the actual behaviour of the robots.
 
 use std::collections::BTreeSet;
 
@@ -20,53 +20,53 @@ use downbeat_runtime::fleet;
 #[serde(rename_all = "snake_case", tag = "fault")]
 #[non_exhaustive]
 pub enum Injected {
-    /// Nothing goes wrong.
+    /// No fault.
     None,
     /// A robot refuses every script.
     Refuses {
-        /// Which one.
+        /// The faulty robot.
         robot: RobotId,
     },
     /// A robot never answers a control request, and does not execute it.
     Silent {
-        /// Which one.
+        /// The faulty robot.
         robot: RobotId,
     },
-    /// A robot closes its link right after it has accepted a script, and is never reached again.
+    /// A robot closes its link right after it has accepted a script, and stays unreachable.
     Disconnects {
-        /// Which one.
+        /// The faulty robot.
         robot: RobotId,
     },
-    /// A robot's process ends in the middle of an act, and does not begin again.
+    /// A robot's process ends in the middle of an act and does not restart.
     Dies {
-        /// Which one.
+        /// The faulty robot.
         robot: RobotId,
-        /// In which act.
+        /// The act.
         act: String,
     },
     /// A robot's link is interrupted in the middle of an act, for longer than the usual lease (5 s).
     LinkDown {
-        /// Which one.
+        /// The faulty robot.
         robot: RobotId,
-        /// In which act.
+        /// The act.
         act: String,
     },
-    /// A robot stands still in the middle of an act, as a process under load does (0.4 s).
+    /// A robot stalls in the middle of an act, as a process under load does (0.4 s).
     Stalls {
-        /// Which one.
+        /// The faulty robot.
         robot: RobotId,
-        /// In which act.
+        /// The act.
         act: String,
     },
 }
 
-/// Longer than the usual lease: a robot that hears nothing for so long comes to rest.
+/// Longer than the usual lease: a robot without messages for this long comes to rest.
 const INTERRUPTED: Span = Span::from_millis(5_000);
-/// As long as a process that the system puts off under load.
+/// A typical delay of a process under load.
 const STALLED: Span = Span::from_millis(400);
 
 impl Injected {
-    /// Which robot has the fault.
+    /// The faulty robot; `None` without a fault.
     fn whose(&self) -> Option<&RobotId> {
         match self {
             Self::None => None,
@@ -79,7 +79,7 @@ impl Injected {
         }
     }
 
-    /// What goes wrong while an act plays.
+    /// The fault if it occurs during an act.
     fn incident(&self) -> Option<(&RobotId, &str, Trouble)> {
         match self {
             Self::None | Self::Refuses { .. } | Self::Silent { .. } | Self::Disconnects { .. } => None,
@@ -91,7 +91,7 @@ impl Injected {
         }
     }
 
-    /// A fault that the robot has all the time.
+    /// The fault if it is permanent.
     fn lasting(&self) -> Option<(&RobotId, Fault)> {
         match self {
             Self::Refuses { robot } => Some((robot, Fault::Refuse)),
@@ -101,7 +101,7 @@ impl Injected {
         }
     }
 
-    /// For people.
+    /// Describes the fault for people.
     #[must_use]
     pub fn text(&self) -> String {
         match self {
@@ -114,30 +114,30 @@ impl Injected {
                 format!("the link of `{robot}` is down for {INTERRUPTED} from the middle of `{act}` on")
             }
             Self::Stalls { robot, act } => {
-                format!("`{robot}` stands still for {STALLED} in the middle of `{act}`")
+                format!("`{robot}` stalls for {STALLED} in the middle of `{act}`")
             }
         }
     }
 }
 
-/// A fault, and what the mission made of it.
+/// A fault and the result of its mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trial {
-    /// What went wrong.
+    /// The injected fault.
     pub injected: Injected,
-    /// As in a report.
+    /// The outcome, as in a report.
     pub outcome: Value,
-    /// True spread of starts, the largest of all acts.
+    /// The true spread of starts; the maximum over all acts.
     pub true_spread_ms: Option<Span>,
-    /// The robots that set anything, in the order of the fleet.
+    /// The robots that set any value, in the order of the fleet.
     pub moved: Vec<RobotId>,
-    /// What was promised and did not hold; empty in every certificate.
+    /// The broken promises; empty in every certificate.
     pub broken: Vec<String>,
 }
 
-/// Every fault that is played: none; for each robot that moves that it refuses, is silent, and disconnects; and for each act in
-/// which it moves that it dies, loses its link, and stands still.
+/// Lists all faults to play. The first is no fault. Each moving robot refuses, is silent, and disconnects. In each act in which it moves,
+/// it dies, loses its link, and stalls.
 #[must_use]
 pub fn faults(choreography: &Choreography) -> Vec<Injected> {
     let moves: BTreeSet<&RobotId> =
@@ -167,7 +167,7 @@ pub fn faults(choreography: &Choreography) -> Vec<Injected> {
     std::iter::once(Injected::None).chain(of_robots).collect()
 }
 
-/// What an act is called where it is told.
+/// The name of an act in messages.
 fn told_as(act: &Act) -> String {
     if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
 }
@@ -176,7 +176,7 @@ const fn always(span: Span) -> Between<Span> {
     Between { least: span, largest: span }
 }
 
-/// A world in which nothing but this goes wrong, half of the act after its planned start.
+/// A world in which only this fault occurs, in the middle of the act.
 fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -> Option<World> {
     let (robot, act, trouble) = injected.incident()?;
     let place = fleet.robots.iter().position(|listed| listed.id == *robot)?;
@@ -192,10 +192,10 @@ fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -
     })
 }
 
-/// Plays one of them to its end.
+/// Plays one trial to its end.
 ///
 /// # Errors
-/// A robot that cannot be simulated, for people.
+/// A message for people, if a robot cannot be simulated.
 pub fn play(
     choreography: &Choreography,
     fleet: &Fleet,
@@ -215,7 +215,7 @@ pub fn play(
     })
 }
 
-/// The report, and what the robots really did.
+/// Returns the report and the actual behaviour of the robots.
 fn rehearse(
     choreography: &Choreography,
     fleet: &Fleet,
@@ -232,7 +232,7 @@ fn rehearse(
             Some(fault) => fleet::rehearsed_with(robot, |settings| {
                 (settings.seed, settings.fault) = (seed, Some(fault));
             }),
-            // The world's links delay, not the robot itself.
+            // The links of the world delay messages, so the robot itself must not.
             None if world.is_some() => fleet::rehearsed_with(robot, |settings| {
                 (settings.seed, settings.delay) = (seed, Some((Span::ZERO, Span::ZERO)));
             }),
@@ -258,7 +258,7 @@ fn rehearse(
     Ok(rehearsal.play_watched())
 }
 
-/// What was promised and did not hold, for people.
+/// The broken promises, for people.
 fn broken(
     choreography: &Choreography,
     injected: &Injected,
@@ -273,7 +273,7 @@ fn broken(
     broken
 }
 
-/// Without a fault the mission is done and starts are close together; with one it says so.
+/// Checks the outcome: without a fault the mission is done and the starts are close together; with one it reports a failure.
 fn ended(choreography: &Choreography, injected: &Injected, report: &Report, broken: &mut Vec<String>) {
     let outcome = &report.outcome;
     let tolerance = choreography.acts.iter().map(|act| act.plan.start_tolerance).max().unwrap_or_default();
@@ -282,24 +282,23 @@ fn ended(choreography: &Choreography, injected: &Injected, report: &Report, brok
             broken.push(format!("without a fault the mission ends as: {outcome}"));
         }
         Injected::None => {}
-        // A link that comes back and a short standstill may leave nothing behind.
+        // A link that recovers and a short stall may have no consequences.
         Injected::LinkDown { .. } | Injected::Stalls { .. } => {}
         _ if *outcome == Outcome::Done => {
-            broken.push("the mission says that it is done, as if nothing had gone wrong".to_owned());
+            broken.push("the mission reports success despite the fault".to_owned());
         }
         _ if report.failures.is_empty() => broken.push("no failure is reported".to_owned()),
         _ => {}
     }
-    // A robot that stands still or is gone in one act may be late for the next one.
+    // A robot that stalls or is gone in one act may be late for the next one.
     let apart = report.true_spread.filter(|spread| *spread > tolerance && injected.incident().is_none());
     if let Some(spread) = apart {
-        broken.push(format!("robots start {spread} apart, {tolerance} is allowed"));
+        broken.push(format!("robots start {spread} apart, but only {tolerance} is allowed"));
     }
 }
 
-/// Each act starts on all robots that have a part in it, or on none. A robot whose fault comes while an act plays may miss the next
-/// one. Only the faulty one is left out, and only if the policy of the
-/// act says so.
+/// Checks that each act starts on all of its robots or on none. A robot whose fault occurs during an act may miss the next one. Only the
+/// faulty robot is left out, and only if the policy of the act permits it.
 fn all_or_none(
     choreography: &Choreography,
     injected: &Injected,
@@ -308,13 +307,13 @@ fn all_or_none(
     broken: &mut Vec<String>,
 ) {
     let is_faulty = |robot: &RobotId| injected.whose() == Some(robot);
-    // Where its fault comes while acts play, the next act may lose it; the others have to agree.
+    // If its fault occurs during an act, the next act may lack it; the others have to agree.
     let may_miss = |robot: &RobotId| is_faulty(robot) && injected.incident().is_some();
     let index_of = |robot: &RobotId| report.robots.iter().position(|row| row.robot == *robot);
     let begun: BTreeSet<u32> = watched.iter().flat_map(|watched| watched.begun.keys().copied()).collect();
     for number in &begun {
         if !report.acts.iter().any(|act| act.number == *number) && report.acts_omitted == 0 {
-            broken.push(format!("act number {number} began, and the report does not know it"));
+            broken.push(format!("act number {number} started but is not in the report"));
         }
     }
     for act in &report.acts {
@@ -333,9 +332,9 @@ fn all_or_none(
                 (false, false) if may_miss(&robot.robot) || begins_after(injected, planned, &robot.robot) => {
                 }
                 (false, false) => waited.push(robot.robot.to_string()),
-                // It was left out when its fault came.
+                // It was left out when its fault occurred.
                 (true, true) if may_miss(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
-                (true, true) => broken.push(format!("{name}: `{}` was left out and moved", robot.robot)),
+                (true, true) => broken.push(format!("{name}: `{}` was left out but moved", robot.robot)),
                 (true, false) if is_faulty(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
                 (true, false) => {
                     broken.push(format!("{name}: `{}` was left out against its policy", robot.robot));
@@ -343,13 +342,13 @@ fn all_or_none(
             }
         }
         if !started.is_empty() && !waited.is_empty() {
-            broken.push(format!("{name}: {} started, and {} did not", started.join(", "), waited.join(", ")));
+            broken.push(format!("{name}: {} started, but {} did not", started.join(", "), waited.join(", ")));
         }
     }
 }
 
-/// Whether a robot's first script comes so late that the act may have been stopped by then, because of a fault that came while acts
-/// play: in the act of the fault not before it, in others not with the first.
+/// Whether a robot's first script starts so late that a fault may already have stopped the act. In the act of the fault, that is after
+/// the fault; in other acts, after the first script.
 fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
     let Some((_, faulty_act, _)) = injected.incident() else { return false };
     let first = |planned: &RobotPlan| planned.scripts.iter().map(|script| script.start.span()).min();
@@ -362,15 +361,15 @@ fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
     of_robot.zip(bound).is_some_and(|(start, bound)| start >= bound)
 }
 
-/// The shortest time between two instants.
+/// The smallest time step.
 const NEXT: Span = Span::from_nanos(1);
 
-/// When a fault comes that comes in the middle of an act, from its start.
+/// The time of a fault in the middle of an act, from its start.
 fn middle(act: &Act) -> Span {
     Span::from_nanos(act.plan.duration().as_nanos() / 2)
 }
 
-/// Whether an act goes on without this robot, or another act follows its failure. A robot that was left out stays out.
+/// Whether an act continues without this robot, or another act follows its failure. A robot that was left out stays out.
 fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
     choreography.acts.iter().map(|act| &act.on_failure).any(|rules| {
         let rule = rules.robots.iter().find(|(of, _)| of == robot);
@@ -378,7 +377,7 @@ fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
     })
 }
 
-/// Nothing moves in the end, and a robot that confirmed its default state went there.
+/// Checks that nothing moves at the end, and that a robot that confirmed its default state went there.
 fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     for (row, watched) in report.robots.iter().zip(watched) {
         if watched.still_moves {
@@ -389,7 +388,7 @@ fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
                 watched.last.iter().find(|(_, motion)| matches!(motion, MotionKind::Set | MotionKind::Ramp));
             if let Some((device, _)) = moving {
                 broken.push(format!(
-                    "`{}` confirmed its default state, and `{device}` is not in it",
+                    "`{}` confirmed its default state, but `{device}` is not in it",
                     row.robot
                 ));
             }
@@ -402,7 +401,7 @@ fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     }
 }
 
-/// What the report says of starts is what the robots did; of one that went away it may know less.
+/// Checks the reported starts against the actual ones; they may be incomplete for a robot that was lost.
 fn told(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     for (row, watched) in report.robots.iter().zip(watched) {
         let began: usize = watched.begun.values().sum();
@@ -412,7 +411,7 @@ fn told(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
         };
         if !agrees && report.acts_omitted == 0 {
             broken.push(format!(
-                "`{}`: the report says {} scripts started, and {began} did",
+                "`{}`: the report lists {} started scripts, but {began} started",
                 row.robot, row.started
             ));
         }
@@ -431,7 +430,7 @@ mod tests {
          "position": {"min_value": 0, "max_value": 90, "granularity": 1},
          "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
-    /// A movement of this length, in milliseconds.
+    /// A movement of this length in milliseconds.
     fn script(length: i64) -> DeviceScript {
         let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
         let step = |at, value| Step {
@@ -449,7 +448,7 @@ mod tests {
         }
     }
 
-    /// Three arms that move together.
+    /// Three arms that move simultaneously.
     fn three() -> (Choreography, Fleet) {
         let names = ["a", "b", "c"];
         let robots =
@@ -488,7 +487,7 @@ mod tests {
         }
     }
 
-    /// What a trial would say if the robots had done something else.
+    /// Checks that a trial reports this if the robots had behaved differently.
     #[track_caller]
     fn check(injected: &Injected, doctor: fn(&mut Report, &mut Vec<Watched>), says: &str) {
         let (choreography, fleet) = three();
@@ -505,9 +504,9 @@ mod tests {
         check(
             &Injected::None,
             |_, watched| watched[1].begun.clear(),
-            "the scenario: a, c started, and b did not",
+            "the scenario: a, c started, but b did not",
         );
-        check(&refuses, |_, watched| watched[0].begun = [(0, 1)].into(), "a started, and b, c did not");
+        check(&refuses, |_, watched| watched[0].begun = [(0, 1)].into(), "a started, but b, c did not");
         check(
             &Injected::None,
             |_, watched| watched[2].still_moves = true,
@@ -516,19 +515,19 @@ mod tests {
         check(
             &Injected::None,
             |report, _| report.robots[0].started = 2,
-            "the report says 2 scripts started, and 1 did",
+            "the report lists 2 started scripts, but 1 started",
         );
         check(
             &Injected::None,
             |report, _| report.outcome = Outcome::Failed,
             "without a fault the mission ends as",
         );
-        check(&refuses, |report, _| report.outcome = Outcome::Done, "says that it is done");
+        check(&refuses, |report, _| report.outcome = Outcome::Done, "reports success despite the fault");
         check(&refuses, |report, _| report.failures.clear(), "no failure is reported");
         check(
             &Injected::None,
             |report, _| report.true_spread = Some(Span::from_millis(11)),
-            "robots start 11 ms apart, 10 ms is allowed",
+            "robots start 11 ms apart, but only 10 ms is allowed",
         );
         check(
             &Injected::None,
@@ -536,7 +535,7 @@ mod tests {
                 report.robots[0].stop = StopState::Home;
                 watched[0].last.insert("shoulder".parse().unwrap(), MotionKind::Set);
             },
-            "`a` confirmed its default state, and `shoulder` is not in it",
+            "`a` confirmed its default state, but `shoulder` is not in it",
         );
         check(
             &Injected::None,
@@ -572,12 +571,12 @@ mod tests {
                 assert!(!trial.moved.contains(&id("c")), "{trial:?}");
             }
         }
-        // What had its part before the fault has to have begun.
+        // A robot whose part lies before the fault must have begun.
         let dies = Injected::Dies { robot: id("a"), act: "three".to_owned() };
         let (report, mut watched) = rehearse(&choreography, &fleet, (0, 0), &dies).unwrap();
         watched[1].begun.clear();
         let found = broken(&choreography, &dies, &report, &watched);
-        assert!(found.iter().any(|sentence| sentence.contains("a started, and b did not")), "{found:?}");
+        assert!(found.iter().any(|sentence| sentence.contains("a started, but b did not")), "{found:?}");
     }
 
     #[test]

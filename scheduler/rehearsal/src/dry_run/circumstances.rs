@@ -1,4 +1,4 @@
-//! What one trial meets, drawn from a world.
+//! The circumstances of one trial, drawn from a world.
 
 use downbeat_scripts::{
     Between, Delay, FleetRobot, Incident, LinkWorld, OperatorWorld, Reading, Trouble, World,
@@ -9,7 +9,7 @@ use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 use crate::world::{Path, between};
 use downbeat_runtime::fleet::WIRED;
 
-/// The network to a robot, which draws from a stream of its own.
+/// The network to a robot, with its own random stream.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
     pub(super) path: Path,
@@ -22,14 +22,14 @@ impl Link {
     }
 }
 
-/// Everything that differs from a perfect world. Each robot's link, each incident and the operator draw from streams of their own, so
-/// that none of them changes because another one draws more.
+/// All deviations from a perfect world. Each robot's link, each incident and the operator have their own random streams, so that
+/// additional draws of one do not change the others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Circumstances {
-    /// By robot of the mission; `None`: the robot delays its messages itself, as the fleet file says.
+    /// By robot of the mission; `None`: the robot itself delays its messages, as in the fleet file.
     pub(super) links: Vec<Option<Link>>,
     pub(super) incidents: Vec<Drawn>,
-    /// What sensors read, and from when on.
+    /// The readings of sensors, and when they take effect.
     pub(super) readings: Vec<(Timestamp<Server>, usize, DeviceId, f64)>,
     pub(super) operator: Option<(OperatorWorld, Rng)>,
 }
@@ -37,15 +37,15 @@ pub(crate) struct Circumstances {
 /// An incident that happens.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Drawn {
-    /// Index in the mission.
+    /// Index of the robot in the mission.
     pub(super) robot: usize,
-    /// It is counted from the start of this act, or from the beginning.
+    /// The act whose start `at` relates to; `None`: the beginning of the mission.
     pub(super) act: Option<String>,
     pub(super) at: Span,
     pub(super) mishap: Mishap,
 }
 
-/// What goes wrong, with the times that were drawn.
+/// A fault with its drawn times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Mishap {
     Dies { back_after: Option<Span> },
@@ -54,7 +54,7 @@ pub(super) enum Mishap {
     LinkDown { lasts: Span },
 }
 
-/// Where random numbers are used.
+/// The purposes of random streams.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Stream {
     Robot(usize),
@@ -65,7 +65,7 @@ pub(crate) enum Stream {
 }
 
 impl Stream {
-    /// A generator for this use alone, from the seed of a trial.
+    /// The random generator for this purpose, from the seed of a trial.
     pub(crate) fn rng(self, seed: u64) -> Rng {
         let (kind, first, second) = match self {
             Self::Robot(index) => (1, index, 0),
@@ -89,7 +89,7 @@ pub(crate) const fn mixed(value: u64) -> u64 {
 }
 
 impl Circumstances {
-    /// Draws a trial of `world`, whose robots are those of the fleet, for the robots of a mission that begins at `begin`.
+    /// Draws a trial of `world` for the robots of a mission that begins at `begin`. The world's robots are those of the fleet.
     pub(crate) fn draw(
         world: &World,
         fleet: &[FleetRobot],
@@ -140,14 +140,14 @@ fn number(rng: &mut Rng, bounds: Between<f64>) -> f64 {
     bounds.least + rng.f64() * (bounds.largest - bounds.least)
 }
 
-/// The link of a robot of which the world says nothing.
+/// The link of a robot that the world does not mention.
 fn as_in_fleet(robot: &FleetRobot) -> LinkWorld {
     let (least, largest) = robot.simulation.delay.unwrap_or(WIRED);
     LinkWorld::with_delay(Delay::Between(Between { least, largest }))
 }
 
 fn happens(incident: &Incident, robot: usize, rng: &mut Rng) -> Option<Drawn> {
-    // Also what does not happen draws, so that another probability does not change when it happens.
+    // Draws even if the incident does not happen, so that another probability does not change its time.
     let happens = rng.f64() < incident.probability;
     let at = between(rng, incident.at);
     let mishap = match &incident.trouble {

@@ -1,8 +1,8 @@
-//! A mission in virtual time: the same loop, the same mission machine and the same robot machines, time jumps from event to
-//! event. The network delays as the fleet file says and loses nothing; a trial draws one that does.
+//! A mission in virtual time: the same loop, mission machine and robot machines as in a real mission; time jumps from event to event. The
+//! network has the delays of the fleet file and loses nothing; trials draw networks that do.
 //!
-//! A virtual operator says go whenever an act waits and nothing else plays. Nothing lasts forever: a loop of acts is played
-//! a stated number of times, and an act that waits for what never comes is given up ([`Cut`]).
+//! A virtual operator gives the go whenever an act waits and no other act plays. Every dry run ends: a loop of acts is played a fixed
+//! number of times, and an act whose condition never occurs is given up ([`Cut`]).
 
 mod circumstances;
 mod operator;
@@ -24,37 +24,37 @@ use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::report::Report;
 use downbeat_mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress};
 
-/// When virtual time begins where no act waits for a time: 2026-01-01T00:00:00Z.
+/// Start of virtual time if no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
-/// Virtual time begins this long before the first time that an act waits for, and for every act as long again.
+/// Virtual time starts this long before the first time that an act waits for, plus this long for every act.
 const BEFORE_TIME: Span = Span::from_millis(60_000);
-/// How often a loop through all acts is played, unless [`MissionOptions::acts_max`] says otherwise.
+/// Number of times that a loop through all acts is played, unless [`MissionOptions::acts_max`] overrides it.
 pub const ROUNDS: u32 = 3;
 
-/// What a mission did in virtual time.
+/// The result of a mission in virtual time.
 #[derive(Debug)]
 pub struct Played {
-    /// As after a real mission.
+    /// The report, as after a real mission.
     pub report: Report,
-    /// What each robot set, in the order of the mission's robots; empty unless it was to be kept.
+    /// The values that each robot set, in the order of the mission's robots; empty unless logs are kept.
     pub logs: Vec<Vec<LogEntry>>,
-    /// How many scripts of each act that has ended really began, in order.
+    /// Number of scripts that really began, for each act that has ended, in order.
     pub starts: Vec<ActStarts>,
-    /// Why the virtual operator ended what would have gone on.
+    /// Why the virtual operator ended the mission prematurely.
     pub cut: Option<Cut>,
 }
 
-/// An act waited for something that does not come in virtual time, and the mission was stopped.
+/// The mission was stopped because an act waited for an event that does not occur in virtual time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
-    /// Which act.
+    /// Name of the act.
     pub act: String,
-    /// For what, for people.
+    /// The awaited event, for people.
     pub awaits: String,
 }
 
 impl Played {
-    /// What a robot set.
+    /// The values that a robot set.
     #[must_use]
     pub fn log_of(&self, robot: &RobotId) -> Option<&[LogEntry]> {
         let index = self.report.robots.iter().position(|row| row.robot == *robot)?;
@@ -62,27 +62,27 @@ impl Played {
     }
 }
 
-/// Whether to keep what every robot sets: about 250 bytes a step.
+/// Whether to keep the values that every robot sets: about 250 bytes per step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Logs {
-    /// Only what the report needs is looked at.
+    /// Only data for the report is evaluated.
     #[default]
     Dropped,
-    /// As for a picture.
+    /// Everything is kept, for example for a picture.
     Kept,
-    /// The audience sees everything, and nothing is kept.
+    /// The audience receives everything, and nothing is kept.
     Watched,
 }
 
-/// Watches a dry run while it plays.
+/// Observes a dry run while it plays.
 pub trait Audience {
-    /// The operator is told something.
+    /// Receives a message for the operator.
     fn told(&mut self, at: Timestamp<Server>, progress: &Progress);
 
     /// Another second of virtual time has begun.
     fn second(&mut self, now: Timestamp<Server>);
 
-    /// A robot has set something that is kept or watched.
+    /// Receives a value that a robot has set; only called if values are kept or watched.
     fn set(&mut self, _robot: usize, _entry: &LogEntry) {}
 }
 
@@ -103,11 +103,11 @@ pub struct Rehearsal {
 }
 
 impl Rehearsal {
-    /// With simulated robots in the order of the participants. Devices begin where the first act expects them, and each sensor
-    /// that an act waits for gives the reading that the act waits for.
+    /// Creates a rehearsal with simulated robots in the order of the participants. Devices begin where the first act expects them. Each
+    /// sensor that an act waits for gives a reading that satisfies the act.
     ///
     /// # Errors
-    /// A robot of the choreography that has no participant.
+    /// A robot of the choreography has no participant.
     pub fn new(
         choreography: Choreography,
         participants: Vec<Participant>,
@@ -140,7 +140,7 @@ impl Rehearsal {
         Self { mission, robots, begin, logs: Logs::Dropped, circumstances: Circumstances::default() }
     }
 
-    /// Lets a sensor read this. `false` where the robot takes no part, or has no such sensor.
+    /// Sets the reading of a sensor. Returns `false` if the robot does not participate or has no such sensor.
     pub fn set_reading(&mut self, robot: &RobotId, sensor: &DeviceId, value: f64) -> bool {
         let index = self.mission.robot_ids().position(|id| id == robot);
         let has = |index: &usize| {
@@ -151,13 +151,13 @@ impl Rehearsal {
         index.map(|index| self.robots[index].set_reading(sensor.clone(), value)).is_some()
     }
 
-    /// What the mission meets, which is drawn for the instant at which it begins.
+    /// Draws the circumstances of the mission for the instant at which it begins.
     pub(crate) fn meets(self, draw: impl FnOnce(Timestamp<Server>) -> Circumstances) -> Self {
         let circumstances = draw(self.begin);
         Self { circumstances, ..self }
     }
 
-    /// Whether to keep what every robot sets.
+    /// Sets whether to keep the values that every robot sets.
     #[must_use]
     pub fn with_logs(self, logs: Logs) -> Self {
         Self { logs, ..self }
@@ -177,7 +177,7 @@ impl Rehearsal {
         let ids = mission.robot_ids().cloned().collect();
         let mut world = VirtualWorld::new(robots, ids, begin, (operator, circumstances), logs, audience);
         let report = at_once(drive(&mut mission, &mut world));
-        // A virtual process is not killed.
+        // A virtual process is never killed.
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
         report.true_spread = world.true_spread();
         report.true_end_spread = world.true_end_spread();
@@ -187,7 +187,7 @@ impl Rehearsal {
     }
 }
 
-/// Early enough that all acts before the first one that waits for a time can be played, and not hours before.
+/// The start of virtual time: early enough to play all acts before the first one that waits for a time, but not hours before.
 fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<Server> {
     let times = choreography.acts.iter().filter_map(|act| match act.wait {
         Wait::Instant(at) => Some(at),
@@ -199,7 +199,7 @@ fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<
     times.min().map_or(BEGIN, |first| first - before)
 }
 
-/// A reading that will do: not at the edge of what will.
+/// A reading within the range and away from its edges.
 fn reading_within(range: SensorRange) -> f64 {
     match range {
         SensorRange::Above(bound) => bound + bound.abs().max(1.0) / 100.0,
@@ -208,8 +208,8 @@ fn reading_within(range: SensorRange) -> f64 {
     }
 }
 
-/// Plays a mission that begins at [`BEGIN`] to its end with simulated robots in the order of the mission's. The server's
-/// clock is the true one.
+/// Plays a mission that begins at [`BEGIN`] to its end, with simulated robots in the order of the mission's. The server's clock is the
+/// true clock.
 #[must_use]
 pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
     Rehearsal::of(mission, robots, BEGIN).with_logs(Logs::Kept).play()

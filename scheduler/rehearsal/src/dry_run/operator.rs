@@ -1,4 +1,4 @@
-//! The operator of a dry run: says go when an act waits for it, and stops what waits forever.
+//! The operator of a dry run: gives the go when an act waits for it, and stops a mission that would wait forever.
 
 use std::collections::HashMap;
 
@@ -10,33 +10,33 @@ use super::Cut;
 use crate::world::between;
 use downbeat_mission::{Event, Progress, Rest};
 
-/// So long after an act has begun to wait, with nothing else playing, the operator says go; and again, as long as it waits.
+/// Delay of the operator's go after an act starts to wait alone; also the interval of repetition while it waits.
 const THINKS: Span = Span::from_millis(1_000);
-/// An act that waits for longer than its own timeout and this waits for what does not come: readings do not change.
+/// An act that waits longer than its own timeout plus this is given up: readings do not change.
 const WAITS_MAX: Span = Span::from_millis(60_000);
 
-/// An operator who thinks for so long says nothing: the act's own timeout comes first, and without one the mission is cut off.
+/// Thinking time of an operator that does not answer: the act's own timeout comes first, and without one the mission is cut off.
 const NEVER: Span = Span::from_millis(24 * 3_600_000);
 
 #[derive(Debug)]
 pub(super) struct VirtualOperator {
-    /// The acts that wait for the operator or a sensor, by name, with their timeouts. A time comes by itself.
+    /// The acts that wait for the operator or a sensor, by name, with their timeouts. Times need no operator.
     attended: HashMap<String, Span>,
-    /// The act that waits, and for what.
+    /// The waiting act and the awaited event.
     waiting: Option<(String, String)>,
-    /// Acts that have been sent and have not ended.
+    /// Number of acts that have been sent and have not ended.
     under_way: u32,
-    /// When the act that waits began to be alone.
+    /// Since when the waiting act is alone.
     alone_since: Timestamp<Server>,
-    /// When it speaks next.
+    /// When the operator acts next.
     speaks: Option<Timestamp<Server>>,
-    /// How it behaves where that is said.
+    /// The operator's behaviour, if the world specifies it.
     manner: Option<(OperatorWorld, Rng)>,
-    /// How long it thought before it spoke first.
+    /// The thinking time before the first go.
     thought: Span,
-    /// Sensors read the same from then on.
+    /// When the last reading changes.
     readings_change_until: Timestamp<Server>,
-    /// Why it has said stop.
+    /// The reason for its stop.
     pub(super) cut: Option<Cut>,
 }
 
@@ -61,7 +61,7 @@ impl VirtualOperator {
         }
     }
 
-    /// Behaves as a world says, in which sensors read the same from `still` on.
+    /// Sets the behaviour that a world specifies; sensor readings do not change after `still`.
     pub(super) fn behaves(&mut self, manner: Option<(OperatorWorld, Rng)>, still: Timestamp<Server>) {
         (self.manner, self.readings_change_until) = (manner, still);
     }
@@ -70,7 +70,7 @@ impl VirtualOperator {
         self.speaks
     }
 
-    /// Sees what the mission tells.
+    /// Processes a message of the mission.
     pub(super) fn see(&mut self, now: Timestamp<Server>, progress: &Progress) {
         if self.cut.is_some() {
             return;
@@ -93,7 +93,7 @@ impl VirtualOperator {
         }
     }
 
-    /// An act that waits alone is let go after a moment.
+    /// If an act waits alone, schedules the go.
     fn attend(&mut self, now: Timestamp<Server>) {
         if self.waiting.is_some() && self.under_way == 0 {
             self.alone_since = now;
@@ -108,7 +108,7 @@ impl VirtualOperator {
         if never { NEVER } else { after }
     }
 
-    /// What it says now, if anything.
+    /// The operator's current input, if any.
     pub(super) fn word(&mut self, now: Timestamp<Server>) -> Option<Event> {
         self.speaks.take_if(|at| now >= *at)?;
         let (act, awaits) = self.waiting.as_ref()?;

@@ -1,4 +1,4 @@
-//! How far apart the scripts of an act started, by the one true clock, which only a dry run has.
+//! How far apart the scripts of an act started, by the true clock, which only a dry run has.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use downbeat_mission::report::ActReport;
 #[derive(Debug)]
 pub(super) struct TrueSpread {
     index_of: HashMap<RobotId, usize>,
-    /// A map for each robot, by the number of the act and the device.
+    /// A map per robot, by the number of the act and the device.
     firsts: Vec<HashMap<(u32, DeviceId), Starts>>,
     largest: Option<Span>,
     largest_of_ends: Option<Span>,
@@ -30,9 +30,9 @@ struct Starts {
 /// A script that has begun: it set its first value, or began to move linearly to it.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
-    /// When it began, by the true clock.
+    /// When it began, in nanoseconds by the true clock.
     began: i64,
-    /// When it was to begin, by the robot's clock.
+    /// When it was due, by the robot's clock.
     due: Timestamp<Robot>,
     /// True time from its start to its latest step, minus the planned time.
     gained: Span,
@@ -45,16 +45,16 @@ struct Errors {
     ends: Vec<Span>,
 }
 
-/// How many scripts of an act really started, counted by the first movements of devices.
+/// How many scripts of an act really started, according to the first movements of devices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActStarts {
     /// Name of the act.
     pub act: String,
-    /// Scripts of robots that were not left out.
+    /// Number of scripts of robots that were not left out.
     pub planned: usize,
-    /// Those of them that began.
+    /// Number of them that began.
     pub begun: usize,
-    /// Largest minus smallest error of their starts, by the true time; `None` where not all began.
+    /// Largest minus smallest error of their starts, by the true clock; `None` if not all began.
     pub spread: Option<Span>,
 }
 
@@ -69,7 +69,7 @@ impl TrueSpread {
         self.largest
     }
 
-    /// Of the last steps of scripts.
+    /// The largest spread of the last steps of scripts.
     pub(super) const fn largest_of_ends(&self) -> Option<Span> {
         self.largest_of_ends
     }
@@ -95,7 +95,7 @@ impl TrueSpread {
         }
     }
 
-    /// An act has ended: largest minus smallest error of the starts of its scripts.
+    /// Evaluates an act that has ended: largest minus smallest error of the starts of its scripts.
     pub(super) fn act_ended(&mut self, act: &ActReport) {
         let errors = self.errors(act);
         let spread = errors.as_ref().and_then(|errors| width(&errors.starts));
@@ -116,7 +116,7 @@ impl TrueSpread {
         ActStarts { act: act.act.clone(), planned, begun, spread }
     }
 
-    /// `None` where a robot that was not left out did not start a script.
+    /// `None` if a robot that was not left out did not start a script.
     fn errors(&self, act: &ActReport) -> Option<Errors> {
         let mut errors = Errors::default();
         for robot in act.robots.iter().filter(|robot| !robot.left_out) {

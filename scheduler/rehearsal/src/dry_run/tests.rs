@@ -1,4 +1,4 @@
-//! Whole missions in virtual time: what must hold whatever a robot does.
+//! Whole missions in virtual time: invariants that hold regardless of a robot's behaviour.
 
 mod approach;
 mod motions;
@@ -232,7 +232,7 @@ fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
     assert!(played.report.robots[1].clock.unwrap().offset > Span::from_millis(2_300));
 }
 
-/// Acts after one another, in each of which two arms move.
+/// Consecutive acts, in each of which two arms move.
 fn acts(change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
     acts_with(MissionOptions::default(), change)
 }
@@ -261,7 +261,7 @@ fn acts_on(
     Rehearsal::new(choreography, participants, options, machines).unwrap()
 }
 
-/// Fails where virtual time does not come to an end.
+/// Fails if virtual time does not end.
 struct Patience {
     seconds: u32,
     acts: u32,
@@ -274,7 +274,7 @@ impl Audience for Patience {
 
     fn second(&mut self, _: Timestamp<Server>) {
         self.seconds += 1;
-        assert!(self.seconds < 2_000, "virtual time goes on and on");
+        assert!(self.seconds < 2_000, "virtual time does not end");
     }
 }
 
@@ -369,7 +369,7 @@ fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
     assert_eq!((played.report.acts_max_reached, played.report.acts.len()), (Some(9), 1));
 }
 
-/// What is told to the operator of why all are stopped.
+/// The reasons for stopping all robots, as reported to the operator.
 #[derive(Default)]
 struct Reasons(Vec<String>);
 
@@ -385,7 +385,7 @@ impl Audience for Reasons {
 
 #[test]
 fn why_all_are_stopped_names_the_robot_that_failed_or_counts_those_that_have_not_accepted() {
-    let again = "2 of 2 robots have not accepted in time; `act-0` is prepared again";
+    let again = "2 of 2 robots did not accept in time; `act-0` is prepared again";
     for (refuse, begins) in [(&[1][..], "arm-1: "), (&[0, 1], again)] {
         let mut rehearsal = acts(|_| {});
         for robot in refuse {
@@ -404,7 +404,7 @@ fn why_all_are_stopped_names_the_robot_that_failed_or_counts_those_that_have_not
 
 #[test]
 fn acts_that_wait_for_nothing_follow_each_other_without_a_gap() {
-    // A device that holds one script takes the next one once that has ended.
+    // A device that holds only one script accepts the next one after that has ended.
     for (queue, gap) in [(1, Span::from_millis(371)), (2, Span::ZERO)] {
         let block = |id| {
             let mut block = block(id);
@@ -420,7 +420,7 @@ fn acts_that_wait_for_nothing_follow_each_other_without_a_gap() {
     }
 }
 
-/// An arm whose shoulder moves linearly and tells where it stands, and which has a sensor of its own.
+/// An arm whose shoulder moves linearly and reports its position, and which has a separate sensor.
 const WITH_SENSORS: &str = r#"{"id": "arm-0", "api_version": "1", "reports": true, "devices": [
   {"id": "shoulder", "name": "shoulder", "default_value": 0, "interpolation": "linear", "available_control_types": {
      "position": {"min_value": 0, "max_value": 90, "granularity": 1},
@@ -428,7 +428,7 @@ const WITH_SENSORS: &str = r#"{"id": "arm-0", "api_version": "1", "reports": tru
      "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}},
   {"id": "eye", "name": "eye", "unit": "m", "available_control_types": {"sensor": {"min_value": 0, "max_value": 4}}}]}"#;
 
-/// What is shown of the fleet before the mission.
+/// The preflight that is shown before the mission.
 #[derive(Default)]
 struct Shown(Vec<downbeat_mission::Preflight>);
 
@@ -442,7 +442,7 @@ impl Audience for Shown {
     fn second(&mut self, _: Timestamp<Server>) {}
 }
 
-/// One arm with sensors, whose shoulder reads this.
+/// The preflight of one arm with sensors, whose shoulder has this reading.
 fn preflight_at(shoulder: f64) -> (Outcome, downbeat_mission::Preflight) {
     let block: InitializationBlock = serde_json::from_str(WITH_SENSORS).unwrap();
     let machines = vec![SimulatedRobot::new(block.clone(), Settings::default())];

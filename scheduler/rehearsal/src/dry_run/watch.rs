@@ -1,4 +1,4 @@
-//! A mission that is watched to its end and beyond: what robots set is counted, not kept, and robots that were lost play on until
+//! A mission that is observed to its end and beyond: the values that robots set are counted, not kept, and lost robots continue until
 //! their leases have ended.
 
 use std::collections::BTreeMap;
@@ -13,14 +13,14 @@ use downbeat_mission::Progress;
 use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::report::Report;
 
-/// What one robot really did.
+/// The actual behaviour of one robot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Watched {
-    /// Scripts that it began, by the number of their act.
+    /// Number of scripts that it began, by the number of their act.
     pub begun: BTreeMap<u32, usize>,
     /// The last kind of motion of each device.
     pub last: BTreeMap<DeviceId, MotionKind>,
-    /// It still had something to do when the longest lease and the longest act were over.
+    /// Whether it was still active after the longest lease and the longest act.
     pub still_moves: bool,
 }
 
@@ -32,7 +32,7 @@ impl Watched {
     }
 }
 
-/// Added to the longest act and the longest lease: what travels arrives, and signals slow down.
+/// Added to the longest act and the longest lease: time for messages to arrive and for signals to slow down.
 const AFTERWARDS: Span = Span::from_millis(60_000);
 
 struct Watcher(Vec<Watched>);
@@ -53,8 +53,8 @@ impl Audience for Watcher {
 }
 
 impl Rehearsal {
-    /// Plays to the end, and goes on until every robot has come to rest or all its leases have ended. What each robot did, in the
-    /// order of the report's robots.
+    /// Plays to the end, and continues until every robot has come to rest or all its leases have ended. Returns the report and the actual
+    /// behaviour of the robots, in the order of the report's robots.
     #[must_use]
     pub fn play_watched(self) -> (Report, Vec<Watched>) {
         let Self { mut mission, robots, begin, circumstances, .. } = self;

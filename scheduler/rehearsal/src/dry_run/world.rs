@@ -1,4 +1,4 @@
-//! The world of a dry run: robots, links, what goes wrong in a trial, and a clock that jumps.
+//! The world of a dry run: robots, links, the faults of a trial, and a clock that jumps.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -17,45 +17,45 @@ use downbeat_mission::{Event, Loss, Progress, Record};
 
 /// In nanoseconds.
 const SECOND: i64 = 1_000_000_000;
-/// A connection that does not stand by then is given up, as over TCP (`link/tcp.rs`).
+/// A connection that is not established within this time is given up, as over TCP (`link/tcp.rs`).
 const CONNECT_TIMEOUT: Span = Span::from_millis(3_000);
 
 /// A robot, and the network to it.
 struct Place {
-    /// The process that died, as far as the next one goes on from it.
+    /// The process that died, as far as its successor continues from it.
     died: Option<SimulatedRobot>,
     /// `None`: the robot delays its messages itself, and nothing is lost.
     link: Option<Link>,
     /// The newest attempt to reach the robot; it replaces earlier ones.
     attempt: Option<LinkNumber>,
-    /// The connections that it has.
+    /// The robot's open connections.
     connections: BTreeSet<LinkNumber>,
 }
 
-/// Something that happens at an instant outside of the robots.
+/// An event outside of the robots at some instant.
 pub(super) enum Item {
-    /// A connection is begun.
+    /// A connection attempt starts.
     Connect { robot: usize, link: LinkNumber },
-    /// A connection would stand.
+    /// A connection attempt would succeed.
     Connected { robot: usize, link: LinkNumber },
-    /// Something arrives at a robot.
+    /// A message or another input arrives at a robot.
     AtRobot { robot: usize, link: LinkNumber, input: Box<Input> },
-    /// Something arrives from a robot.
+    /// An event arrives from a robot.
     AtScheduler { robot: usize, link: LinkNumber, event: Box<Event> },
-    /// Something goes wrong.
+    /// A fault occurs.
     Mishap { robot: usize, mishap: Mishap },
-    /// A robot's process begins again.
+    /// A robot's process restarts.
     Back { robot: usize },
-    /// A robot no longer does what it did wrong.
+    /// The end of a fault: the robot obeys again.
     Obeys { robot: usize, fault: Option<Fault> },
-    /// A sensor reads something else.
+    /// The reading of a sensor changes.
     Reads { robot: usize, sensor: DeviceId, value: f64 },
 }
 
 pub(super) struct VirtualWorld<'a, A> {
     kernel: Kernel<Item>,
     places: Vec<Place>,
-    /// Incidents that wait for their act to be sent.
+    /// Incidents that wait until their act is sent.
     awaiting: Vec<Drawn>,
     arrived: VecDeque<Happened>,
     operator: VirtualOperator,
@@ -63,7 +63,7 @@ pub(super) struct VirtualWorld<'a, A> {
     logs: Vec<Vec<LogEntry>>,
     keeps: Logs,
     audience: &'a mut A,
-    /// What robots send, while it is sorted.
+    /// Messages from robots that are being distributed.
     out: Vec<Outgoing>,
 }
 
@@ -117,17 +117,17 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         self.spread.largest_of_ends()
     }
 
-    /// How many scripts of the acts that have ended really began.
+    /// Number of scripts that really began, for each act that has ended.
     pub(super) fn take_starts(&mut self) -> Vec<ActStarts> {
         self.spread.take_starts()
     }
 
-    /// What the robots set, and why the operator ended the mission.
+    /// The values that the robots set, and why the operator ended the mission.
     pub(super) fn end(self) -> (Vec<Vec<LogEntry>>, Option<Cut>) {
         (self.logs, self.operator.cut)
     }
 
-    /// Lets this much time pass without a scheduler. Which robots still have something to do then.
+    /// Advances time by `length` without a scheduler. Returns which robots still have something to do afterwards.
     pub(super) fn settle(mut self, length: Span) -> Vec<bool> {
         let until = self.kernel.now + length;
         while let Some(at) = self.kernel.next_instant().filter(|at| *at <= until) {
@@ -195,7 +195,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// An act is being sent: what is to go wrong around its start is known now.
+    /// Schedules the incidents of an act when it is sent, because its start is known then.
     fn act_sent(&mut self, act: &str, start: Timestamp<Server>) {
         let is_of_act = |incident: &mut Drawn| incident.act.as_deref() == Some(act);
         let due: Vec<Drawn> = self.awaiting.extract_if(.., is_of_act).collect();
@@ -205,7 +205,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Takes what the robot has set.
+    /// Collects the values that the robot has set.
     fn collect(&mut self, robot: usize) {
         let log = self.kernel.robots.change(robot, SimulatedRobot::take_log);
         let Some(mut log) = log else { return };
@@ -218,7 +218,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Something from a robot sets out.
+    /// Sends an event from a robot.
     fn send_back(&mut self, robot: usize, link: LinkNumber, event: Event) {
         let message = if let Event::Received { message, .. } = &event { Some(message) } else { None };
         match self.travel(robot, Direction::FromRobot, message) {
@@ -227,7 +227,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Something to a robot sets out.
+    /// Sends an input to a robot.
     fn send_there(&mut self, robot: usize, link: LinkNumber, input: Input) {
         let message = if let Input::Message(message) = &input { Some(message) } else { None };
         match self.travel(robot, Direction::ToRobot, message) {
@@ -236,7 +236,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// When something arrives that sets out now; `None`: the connection is given up.
+    /// Arrival time of a message that is sent now; `None`: the connection is given up.
     fn travel(
         &mut self,
         robot: usize,
@@ -248,7 +248,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         path.travel(rng, now, way, message).map(|travel| travel.arrives)
     }
 
-    /// The systems at both ends find that nothing passes on a connection.
+    /// The systems at both ends give up the connection.
     fn give_up(&mut self, robot: usize, link: LinkNumber) {
         let (loss, reason) = (Loss::Unreachable, "connection timed out".to_owned());
         self.reach_robot(robot, link, Input::LinkDown);
@@ -353,7 +353,7 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
                     self.pass(until);
                     return None;
                 }
-                // Nothing will ever happen again.
+                // No further event will ever occur.
                 (_, None) => return Some(Happened::Left),
             }
         }

@@ -1,16 +1,16 @@
-//! Shares and quantiles of what was seen.
+//! Shares and quantiles of observations.
 
 use serde::Serialize;
 use urrcp::Span;
 
-/// How often something was seen, with what that says of its probability.
+/// The frequency of an observation, with a confidence interval of its probability.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Share {
-    /// How often.
+    /// Number of occurrences.
     pub count: u64,
-    /// Of how many.
+    /// Number of observations.
     pub of: u64,
-    /// Their quotient; `None` where there were none.
+    /// The quotient of both; `None` without observations.
     pub share: Option<f64>,
     /// Lower end of the 95 % confidence interval of the probability, by Wilson's score method (Wilson: Probable inference, the law
     /// of succession, and statistical inference, 1927).
@@ -23,7 +23,7 @@ pub struct Share {
 const Z: f64 = 1.959_963_984_540_054;
 
 impl Share {
-    /// `count` of `of`.
+    /// Creates the share of `count` in `of`.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "counts are below 2^53")]
     pub fn of(count: usize, of: usize) -> Self {
@@ -39,31 +39,31 @@ impl Share {
             count: whole_count,
             of: whole_of,
             share: Some(share),
-            // At the ends the method gives the ends, but for rounding.
+            // At the limits the method yields exactly 0 or 1, except for rounding errors.
             least: if count == 0 { 0.0 } else { (centre - half).max(0.0) },
             largest: if count == of { 1.0 } else { (centre + half).min(1.0) },
         }
     }
 }
 
-/// Quantiles by the nearest rank: the smallest value that this share of all values does not exceed.
+/// Quantiles by the nearest rank: the smallest value that is not exceeded by the given share of all values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Quantiles {
-    /// How many values.
+    /// Number of values.
     pub count: usize,
-    /// Of half of them.
+    /// The median.
     #[serde(rename = "p50_ms")]
     pub p50: Span,
-    /// Of 99 %.
+    /// The 99 % quantile.
     #[serde(rename = "p99_ms")]
     pub p99: Span,
-    /// The largest.
+    /// The largest value.
     #[serde(rename = "max_ms")]
     pub max: Span,
 }
 
 impl Quantiles {
-    /// Of these values, in any order; `None` where there are none.
+    /// Returns the quantiles of these values, in any order; `None` without values.
     #[must_use]
     pub fn of(values: impl IntoIterator<Item = Span>) -> Option<Self> {
         let mut values: Vec<Span> = values.into_iter().collect();

@@ -1,5 +1,5 @@
-//! Many dry runs of one choreography, each with another draw of one world: how likely it starts and finishes, how far apart the
-//! starts are, and which robot or link is the weakest. The same inputs and seed give the same results on any number of threads.
+//! Many dry runs of one choreography, each with a different draw of one world. They show the probability of starting and finishing, the
+//! spread of starts, and the weakest robot and link. The same inputs and seed give the same results for any number of threads.
 
 mod figures;
 mod results;
@@ -21,7 +21,7 @@ pub use figures::{Quantiles, Share};
 pub use results::{ActResult, LeadResult, Reason, Results, RobotResult};
 pub use trial::{Started, Trial, Why};
 
-/// What is tried.
+/// The setup of the trials.
 #[derive(Clone, Debug)]
 pub struct Trials<'a> {
     choreography: &'a Choreography,
@@ -32,10 +32,10 @@ pub struct Trials<'a> {
     seed: u64,
 }
 
-/// Trials cannot be played.
+/// Why trials cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum NoTrials {
-    /// A robot is not described.
+    /// A robot has no description.
     #[error(transparent)]
     NoInit(#[from] NoInit),
     /// A robot is not in the fleet.
@@ -44,7 +44,7 @@ pub enum NoTrials {
 }
 
 impl<'a> Trials<'a> {
-    /// Trials of a choreography on robots of a fleet, in a world that was read for that fleet.
+    /// Sets up trials of a choreography on robots of a fleet, in a world that was read for that fleet.
     #[must_use]
     pub fn new(
         choreography: &'a Choreography,
@@ -56,7 +56,7 @@ impl<'a> Trials<'a> {
         Self { choreography, fleet, robots: fleet::robots_in(fleet, choreography), world, options, seed }
     }
 
-    /// Plays one of them, counted from 0, before an audience.
+    /// Plays one trial, numbered from 0, before an audience.
     ///
     /// # Errors
     /// [`NoTrials`]
@@ -77,8 +77,8 @@ impl<'a> Trials<'a> {
         Ok(rehearsal.meets(draw).with_logs(logs).play_before(audience))
     }
 
-    /// Plays `count` of them on `threads` threads. `told` is called with how many are over, from any of these; where it returns
-    /// `false`, no further one begins.
+    /// Plays `count` trials on `threads` threads. Any of these calls `told` with the number of finished trials; once that returns
+    /// `false`, no further trial starts.
     ///
     /// # Errors
     /// [`NoTrials`]
@@ -128,7 +128,8 @@ impl<'a> Trials<'a> {
         self.robots.iter().map(|robot| robot.id.clone()).collect()
     }
 
-    /// The world's links delay, not the robot itself; its clock is the fleet file's where the world does not say another.
+    /// The links of the world delay messages, so the robot itself must not. Its clock is that of the fleet file, unless the world
+    /// specifies another one.
     fn set_clock(&self, settings: &mut Settings, index: usize, robot: &FleetRobot, seed: u64) {
         let mut rng = Stream::Robot(index).rng(seed);
         settings.seed = rng.u64(..);
@@ -143,7 +144,7 @@ impl<'a> Trials<'a> {
         }
         match (clock.error, robot.mission.clock) {
             (Some(error), _) => settings.ntp_error = Some(error),
-            // Its raw clock shows.
+            // The robot shows its raw clock.
             (None, ClockMode::Measured) => settings.ntp_error = None,
             (None, ClockMode::Ntp) => {}
         }

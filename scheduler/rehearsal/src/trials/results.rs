@@ -1,4 +1,4 @@
-//! What all trials together showed.
+//! The combined results of all trials.
 
 use std::collections::BTreeMap;
 
@@ -19,33 +19,33 @@ pub struct Results {
     pub world: String,
     /// Trials played.
     pub trials: usize,
-    /// From which they were drawn.
+    /// The seed from which the trials were drawn.
     pub seed: u64,
     /// Missions in which the first act began on all of its robots that were not left out.
     pub starts: Share,
-    /// Missions that were done: all robots came to the end, as planned.
+    /// Missions that all robots finished as planned.
     pub finishes: Share,
-    /// Missions that did not start, failed or were stopped on the way.
+    /// Missions that did not start, failed or were stopped.
     pub aborts: Share,
-    /// Missions in which some robots of an act began and others of it did not.
+    /// Missions in which some robots of an act began and others did not.
     pub mixed: Share,
-    /// How missions ended, the most frequent end first.
+    /// The outcomes of missions, the most frequent first.
     pub outcomes: Vec<(String, Share)>,
-    /// Largest true spread of the starts of an act, over the missions in which all robots of one began.
+    /// Largest true spread of the starts of an act, over the missions in which an act began on all robots.
     pub spread: Option<Quantiles>,
     /// Each act that was sent in some trial, in the order of the scenario.
     pub acts: Vec<ActResult>,
-    /// How much lead would be enough.
+    /// The lead that would be sufficient.
     pub lead: Option<LeadResult>,
     /// Why missions did not end as planned, the most frequent reason first.
     pub reasons: Vec<Reason>,
     /// Each robot, in the order of the fleet.
     pub robots: Vec<RobotResult>,
-    /// The robot whose failure came first in the most missions.
+    /// The robot that failed first in the most missions.
     pub weakest_robot: Option<RobotId>,
-    /// The robot whose link took longest until it had accepted, at the 99 % quantile.
+    /// The robot that took longest to accept its scripts, at the 99 % quantile.
     pub weakest_link: Option<RobotId>,
-    /// What the scenario requires, and what became of it.
+    /// The scenario's requirements and their results.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub requirements: Vec<Judged>,
     /// Each trial, in order.
@@ -57,41 +57,41 @@ pub struct Results {
 pub struct ActResult {
     /// Its name.
     pub act: String,
-    /// How often it began on all its robots, of the times that it was sent.
+    /// Share of its sendings after which it began on all its robots.
     pub starts: Share,
     /// True spread of its starts.
     pub spread: Option<Quantiles>,
     /// The scenario's `start_tolerance`.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,
-    /// Starts that were further apart than that.
+    /// Starts with a spread beyond the tolerance.
     pub beyond_tolerance: Share,
 }
 
-/// Lead times over all acts that were decided. An act that is not decided, because a robot refuses or says nothing, has none that would
-/// have been enough.
+/// Lead times over all acts that were decided. For an act that is not decided, because a robot refuses or does not answer, no lead would
+/// have been sufficient.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LeadResult {
-    /// What acts had, from the sending timestamp to the start.
+    /// The actual lead of acts, from the sending timestamp to the start.
     pub had: Quantiles,
-    /// With so much the last acceptance would just have come in time: its time, the lease and the margin.
+    /// The lead with which the last acceptance would just have been in time: acceptance time plus lease and margin.
     pub enough: Quantiles,
     /// Acts that were sent and not decided.
     pub undecided: usize,
 }
 
-/// A reason for which missions did not end as planned.
+/// A reason why missions did not end as planned.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reason {
-    /// The robot that failed first; `None`: no robot did.
+    /// The robot that failed first; `None` if no robot failed.
     pub robot: Option<RobotId>,
     /// The kind of its failure, or the outcome.
     pub kind: String,
-    /// How often.
+    /// Share of the missions.
     pub share: Share,
-    /// The first trial of which it is true.
+    /// The first trial with this reason.
     pub example: u32,
-    /// What was said there.
+    /// The message of that trial.
     pub text: String,
 }
 
@@ -106,11 +106,11 @@ pub struct RobotResult {
     pub accepts_within: Option<Quantiles>,
     /// Acts in which it was the last to accept, of those that were decided.
     pub accepts_last: Share,
-    /// Missions in which its link had to be made again.
+    /// Missions in which its link had to be re-established.
     pub reconnects: Share,
 }
 
-/// Outcomes that a mission has which began and came to its planned end, if with losses.
+/// Outcomes of missions that began and reached their planned end, possibly with losses.
 const CAME_TO_AN_END: [&str; 6] =
     ["done", "done_without", "done_skipping", "out_of_tolerance", "steps_late", "unknown"];
 
@@ -234,7 +234,7 @@ fn reasons(each: &[Trial]) -> Vec<Reason> {
     reasons
 }
 
-/// A text without its numbers and the names in it, so that failures that differ only in these are one reason.
+/// A text without its numbers and quoted names, so that failures that differ only in these count as one reason.
 fn alike(text: &str) -> String {
     let unquoted = text.split('`').step_by(2).map(|part| part.trim_matches([',', ' ']));
     let words: Vec<&str> = unquoted.filter(|part| !part.is_empty()).collect();

@@ -1,4 +1,4 @@
-//! What one trial showed.
+//! The result of one trial.
 
 use downbeat_scripts::FleetRobot;
 use serde::Serialize;
@@ -11,65 +11,65 @@ use downbeat_mission::{Failure, Progress};
 /// One trial, for reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Trial {
-    /// Its number, counted from 0.
+    /// Its number, from 0.
     pub trial: u32,
     /// How its mission ended, as in a report.
     pub outcome: String,
     /// Which robots of its acts really began.
     pub started: Started,
-    /// Largest spread of the starts of an act, by the true time; `None` where no act began on all robots.
+    /// Largest spread of the starts of an act, by the true clock; `None` if no act began on all robots.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
-    /// Why it did not end as planned; `None`: it did.
+    /// Why it did not end as planned; `None` if it did.
     pub why: Option<Why>,
 }
 
-/// Which robots really began what was planned, over all acts that were sent.
+/// Which robots really began their parts, over all acts that were sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Started {
-    /// All, in every act.
+    /// All robots, in every act.
     All,
-    /// None, in every act.
+    /// No robot, in any act.
     None,
-    /// In each act all or none.
+    /// In each act all robots or none.
     AllOrNone,
-    /// In one act some robots, and others not.
+    /// In at least one act some robots, but not all.
     Some,
 }
 
-/// Why a mission did not end as planned: the first failure of a robot, or else the end itself.
+/// Why a mission did not end as planned: the first failure of a robot, or otherwise the outcome.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
-    /// Which robot failed first; `None`: none did.
+    /// The robot that failed first; `None` if no robot failed.
     pub robot: Option<RobotId>,
     /// The kind of the failure, as in a report, or the outcome.
     pub kind: String,
-    /// The same for people.
+    /// The reason, for people.
     pub text: String,
 }
 
-/// What is needed of a trial beyond what is reported of it.
+/// Data of a trial that its report does not contain.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Evidence {
-    /// What really began in each act, in order.
+    /// The scripts that really began in each act, in order.
     pub(super) acts: Vec<ActStarts>,
-    /// From the sending of an act to a robot's acceptance of all of its scripts: by robot, for each act.
+    /// Time from the sending of an act until a robot has accepted all of its scripts: by robot, for each act.
     pub(super) accepted: Vec<Vec<Span>>,
     /// The robot that accepted last, for each act that was decided.
     pub(super) last: Vec<usize>,
-    /// For each act that was decided: the lead that it had, and the one with which its decision would just have been in time.
+    /// For each act that was decided: its actual lead, and the lead with which its decision would just have been in time.
     pub(super) leads: Vec<(Span, Span)>,
     /// Acts that were sent and not decided.
     pub(super) undecided: usize,
-    /// How often each robot's link was made again.
+    /// Number of times that each robot's link was re-established.
     pub(super) reconnects: Vec<u32>,
 }
 
-/// Watches a trial.
+/// Observes a trial.
 pub(super) struct Witness<'a> {
     robots: &'a [&'a FleetRobot],
-    /// The act that is being prepared: when it was sent, and its lead without the time for preparing.
+    /// The act in preparation: when it was sent, and its lead without the time for preparing.
     sent: Option<(Timestamp<Server>, Span, Span)>,
     latest: Option<(usize, Span)>,
     failure: Option<Failure>,
@@ -101,7 +101,7 @@ impl<'a> Witness<'a> {
             (None, Some(cut)) => Why {
                 robot: None,
                 kind: "waited".to_owned(),
-                text: format!("`{}` waits for {}, which does not come", cut.act, cut.awaits),
+                text: format!("`{}` waits for {}, which never happens", cut.act, cut.awaits),
             },
             (None, None) => Why { robot: None, kind: outcome.clone(), text: report.outcome.to_string() },
         });

@@ -1,14 +1,14 @@
-//! What happens in a virtual world, and in which order.
+//! The events of a virtual world and their order.
 
 use std::collections::BTreeMap;
 
 use urrcp::{Server, Timestamp};
 
-/// The items of a world, by the instants at which they are due. Those of one instant keep the order in which they were put.
+/// The items of a world, by the instants at which they are due. Items of the same instant keep the order of insertion.
 #[derive(Debug)]
 pub struct Agenda<T> {
     items: BTreeMap<(Timestamp<Server>, u64), T>,
-    /// Items that were put so far.
+    /// Number of items inserted so far.
     count: u64,
 }
 

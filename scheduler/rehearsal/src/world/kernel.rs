@@ -1,4 +1,4 @@
-//! Virtual time: it jumps to what happens next.
+//! Virtual time: it jumps to the next event.
 
 use downbeat_robot::simulated::SimulatedRobot;
 use urrcp::{Server, Timestamp};
@@ -10,14 +10,14 @@ use super::{Agenda, Processes};
 pub struct Kernel<T> {
     /// The true time.
     pub now: Timestamp<Server>,
-    /// What happens outside of robots.
+    /// The events outside of robots.
     pub agenda: Agenda<T>,
     /// The robots' processes.
     pub robots: Processes,
 }
 
 impl<T> Kernel<T> {
-    /// A world at its beginning.
+    /// Creates a world at its beginning.
     pub fn new(machines: impl IntoIterator<Item = Option<SimulatedRobot>>, begin: Timestamp<Server>) -> Self {
         Self { now: begin, agenda: Agenda::default(), robots: Processes::new(machines, begin) }
     }
@@ -27,7 +27,7 @@ impl<T> Kernel<T> {
         self.agenda.put(at.max(self.now), item);
     }
 
-    /// When something happens next.
+    /// When the next event is due.
     pub fn next_instant(&mut self) -> Option<Timestamp<Server>> {
         let item = self.agenda.peek().map(|(at, _)| at);
         item.into_iter().chain(self.robots.next_instant()).min()
@@ -36,7 +36,7 @@ impl<T> Kernel<T> {
 
 /// A world in virtual time.
 pub trait Virtual {
-    /// What happens outside of robots.
+    /// The kind of event outside of robots.
     type Item;
 
     /// The parts that all worlds share.
@@ -48,19 +48,19 @@ pub trait Virtual {
     /// Performs an item.
     fn happen(&mut self, item: Self::Item);
 
-    /// When something happens outside of the kernel, such as a word of the operator.
+    /// When the next event outside of the kernel is due, such as an input by the operator.
     fn wakes(&self) -> Option<Timestamp<Server>>;
 
-    /// Sets the time to `at`, or leaves it, if it is later already.
+    /// Sets the time to `at`, unless it is already later.
     fn pass(&mut self, at: Timestamp<Server>);
 
-    /// When something happens next.
+    /// When the next event is due.
     fn next_instant(&mut self) -> Option<Timestamp<Server>> {
         self.kernel().next_instant().into_iter().chain(self.wakes()).min()
     }
 
-    /// Goes to the next thing that happens: advances all robots in their order, then performs one item, then advances the robots again,
-    /// since the item may concern them.
+    /// Jumps to the next event: advances all robots in order, performs one item, and advances the robots again, since the item may
+    /// concern them.
     fn step(&mut self, at: Timestamp<Server>) {
         self.pass(at);
         self.advance_robots();

@@ -1,5 +1,5 @@
-//! The parts of all virtual worlds, that of dry runs and trials and that of the simulation with random faults: time and the order of
-//! events, the network, and the robots' processes.
+//! The common parts of all virtual worlds: time and the order of events, the network, and the robots' processes. Used by dry runs and
+//! trials, and by the simulation with random faults.
 
 mod agenda;
 mod kernel;

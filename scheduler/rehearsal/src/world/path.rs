@@ -1,4 +1,4 @@
-//! The network between the scheduler and a robot: when a message arrives, or that it never does.
+//! The network between the scheduler and a robot: when messages arrive, and which are lost.
 
 use std::collections::VecDeque;
 
@@ -6,21 +6,21 @@ use downbeat_scripts::{Between, Delay, LinkWorld, QUANTILES};
 use fastrand::Rng;
 use urrcp::{Command, Message, Server, Span, StatusValue, Timestamp};
 
-/// Linux gives a connection up after this many retransmissions (`net.ipv4.tcp_retries2`).
+/// Number of retransmissions after which Linux gives up a connection (`net.ipv4.tcp_retries2`).
 const RESENT_MAX: u32 = 15;
-/// The longest time after which Linux sends again (`TCP_RTO_MAX`).
+/// Longest retransmission timeout of Linux (`TCP_RTO_MAX`).
 const RESENT_AFTER_MAX: Span = Span::from_millis(120_000);
-/// After this time the first packet of a connection is sent again (RFC 6298, section 2.1), twice as long after each further loss.
+/// First retransmission timeout of a new connection (RFC 6298, section 2.1); it doubles after each further loss.
 const FIRST_RESENT_AFTER: Span = Span::from_millis(1_000);
-/// A message in the long tail takes up to this many times the largest delay longer.
+/// Maximum additional delay of a message in the long tail, as a multiple of the largest delay.
 const TAIL_MAX: i64 = 20;
 
-/// Approximate sizes in bytes: each message, each step of a script, each request that is named.
+/// Approximate sizes in bytes: of a message, of each step of a script, and of each request that is named.
 const MESSAGE_BYTES: usize = 220;
 const STEP_BYTES: usize = 60;
 const NAME_BYTES: usize = 70;
 
-/// Which way a message goes.
+/// The direction of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// From the scheduler.
@@ -29,27 +29,27 @@ pub enum Direction {
     FromRobot,
 }
 
-/// How a network treats messages, the same each way.
+/// Properties of a network, equal in both directions.
 #[derive(Clone, Debug)]
 pub struct Conditions {
-    /// Delays and interruptions, and what TCP needs to know.
+    /// Delays, interruptions, and parameters of TCP.
     pub link: LinkWorld,
-    /// What becomes of a message that does not get through.
+    /// How messages are transported that the network drops or blocks.
     pub transport: Transport,
-    /// Probability that a message takes 1 to 20 times the largest delay longer; `None`: this is not drawn.
+    /// Probability that a message takes an additional 1 to 20 times the largest delay; `None`: no such draw takes place.
     pub tail: Option<f64>,
-    /// Bytes a second; `None`: no limit.
+    /// Bandwidth in bytes per second; `None`: unlimited.
     pub bandwidth: Option<u32>,
 }
 
-/// What becomes of a message that does not get through.
+/// How messages are transported that the network drops or blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Transport {
-    /// It is sent again after a timeout, twice as long after each further loss. Messages keep their order.
+    /// Retransmission after a timeout that doubles after each further loss. Messages keep their order.
     Tcp,
-    /// Nothing is lost, and all that waits passes at the very end of an interruption. Messages keep their order.
+    /// No loss; waiting messages pass at the very end of an interruption. Messages keep their order.
     Held,
-    /// It is lost. Messages may overtake each other.
+    /// Loss. Messages may overtake each other.
     Datagram {
         /// Probability that a message is lost.
         loss: f64,
@@ -69,32 +69,32 @@ impl From<LinkWorld> for Conditions {
 pub struct Travel {
     /// When it arrives.
     pub arrives: Timestamp<Server>,
-    /// How much of that it waits until a path in its usual state has carried this message and those before it.
+    /// The part of that time in which a path in its usual state transmits this message and those before it.
     pub queued: Span,
 }
 
-/// The way to one robot and back.
+/// The network path to one robot and back.
 #[derive(Clone, Debug)]
 pub struct Path {
     conditions: Conditions,
-    /// For each kind of interruption when the next one begins.
+    /// When the next interruption of each kind begins.
     next: Vec<Timestamp<Server>>,
-    /// When nothing passes, from and until, as far as that is drawn.
+    /// Start and end of the interruptions that are already drawn.
     interrupted: VecDeque<(Timestamp<Server>, Timestamp<Server>)>,
-    /// Until when nothing passes each way, by faults.
+    /// Until when faults block each direction.
     pub blocked_until: [Timestamp<Server>; 2],
-    /// The bandwidth of the time until then.
+    /// A temporary bandwidth, and the end of its validity.
     pub slow: Option<(u32, Timestamp<Server>)>,
-    /// Until then, each message takes this much longer.
+    /// A temporary additional delay per message, and the end of its validity.
     pub lag: Option<(Span, Timestamp<Server>)>,
-    /// Until when earlier messages occupy the path, each way.
+    /// Until when earlier messages occupy each direction.
     busy: [Timestamp<Server>; 2],
-    /// The last arrivals each way on the connection that stands: a stream keeps the order.
+    /// The last arrival in each direction on the current connection: a stream keeps the order.
     last: [Timestamp<Server>; 2],
 }
 
 impl Path {
-    /// A path from `begin` on.
+    /// Creates a path that starts at `begin`.
     pub fn new(conditions: Conditions, rng: &mut Rng, begin: Timestamp<Server>) -> Self {
         let kinds = conditions.link.interruptions.iter();
         let next = kinds.map(|kind| begin + exponential(rng, kind.every)).collect();
@@ -111,20 +111,19 @@ impl Path {
         }
     }
 
-    /// Nothing passes this way until then. Until when nothing passes, by this and earlier faults.
+    /// Blocks a direction until `until`. Returns the end of the blockage, including earlier faults.
     pub fn block(&mut self, way: Direction, until: Timestamp<Server>) -> Timestamp<Server> {
         let blocked = &mut self.blocked_until[way as usize];
         *blocked = until.max(*blocked);
         *blocked
     }
 
-    /// A connection begins, on which nothing is under way.
+    /// Starts a connection without messages in transit.
     pub const fn begin(&mut self, at: Timestamp<Server>) {
         (self.last, self.busy) = ([at; 2], [at; 2]);
     }
 
-    /// What becomes of a message that is sent now, or of the end of a connection. `None`: a datagram is lost; TCP gives the
-    /// connection up.
+    /// Sends a message or the end of a connection. `None`: a datagram is lost, or TCP gives up the connection.
     pub fn travel(
         &mut self,
         rng: &mut Rng,
@@ -147,7 +146,7 @@ impl Path {
             self.last[at]
         };
         self.busy[at] = sent;
-        // Waiting behind other messages for a path in its usual state is no fault.
+        // The wait for earlier messages on a path in its usual state is not a fault.
         let queued = if takes == usual && self.slow.is_none() { sent - now } else { usual };
         Some(Travel { arrives, queued })
     }
@@ -157,7 +156,7 @@ impl Path {
         matches!(self.conditions.transport, Transport::Datagram { double, .. } if rng.f64() < double)
     }
 
-    /// When a connection stands that is begun now, as the scheduler sees it; `None`: not by then.
+    /// When the scheduler sees a connection established that it starts now; `None`: not by `by`.
     pub fn connects(
         &mut self,
         rng: &mut Rng,
@@ -172,14 +171,14 @@ impl Path {
         (back <= by).then_some(back)
     }
 
-    /// When the end of a connection that the robot's system closes at `at` sets out: behind all that was sent before.
+    /// When the end of a connection that the robot's system closes at `at` departs: after all earlier messages.
     #[must_use]
     pub fn end_passes(&self, at: Timestamp<Server>) -> Timestamp<Server> {
         at.max(self.blocked_until[Direction::FromRobot as usize])
             .max(self.last[Direction::FromRobot as usize])
     }
 
-    /// How long it takes to put a message on the path, as it usually is and as it is now.
+    /// Transmission time of a message: usually, and currently.
     fn transmission(&self, now: Timestamp<Server>, message: &Message) -> (Span, Span) {
         let usual = self.conditions.bandwidth;
         let slow = self.slow.filter(|(_, until)| now < *until).map(|(slow, _)| slow);
@@ -192,7 +191,7 @@ impl Path {
         (usual, slow.map_or(usual, takes))
     }
 
-    /// When a packet that is sent at `at` is on its way and will not be lost.
+    /// When a packet that is first sent at `at` departs without being lost.
     fn passes(
         &mut self,
         rng: &mut Rng,
@@ -216,7 +215,7 @@ impl Path {
         None
     }
 
-    /// Until when nothing passes that sets out at `at`, at `now` or later; `None`: it passes.
+    /// Until when the path is blocked for a packet that departs at `at`, which is not before `now`; `None`: it passes.
     fn closed_until(
         &mut self,
         rng: &mut Rng,
@@ -256,19 +255,19 @@ impl Path {
     }
 }
 
-/// Drawn uniformly.
+/// Draws from the uniform distribution.
 pub(crate) fn between(rng: &mut Rng, bounds: Between<Span>) -> Span {
     Span::from_nanos(
         rng.i64(bounds.least.as_nanos()..=bounds.largest.as_nanos().max(bounds.least.as_nanos())),
     )
 }
 
-/// Drawn from the exponential distribution with this mean, by inversion.
+/// Draws from the exponential distribution with this mean, by inversion.
 fn exponential(rng: &mut Rng, mean: Span) -> Span {
     Span::from_millis_f64(-(1.0 - rng.f64()).ln() * mean.as_millis_f64())
 }
 
-/// What this share of all values does not exceed, linear between the quantiles.
+/// The quantile for this share, interpolated linearly between the known quantiles.
 fn by_quantiles(quantiles: &[Span; 5], share: f64) -> Span {
     let above = QUANTILES.iter().position(|known| *known > share).unwrap_or(QUANTILES.len() - 1);
     let below = above.saturating_sub(1);
@@ -310,7 +309,7 @@ mod tests {
         LinkWorld::with_delay(Delay::Between(Between::fixed(DELAY)))
     }
 
-    /// A path on which nothing but time differs from message to message.
+    /// A path on which messages differ only in time.
     struct Line {
         path: Path,
         rng: Rng,
@@ -339,7 +338,7 @@ mod tests {
         }
     }
 
-    /// How long each of many messages travels, sent at a distance at which none waits for another.
+    /// The travel times of many messages, sent at intervals that prevent queuing.
     fn travels(says: LinkWorld) -> Vec<f64> {
         let mut line = Line::new(says, 7);
         let sent = (0..20_000).map(|index| BEGIN + Span::from_millis(10_000) * index);
@@ -393,7 +392,7 @@ mod tests {
     fn nothing_passes_while_the_path_is_blocked() {
         let mut line = Line::new(says(), 1);
         line.block(Span::from_millis(500));
-        // Sent again after 200, 600 ms.
+        // Retransmitted after 200 and 600 ms.
         let arrives = Some(BEGIN + Span::from_millis(602));
         assert_eq!(line.arrival(BEGIN, Direction::ToRobot), arrives);
         assert_eq!(line.connects(BEGIN), Some(BEGIN + Span::from_millis(1_004)));
@@ -443,7 +442,7 @@ mod tests {
         let mut line = Line::new(LinkWorld { interruptions: vec![kind], ..says() }, 3);
         let at = |index| BEGIN + Span::from_millis(100) * index;
         let down = (0..1_000_000).filter(|index| line.is_closed(at(*index))).count();
-        // 2 s of 20 s; 5,000 interruptions, so the share is known to about 1.5 percent of itself.
+        // 2 s of 20 s; with 5,000 interruptions the relative error of the share is about 1.5 percent.
         assert!((down as f64 / 1e6 - 0.1).abs() < 0.008, "{down}");
     }
 }

@@ -1,4 +1,4 @@
-//! The processes of the robots: which run, which stall, and which is due next.
+//! The processes of the robots: which of them run or stall, and which is due next.
 
 use std::collections::BTreeSet;
 
@@ -7,29 +7,29 @@ use urrcp::{Server, Timestamp};
 
 use super::Agenda;
 
-/// Before every wake-up. A process that is due even then is due whenever anything happens: it looks after silent hardware, for example.
+/// Earlier than every wake-up. A process that is due even at this time is due at every event: it polls silent hardware, for example.
 const NEVER: Timestamp<True> = Timestamp::from_nanos(i64::MIN);
 
 /// The processes of the robots of a world, by robot.
 #[derive(Debug)]
 pub struct Processes {
     processes: Vec<Process>,
-    /// When robots are due. An entry that its process does not confirm is outdated.
+    /// When robots are due. An entry is outdated if it differs from `due` of its process.
     agenda: Agenda<usize>,
-    /// Robots that are due whenever anything happens.
+    /// Robots that are due at every event.
     restless: BTreeSet<usize>,
 }
 
 #[derive(Debug)]
 struct Process {
-    /// `None`: no process runs.
+    /// `None` if no process runs.
     machine: Option<SimulatedRobot>,
     stalls_until: Timestamp<Server>,
     due: Option<Timestamp<Server>>,
 }
 
 impl Processes {
-    /// The processes at the beginning; none stalls.
+    /// Creates the processes; none of them stalls.
     pub fn new(machines: impl IntoIterator<Item = Option<SimulatedRobot>>, begin: Timestamp<Server>) -> Self {
         let machines = machines.into_iter();
         let processes = machines.map(|machine| Process { machine, stalls_until: begin, due: None }).collect();
@@ -38,40 +38,40 @@ impl Processes {
         processes
     }
 
-    /// The machine of a process that runs.
+    /// The machine of a running process.
     #[must_use]
     pub fn get(&self, robot: usize) -> Option<&SimulatedRobot> {
         self.processes[robot].machine.as_ref()
     }
 
-    /// Changes the machine of a process, if it runs.
+    /// Changes the machine of a process if it runs.
     pub fn change<R>(&mut self, robot: usize, change: impl FnOnce(&mut SimulatedRobot) -> R) -> Option<R> {
         let result = change(self.processes[robot].machine.as_mut()?);
         self.note_due(robot);
         Some(result)
     }
 
-    /// Begins a process, which replaces an older one of the same robot.
+    /// Starts a process, which replaces an older one of the same robot.
     pub fn begin(&mut self, robot: usize, machine: SimulatedRobot) {
         self.processes[robot].machine = Some(machine);
         self.note_due(robot);
     }
 
-    /// Ends a process, and returns its machine if it ran.
+    /// Ends a process and returns its machine, if it ran.
     pub fn end(&mut self, robot: usize) -> Option<SimulatedRobot> {
         let machine = self.processes[robot].machine.take();
         self.note_due(robot);
         machine
     }
 
-    /// Stalls a process until then, and another one that begins in its place. A stall never ends an earlier one.
+    /// Stalls a process until `until`; this also applies to a new process of the same robot. A stall never shortens an earlier one.
     pub fn stall(&mut self, robot: usize, until: Timestamp<Server>) {
         let stalls_until = &mut self.processes[robot].stalls_until;
         *stalls_until = until.max(*stalls_until);
         self.note_due(robot);
     }
 
-    /// Until when a process stalls, if it does at `now`.
+    /// The end of a process's stall, if it stalls at `now`.
     #[must_use]
     pub fn stalls_until(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         Some(self.processes[robot].stalls_until).filter(|until| now < *until)
@@ -88,7 +88,7 @@ impl Processes {
         }
     }
 
-    /// The robots that have something to do now, in order.
+    /// The robots that are due now, in order.
     pub fn take_due(&mut self, now: Timestamp<Server>) -> Vec<usize> {
         let awake = |robot: &usize| self.stalls_until(*robot, now).is_none();
         let mut robots: Vec<usize> = self.restless.iter().copied().filter(awake).collect();

@@ -1,4 +1,4 @@
-//! Where the bytes of a journal lie: in a file, or on the disk of a simulation.
+//! The storage of a journal: a file, or the disk of a simulation.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -9,37 +9,37 @@ use rustix::io::Errno;
 use super::lock;
 use super::private::{self, How};
 
-/// As much of a disk as a journal needs: one file that grows at its end.
+/// The parts of a disk that a journal needs: one file that grows at its end.
 pub trait Disk {
-    /// All bytes of the file.
+    /// Returns all bytes of the file.
     ///
     /// # Errors
-    /// The disk cannot be read.
+    /// Fails if the disk cannot be read.
     fn read(&mut self) -> io::Result<Vec<u8>>;
 
-    /// Cuts the file to this length in bytes, on the disk when this returns.
+    /// Cuts the file to `length` bytes. The change is on the disk when this function returns.
     ///
     /// # Errors
-    /// The disk does not take it.
+    /// Fails if the disk refuses the change.
     fn truncate(&mut self, length: u64) -> io::Result<()>;
 
     /// Adds bytes to the end of the file. They may be lost until [`Disk::sync`] has returned.
     ///
     /// # Errors
-    /// The disk does not take them, or only some of them.
+    /// Fails if the disk refuses the bytes or accepts only some of them.
     fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
 
-    /// Returns once everything appended survives a loss of power.
+    /// Returns once all appended bytes would survive a power loss.
     ///
     /// # Errors
-    /// What was appended may be lost.
+    /// If it fails, the appended bytes may be lost.
     fn sync(&mut self) -> io::Result<()>;
 
-    /// Makes sure that the file can be found under its name. If it was removed or replaced, writes all of it there again, and
-    /// returns once all of it is on the disk.
+    /// Makes sure that the file can be found under its name. If it was removed or replaced, writes all of it there again, and returns
+    /// once all of it is on the disk.
     ///
     /// # Errors
-    /// It was removed or replaced, and cannot be written again.
+    /// Fails if the file was removed or replaced and cannot be written again.
     fn keep_name(&mut self) -> io::Result<Name> {
         Ok(Name::Kept)
     }
@@ -48,16 +48,16 @@ pub trait Disk {
 /// The result of [`Disk::keep_name`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Name {
-    /// The file is found under it.
+    /// The file can be found under its name.
     Kept,
-    /// The file was not found under it, and has been written again.
+    /// The file could not be found under its name, and has been written again.
     WrittenAgain,
 }
 
 /// Maximum number of files that were moved away and stay locked.
 const ELSEWHERE_MAX: usize = 8;
 
-/// A file, locked as long as this lives.
+/// A file that stays locked while this value lives.
 #[derive(Debug)]
 pub struct FileDisk {
     folder: PathBuf,
@@ -67,18 +67,18 @@ pub struct FileDisk {
 }
 
 impl FileDisk {
-    /// Opens or creates `journal` in a folder, which is created as well, and locks it. Both are for this user alone.
+    /// Opens or creates `journal` in a folder and locks it. Creates the folder as well. Both are accessible to this user only.
     ///
     /// # Errors
-    /// The file cannot be opened, is not for this user alone, or another process holds the lock.
+    /// Fails if the file cannot be opened, if other users have access to it, or if another process holds the lock.
     pub fn open(folder: &Path) -> io::Result<Self> {
         private::create_folder(folder)?;
         let new = !folder.join(JOURNAL).exists();
         let file = private::file(folder, JOURNAL, How::Create)?;
         lock::take(&file)?;
-        // The names of a new file and a new folder are on the disk only then.
+        // Only this puts the names of a new file and a new folder on the disk.
         for folder in [Some(folder), folder.parent()].into_iter().flatten().filter(|_| new) {
-            // Some file systems cannot do it.
+            // Some file systems do not support this.
             if let Err(error) = File::open(folder).and_then(|folder| folder.sync_all()) {
                 tracing::debug!("cannot sync {}: {error}", folder.display());
             }
@@ -86,10 +86,10 @@ impl FileDisk {
         Ok(Self::of(folder, file))
     }
 
-    /// Opens and locks a `journal` that is there, without waiting for the disk.
+    /// Opens and locks an existing `journal`, without waiting for the disk.
     ///
     /// # Errors
-    /// There is none that can be written, or another process holds the lock.
+    /// Fails if no writable journal exists, or if another process holds the lock.
     pub fn take_up(folder: &Path) -> io::Result<Self> {
         let file = private::file(folder, JOURNAL, How::Append)?;
         lock::take(&file)?;
@@ -100,21 +100,21 @@ impl FileDisk {
         Self { folder: folder.to_path_buf(), file, elsewhere: Vec::new() }
     }
 
-    /// Whether the name leads to this file. If the check fails for any reason other than a missing file, for example because the
-    /// server of a network file system is away, the file counts as present.
+    /// Whether the name still refers to this file. If the check fails for any reason other than a missing file, for example because the
+    /// server of a network file system is unreachable, the file is treated as present.
     fn is_named(&self) -> io::Result<bool> {
         let own = rustix::fs::fstat(&self.file)?;
         match rustix::fs::lstat(self.folder.join(JOURNAL)) {
             Ok(found) => Ok((found.st_dev, found.st_ino) == (own.st_dev, own.st_ino)),
             Err(Errno::NOENT | Errno::NOTDIR) => Ok(false),
             Err(error) => {
-                tracing::debug!("cannot look for the journal in {}: {error}", self.folder.display());
+                tracing::debug!("cannot check the journal in {}: {error}", self.folder.display());
                 Ok(true)
             }
         }
     }
 
-    /// Writes the whole file under its name. A copy of its beginning may be there already.
+    /// Writes the whole file under its name. The new file may already contain the beginning of this one.
     fn write_again(&mut self) -> io::Result<()> {
         let bytes = self.read()?;
         if let Some(state) = self.folder.parent() {

@@ -1,4 +1,4 @@
-//! The missions that left a folder here, as far as the first and the last lines of their journals tell: a stop must not wait
+//! The missions that left a folder on this machine. Only the first and the last lines of their journals are read: a stop must not wait
 //! until years of old journals are read.
 
 use std::fs::File;
@@ -19,41 +19,41 @@ pub struct Found {
     pub folder: PathBuf,
     /// Its first line.
     pub opened: Opened,
-    /// When that was.
+    /// When the mission was opened.
     pub opened_at: Timestamp<Server>,
-    /// What became of it.
+    /// The state of the mission.
     pub life: Life,
-    /// Bytes of its journal.
+    /// Size of its journal in bytes.
     size: u64,
 }
 
-/// What became of a mission.
+/// The state of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Life {
-    /// Its scheduler lives.
+    /// Its scheduler is alive.
     Running,
-    /// Its scheduler was gone before it had ended.
+    /// Its scheduler died before the mission ended.
     CutOff,
-    /// It has ended.
+    /// The mission has ended.
     Ended,
 }
 
-/// All missions that left a folder here.
+/// All missions that left a folder on this machine.
 #[derive(Debug, Default)]
 pub struct Missions {
-    /// Those that can be read, the newest last.
+    /// The readable missions, newest last.
     pub found: Vec<Found>,
-    /// Journals whose first line is damaged or of another version: their robots are not known.
+    /// Journals whose first line is damaged or has another version. Their robots are unknown.
     pub damaged: Vec<PathBuf>,
-    /// Folders and journals that are not for this user alone. Nothing in them is read.
+    /// Folders and journals to which other users have access. Their contents are not read.
     pub refused: Vec<NotPrivate>,
 }
 
 impl Missions {
-    /// Looks at all folders; there are none while the folder in which they are does not exist.
+    /// Reads all mission folders. Returns no missions if the state folder does not exist.
     ///
     /// # Errors
-    /// [`NotPrivate`] where that folder is not for this user alone; else what the system says.
+    /// Returns [`NotPrivate`] if other users have access to the state folder; otherwise the operating system's error.
     pub fn of(state: &Path) -> io::Result<Self> {
         let mut missions = Self::default();
         let entries = match private::folder(state).and_then(|_own| std::fs::read_dir(state)) {
@@ -63,7 +63,7 @@ impl Missions {
         };
         for entry in entries {
             let entry = entry?;
-            // Files are of no mission; links are refused by their names.
+            // Files belong to no mission. Links are refused by name.
             if entry.file_type()?.is_file() {
                 continue;
             }
@@ -80,7 +80,7 @@ impl Missions {
         Ok(missions)
     }
 
-    /// How many folders there are of which nothing else is known.
+    /// Number of folders whose missions are unknown.
     #[must_use]
     pub fn unread(&self) -> usize {
         self.damaged.len() + self.refused.len()
@@ -88,10 +88,10 @@ impl Missions {
 }
 
 impl Found {
-    /// Looks at one folder; `None` where the first line of its journal is damaged.
+    /// Reads one folder. Returns `None` if the first line of its journal is damaged.
     ///
     /// # Errors
-    /// There is no journal, or nothing in it yet, or it is not for this user alone ([`NotPrivate`]).
+    /// Fails if the journal does not exist, is still empty, or is accessible to other users ([`NotPrivate`]).
     pub fn look_at(folder: &Path) -> io::Result<Option<Self>> {
         let file = private::file(folder, "journal", How::Read)?;
         let running = lock::is_taken(&file);
@@ -100,7 +100,7 @@ impl Found {
         reader.read_until(b'\n', &mut first)?;
         let size = file.metadata()?.len();
         let Ok((opened, opened_at)) = begin_of(&first) else {
-            // Cut off while it began: nothing had been sent yet, unless it is there and hears words.
+            // Cut off at its start: nothing was sent yet, unless the scheduler lives and its control socket exists.
             let hears = running && folder.join("control").exists();
             return if size == first.len() as u64 && !hears {
                 Err(io::ErrorKind::UnexpectedEof.into())
@@ -116,16 +116,16 @@ impl Found {
         Ok(Some(Self { folder: folder.to_path_buf(), opened, opened_at, life, size }))
     }
 
-    /// Reads its whole journal.
+    /// Reads the whole journal.
     ///
     /// # Errors
-    /// [`Unreadable`] where not even the first line is whole any more.
+    /// Returns [`Unreadable`] if even the first line is no longer whole.
     pub fn read(&self) -> Result<Contents, Unreadable> {
         read(&self.folder.join("journal"))
     }
 }
 
-/// Whether the mission of this folder has checked its fleet: it plays, or waits for its first act.
+/// Whether the mission of this folder has checked its fleet, so that it plays or waits for its first act.
 #[must_use]
 pub fn has_begun(folder: &Path) -> bool {
     let journal = bytes_of(&folder.join("journal")).unwrap_or_default();
@@ -133,7 +133,7 @@ pub fn has_begun(folder: &Path) -> bool {
     records.any(|record| matches!(record, Record::Checked))
 }
 
-/// So many bytes at the end of a journal are looked at: that a mission has ended is one of its last lines, and a short one.
+/// Number of bytes read from the end of a journal. The record of a mission's end is short and among the last lines.
 const TAIL: u64 = 64 * 1024;
 
 fn has_ended(mut file: &File, begin: u64, size: u64) -> io::Result<bool> {
@@ -141,7 +141,7 @@ fn has_ended(mut file: &File, begin: u64, size: u64) -> io::Result<bool> {
     file.seek(SeekFrom::Start(from))?;
     let mut tail = Vec::new();
     file.read_to_end(&mut tail)?;
-    // Where that falls into a line, the rest of it is no whole one.
+    // If the tail starts within a line, the rest of that line fails its checksum.
     let lines = tail.split_inclusive(|byte| *byte == b'\n');
     Ok(lines.filter_map(record).any(|record| matches!(record, Record::Ended { .. })))
 }
@@ -150,13 +150,13 @@ fn record(line: &[u8]) -> Option<Record> {
     serde_json::from_slice(sound(line)?).ok()
 }
 
-/// Ended missions whose folders are kept at most.
+/// Maximum number of ended missions whose folders are kept.
 const ENDED_KEPT: usize = 50;
-/// Bytes of the journals of ended missions that are kept at most, except that of the last one.
+/// Maximum total size, in bytes, of the kept journals of ended missions, except for the latest one.
 const ENDED_BYTES: u64 = 64 * 1024 * 1024;
 
-/// Removes the folders of missions that ended: of those beyond the last 50, and of the older ones where their journals are
-/// longer than 64 MiB together. Those that were cut off stay until they are resumed or stopped.
+/// Removes folders of ended missions: all beyond the last 50, and older ones if their journals together exceed 64 MiB. Missions that were
+/// cut off stay until they are resumed or stopped.
 pub fn forget_old(state: &Path) {
     let found = Missions::of(state).unwrap_or_default().found;
     let ended = found.into_iter().rev().filter(|found| found.life == Life::Ended);

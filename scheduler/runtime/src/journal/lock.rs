@@ -1,6 +1,6 @@
-//! The lock of a journal: it tells whether its scheduler lives, and it can be asked for without being taken. A lock that
-//! had to be taken for a moment to ask for it would now and then keep a stop from the journal, and so would any other program
-//! that locks the file by `flock`, which this lock does not know.
+//! The lock of a journal. It shows whether the scheduler lives, and it can be queried without being taken. If a query had to take the
+//! lock for a moment, it would occasionally block a stop. So would any other program that locks the file with `flock`, which is
+//! independent of this lock.
 
 use std::fs::File;
 use std::io;
@@ -8,10 +8,10 @@ use std::io;
 use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 
-/// Takes it, for as long as the file is open.
+/// Takes the lock for as long as the file is open.
 ///
 /// # Errors
-/// [`io::ErrorKind::WouldBlock`] where another open file has it.
+/// Returns [`io::ErrorKind::WouldBlock`] if another open file holds the lock.
 pub(super) fn take(file: &File) -> io::Result<()> {
     let lock = whole_file();
     fcntl(file, FcntlArg::F_OFD_SETLK(&lock)).map(drop).map_err(|errno| match errno {
@@ -20,7 +20,7 @@ pub(super) fn take(file: &File) -> io::Result<()> {
     })
 }
 
-/// Whether another open file has it.
+/// Whether another open file holds the lock.
 pub(super) fn is_taken(file: &File) -> bool {
     let mut lock = whole_file();
     match fcntl(file, FcntlArg::F_OFD_GETLK(&mut lock)) {

@@ -1,6 +1,6 @@
-//! The journal of a mission: lines, each with its checksum, that are only ever appended. Which of them must be on the disk
-//! before a promise is made, the mission decides. A folder a mission, in it `journal`, locked as long as its scheduler lives,
-//! and `control`, its socket.
+//! The journal of a mission: an append-only file of lines, each with a checksum. The mission decides which lines must be on the disk
+//! before it makes a promise. Each mission has a folder with `journal`, which is locked while its scheduler lives, and `control`, its
+//! socket.
 
 mod disk;
 mod found;
@@ -29,16 +29,16 @@ pub use writer::{News, WAITING_MAX, Writer, append_all};
 /// The version of journals and recordings. Programs read only files of their own version.
 pub const VERSION: u32 = 1;
 
-/// The first line: the session, the robots and the plan. It has all that a stop needs, because files may change while a
+/// The first line: the session, the robots and the plan. It contains everything that a stop needs, because files may change while a
 /// mission plays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Opened {
-    /// The name of the mission, by which people know its session.
+    /// The name of the mission, which identifies its session to people.
     pub session: SessionId,
-    /// What follows the name of the session on the wire. `None` in simulations, whose robots know the name alone.
+    /// The part of the session id on the wire after the session's name. `None` in simulations, where robots know only the name.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub key: Option<SessionKey>,
-    /// The process that drives them.
+    /// The id of the process that runs the mission.
     pub pid: u32,
     /// The scenario's name; `None` in simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -47,10 +47,10 @@ pub struct Opened {
     pub scenario: PathBuf,
     /// The fleet file.
     pub fleet: PathBuf,
-    /// The working directory, where programs that drive robots are started; `None` where it was removed.
+    /// The working directory, where programs that drive robots are started. `None` if it was removed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
-    /// The folder in which the files have to be that scenario and fleet name, if the operator named one.
+    /// The folder that must contain all files named by the scenario and the fleet, if the operator named one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<PathBuf>,
     /// The further choices of the operator: acts, robots, speed.
@@ -62,17 +62,17 @@ pub struct Opened {
     pub fixed: FixedStarts,
     /// Whether robots are asked for their identity.
     pub greeting: Greeting,
-    /// The server's time minus this machine's, as NTP said when the mission began.
+    /// The server's time minus this machine's time, as NTP reported when the mission began.
     #[serde(rename = "clock_offset_ms")]
     pub clock_offset: Span,
-    /// Who speaks to them; empty where that is nobody.
+    /// The files for TLS and Zenoh. Empty if there are none.
     #[serde(default, skip_serializing_if = "OpenedKeys::is_empty")]
     pub keys: OpenedKeys,
     /// The robots.
     pub robots: Vec<OpenedRobot>,
 }
 
-/// The files by which an operator speaks to robots with TLS, and to a Zenoh network. Their contents are no part of a journal.
+/// The files that an operator needs for robots with TLS and for a Zenoh network. The journal does not contain their contents.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OpenedKeys {
     /// The identity file.
@@ -87,7 +87,7 @@ pub struct OpenedKeys {
 }
 
 impl OpenedKeys {
-    /// Whether there are none.
+    /// Whether no file is set.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.identity.is_none() && self.revoked.is_none() && self.zenoh.is_none()
@@ -95,7 +95,7 @@ impl OpenedKeys {
 }
 
 impl Opened {
-    /// The session that its robots know.
+    /// The session as its robots know it.
     #[must_use]
     pub fn drives_as(&self) -> Session {
         let name = || self.session.clone();
@@ -104,36 +104,36 @@ impl Opened {
     }
 }
 
-/// A robot of a mission, and how it can be reached without the fleet file.
+/// A robot of a mission, with all that is needed to reach it without the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OpenedRobot {
-    /// Its id in the fleet file.
+    /// The robot's id in the fleet file.
     pub robot: RobotId,
-    /// What it calls itself, where that is not its id in the fleet file.
+    /// The id that the robot uses for itself, if it differs from the fleet file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own_id: Option<RobotId>,
-    /// Its address, as the fleet file writes it.
+    /// The robot's address, as written in the fleet file.
     pub address: String,
-    /// What is known of its devices, where a driver of this machine has to know them to reach its hardware.
+    /// The description of its devices, if a driver on this machine needs it to reach the hardware.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<InitializationBlock>,
-    /// The `limits` of the fleet file, if a driver on this machine has to keep them.
+    /// The `limits` of the fleet file, if a driver on this machine must respect them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub limits: BTreeMap<String, RateLimits>,
 }
 
-/// What changes a choreography between its file and the mission.
+/// The operator's changes to the choreography for this mission.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Asked {
     /// Only this act.
     pub act: Option<String>,
-    /// Beginning with this act.
+    /// Start with this act.
     pub from: Option<String>,
     /// Only these robots.
     pub only: Vec<RobotId>,
-    /// Slower or faster than written.
+    /// Speed factor relative to the choreography file.
     pub speed: Option<f64>,
-    /// The act ahead that moves devices to their first positions. `None` without `--approach`.
+    /// The additional first act that moves devices to their first positions. `None` without `--approach`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub approach: Option<Approach>,
 }
@@ -142,31 +142,31 @@ pub struct Asked {
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the journal {}: {}", path.display(), Refusal::of(Attempt::Write(path), error).reason)]
 pub struct JournalError {
-    /// Which file.
+    /// The journal file.
     pub path: PathBuf,
-    /// The error of the system.
+    /// The operating system's error.
     pub error: io::Error,
 }
 
-/// The journal of a mission that runs.
+/// The journal of a running mission.
 #[derive(Debug)]
 pub struct Journal<D = FileDisk> {
     disk: D,
     path: PathBuf,
     contents: Option<Contents>,
-    /// Durable records appended since it was opened.
+    /// Number of durable records appended since the journal was opened.
     appended: u64,
-    /// Those of them that are on the disk.
+    /// Number of those records that are on the disk.
     on_disk: u64,
-    /// The first failure to write: from then on nothing is taken any more.
+    /// The first write failure. Afterwards, all records are refused.
     broken: Option<String>,
 }
 
 impl Journal {
-    /// Opens the journal of a mission in its folder, and locks it. What follows its last whole record is cut off.
+    /// Opens and locks the journal of a mission in its folder. Anything after the last whole record is cut off.
     ///
     /// # Errors
-    /// [`JournalError`], also when another process holds it.
+    /// Returns [`JournalError`], also if another process holds the lock.
     pub fn open(folder: &Path) -> Result<Self, JournalError> {
         let path = folder.join("journal");
         match FileDisk::open(folder) {
@@ -177,11 +177,11 @@ impl Journal {
 }
 
 impl<D: Disk> Journal<D> {
-    /// A journal that has been read under its lock already. What follows its last whole record is cut off. `path` is for
-    /// error messages.
+    /// Uses a journal that has already been read under its lock. Anything after the last whole record is cut off. `path` is for error
+    /// messages.
     ///
     /// # Errors
-    /// [`JournalError`] when the disk does not take the cut.
+    /// Returns [`JournalError`] if the disk cannot be truncated.
     pub fn taken_up(mut disk: D, path: PathBuf, contents: Contents) -> Result<Self, JournalError> {
         if contents.kept.torn.is_some()
             && let Err(error) = disk.truncate(contents.kept.whole() as u64)
@@ -191,10 +191,10 @@ impl<D: Disk> Journal<D> {
         Ok(Self { disk, path, contents: Some(contents), appended: 0, on_disk: 0, broken: None })
     }
 
-    /// The journal on a disk. What follows its last whole record is cut off. `path` is for error messages.
+    /// Opens the journal on a disk. Anything after the last whole record is cut off. `path` is for error messages.
     ///
     /// # Errors
-    /// [`JournalError`] when the disk cannot be read or does not take the cut.
+    /// Returns [`JournalError`] if the disk cannot be read or truncated.
     pub fn on(mut disk: D, path: PathBuf) -> Result<Self, JournalError> {
         let mut cut = || {
             let bytes = disk.read()?;
@@ -210,15 +210,15 @@ impl<D: Disk> Journal<D> {
         }
     }
 
-    /// Its contents when it was opened; `None` for a new journal.
+    /// The contents when the journal was opened. `None` for a new journal.
     pub const fn contents(&self) -> Option<&Contents> {
         self.contents.as_ref()
     }
 
-    /// Writes the first line, which is on the disk when this returns.
+    /// Writes the first line. It is on the disk when this function returns.
     ///
     /// # Errors
-    /// [`JournalError`] when the disk does not take it.
+    /// Returns [`JournalError`] if the disk refuses the line.
     pub fn begin(&mut self, at: Timestamp<Server>, opened: &Opened) -> Result<(), JournalError> {
         #[derive(Serialize)]
         struct Begin<'a> {
@@ -235,18 +235,18 @@ impl<D: Disk> Journal<D> {
     /// Writes a line. It may be lost until [`Journal::sync`] has returned.
     ///
     /// # Errors
-    /// Why the disk does not take it; also for every record after one that was lost.
+    /// Returns the reason why the disk refuses the record. After one lost record, all records are refused.
     pub fn append(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), String> {
         self.unless_broken(|disk| dated_line(at, record).and_then(|line| disk.append(&line)))?;
         self.appended += u64::from(record.is_durable());
         Ok(())
     }
 
-    /// Waits for the disk, if a durable record may not be on it yet. Returns how many durable records are on it since the
-    /// journal was opened.
+    /// Syncs the disk if a durable record may not be on it yet. Returns the number of durable records on the disk since the journal was
+    /// opened.
     ///
     /// # Errors
-    /// Why what was written may be lost.
+    /// Returns the reason why written records may be lost.
     pub fn sync(&mut self) -> Result<u64, String> {
         let due = self.on_disk < self.appended;
         self.unless_broken(|disk| if due { disk.sync() } else { Ok(()) })?;
@@ -257,7 +257,7 @@ impl<D: Disk> Journal<D> {
     /// Makes sure that other commands can find the journal. If it was removed or replaced, writes all of it again.
     ///
     /// # Errors
-    /// The reason why it cannot be written again. The journal then takes no further records.
+    /// Returns the reason why it cannot be written again. The journal then takes no further records.
     pub fn keep_name(&mut self) -> Result<Name, String> {
         if let Some(broken) = &self.broken {
             return Err(broken.clone());
@@ -265,7 +265,7 @@ impl<D: Disk> Journal<D> {
         self.disk.keep_name().map_err(|error| {
             let reason = Refusal::of(Attempt::Write(&self.path), &error).reason;
             self.breaks(format!(
-                "the journal {} was removed or replaced, and cannot be written again: {reason}",
+                "the journal {} was removed or replaced and cannot be restored: {reason}",
                 self.path.display()
             ))
         })
@@ -285,32 +285,31 @@ impl<D: Disk> Journal<D> {
         reason
     }
 
-    /// Its bytes, for [`ended_acts`](downbeat_mission::ended_acts).
+    /// The bytes of the journal, for [`ended_acts`](downbeat_mission::ended_acts).
     ///
     /// # Errors
-    /// [`JournalError`] when the disk cannot be read.
+    /// Returns [`JournalError`] if the disk cannot be read.
     pub fn bytes(&mut self) -> Result<Vec<u8>, JournalError> {
         self.disk.read().map_err(|error| JournalError { path: self.path.clone(), error })
     }
 
-    /// Gives the disk back, as when the process ends.
+    /// Returns the disk, as if the process had ended.
     pub fn into_disk(self) -> D {
         self.disk
     }
 }
 
-/// It is not known where missions leave their folders. A folder that every user can write to would not do: what is found there
-/// can be of anybody.
+/// The folder for missions is unknown. A folder that every user can write to is no substitute: anyone could have put files there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "no folder for the journals of missions: HOME is not set; set HOME, or set DOWNBEAT_STATE to a folder of your own"
 )]
 pub struct NoStateFolder;
 
-/// Where missions leave their folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.
+/// The parent of all mission folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.
 ///
 /// # Errors
-/// None of these variables is set. A path in the latter two that is not absolute counts as none.
+/// Fails if none of these variables is set. In the latter two, a path that is not absolute is ignored.
 pub fn state_folder() -> Result<PathBuf, NoStateFolder> {
     let from = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let absolute = |name: &str| from(name).filter(|path| path.is_absolute());
@@ -320,10 +319,10 @@ pub fn state_folder() -> Result<PathBuf, NoStateFolder> {
         .ok_or(NoStateFolder)
 }
 
-/// Creates the folder in which missions leave theirs, for this user alone, unless it exists.
+/// Creates the parent of all mission folders, accessible to this user only, unless it exists.
 ///
 /// # Errors
-/// [`NotPrivate`] for one that is not, or was not, for this user alone; else what the system says.
+/// Returns [`NotPrivate`] if other users have or had access to it; otherwise the operating system's error.
 pub fn create_state_folder(state: &Path) -> io::Result<()> {
     private::create_folder(state).map(drop)
 }

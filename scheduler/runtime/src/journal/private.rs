@@ -1,5 +1,5 @@
-//! Folders and files of the state: they belong to the user of this process alone. Whatever else is found in their place, such as
-//! a folder of another user, a link or a pipe, is refused and named; it is never opened, followed or waited for.
+//! Folders and files of the state. They belong only to the user of this process. Anything else in their place, such as another user's
+//! folder, a link or a pipe, is refused and named. It is never opened, followed or waited for.
 
 use std::fs::{DirBuilder, File};
 use std::io::{self, ErrorKind};
@@ -10,37 +10,35 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{AtFlags, FileType, Mode, OFlags, Stat};
 use rustix::process::geteuid;
 
-/// Of folders: everything for the owner, nothing for others.
+/// Mode of folders: full access for the owner only.
 const FOLDER: Mode = Mode::RWXU;
-/// The same of files.
+/// Mode of files: read and write access for the owner only.
 const FILE: Mode = Mode::RUSR.union(Mode::WUSR);
-/// Bits with which other users may read or enter.
+/// Any permission bit of other users.
 const OTHERS: u32 = 0o077;
-/// Bits with which other users may write.
+/// Write permission bits of other users.
 const OTHERS_WRITE: u32 = 0o022;
 
-/// A folder or a file that is not, or was not, for this user alone.
+/// A folder or file to which other users have or had access.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{} {fault}", path.display())]
 pub struct NotPrivate {
-    /// Which one.
+    /// The path of the folder or file.
     pub path: PathBuf,
     fault: Fault,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 enum Fault {
-    #[error("belongs to user {owner}, and this process runs as user {}: run it as its owner, or set DOWNBEAT_STATE to a folder of your own", geteuid().as_raw())]
+    #[error("belongs to user {owner}, but this process runs as user {}: run it as its owner, or set DOWNBEAT_STATE to a folder of your own", geteuid().as_raw())]
     Owner { owner: u32 },
-    #[error("may be written by other users (mode {:04o}), so it may not say what Downbeat wrote: look through it, then allow it with `chmod -R go= {path}`", mode & 0o7777)]
+    #[error("is writable by other users (mode {:04o}), so its content may not be from Downbeat: inspect it, then restrict access with `chmod -R go= {path}`", mode & 0o7777)]
     Writable { mode: u32, path: String },
-    #[error(
-        "is a symbolic link, which is not followed: remove it, or set DOWNBEAT_STATE to the folder to which it leads"
-    )]
+    #[error("is a symbolic link, which is not followed: remove it, or set DOWNBEAT_STATE to its target")]
     Link,
     #[error("has other names (hard links): move it away, and copy it back with `cp`")]
     Linked,
-    #[error("is no {0}: remove it")]
+    #[error("is not a {0}: remove it")]
     Kind(&'static str),
 }
 
@@ -49,7 +47,7 @@ impl NotPrivate {
         io::Error::other(Self { path: path.to_path_buf(), fault })
     }
 
-    /// Why something was refused, if that is why.
+    /// Returns the [`NotPrivate`] that caused an error, if there is one.
     #[must_use]
     pub fn of(error: &io::Error) -> Option<&Self> {
         error.get_ref()?.downcast_ref()
@@ -59,18 +57,18 @@ impl NotPrivate {
 /// How a file is opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum How {
-    /// One that exists, to be read.
+    /// Opens an existing file for reading.
     Read,
-    /// One that exists, to be read and added to.
+    /// Opens an existing file for reading and appending.
     Append,
-    /// The same; it is created if it does not exist.
+    /// Like [`How::Append`], but creates the file if it does not exist.
     Create,
 }
 
-/// Opens a folder that exists. One that other users could only read is closed to them first.
+/// Opens an existing folder. If other users could only read it, their access is removed first.
 ///
 /// # Errors
-/// [`NotPrivate`], or what the system says.
+/// Returns [`NotPrivate`], or the operating system's error.
 pub fn folder(path: &Path) -> io::Result<OwnedFd> {
     let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
     let folder = match rustix::fs::open(path, flags, Mode::empty()) {
@@ -87,18 +85,18 @@ pub fn folder(path: &Path) -> io::Result<OwnedFd> {
     if found.st_mode & OTHERS != 0
         && let Err(error) = rustix::fs::fchmod(&folder, FOLDER)
     {
-        tracing::debug!("cannot close {} to other users: {error}", path.display());
+        tracing::debug!("cannot restrict the access of other users to {}: {error}", path.display());
     }
     Ok(folder)
 }
 
-/// Creates a folder for this user alone, with those above it that do not exist, or opens the one that exists.
+/// Creates a folder for this user only, including missing parents, or opens the existing folder.
 ///
 /// # Errors
-/// As [`folder`].
+/// Same as [`folder`].
 pub fn create_folder(path: &Path) -> io::Result<OwnedFd> {
     match DirBuilder::new().recursive(true).mode(FOLDER.bits()).create(path) {
-        // What it is instead is told below.
+        // `folder` below reports what exists there instead.
         Err(error) if error.kind() != ErrorKind::AlreadyExists => Err(error),
         _ => folder(path),
     }
@@ -107,7 +105,7 @@ pub fn create_folder(path: &Path) -> io::Result<OwnedFd> {
 /// Opens a file in a folder of the state.
 ///
 /// # Errors
-/// As [`folder`], also for what is no regular file.
+/// Same as [`folder`]. Also fails for anything that is not a regular file.
 pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
     let path = within.join(name);
     let access = match how {
@@ -135,12 +133,12 @@ pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
         && found.st_mode & OTHERS != 0
         && let Err(error) = rustix::fs::fchmod(&file, FILE)
     {
-        tracing::debug!("cannot close {} to other users: {error}", path.display());
+        tracing::debug!("cannot restrict the access of other users to {}: {error}", path.display());
     }
     Ok(file)
 }
 
-/// Makes sure that a socket in a folder of the state is one of this user.
+/// Makes sure that a socket in a folder of the state belongs to this user.
 ///
 /// # Errors
 /// Same as [`file()`].
@@ -186,7 +184,7 @@ mod tests {
         error.to_string()
     }
 
-    /// Whether a file can be given to another user; only root can.
+    /// Gives a file to another user and returns whether that succeeded. Only root can.
     fn given_away(path: &Path) -> bool {
         let given = chown(path, Some(NOBODY), None);
         assert_eq!(given.is_ok(), geteuid().is_root());
@@ -216,10 +214,7 @@ mod tests {
         for open in [0o770, 0o707, 0o1777] {
             set_permissions(&state, Permissions::from_mode(open)).unwrap();
             let told = told(folder(&state));
-            assert!(
-                told.contains("may be written by other users") && told.contains("`chmod -R go= "),
-                "{told}"
-            );
+            assert!(told.contains("is writable by other users") && told.contains("`chmod -R go= "), "{told}");
             assert!(create_folder(&state).is_err());
         }
     }
@@ -253,14 +248,14 @@ mod tests {
         for how in [How::Read, How::Append, How::Create] {
             assert!(told(file(&state, "link", how)).contains("link is a symbolic link"));
             assert!(told(file(&state, "linked", how)).contains("has other names"));
-            assert!(told(file(&state, "pipe", how)).contains("pipe is no file"));
-            assert!(told(file(&state, "socket", how)).contains("socket is no file"));
+            assert!(told(file(&state, "pipe", how)).contains("pipe is not a file"));
+            assert!(told(file(&state, "socket", how)).contains("socket is not a file"));
         }
         symlink(&state, stage.path().join("state-link")).unwrap();
         assert!(told(folder(&stage.path().join("state-link"))).contains("is a symbolic link"));
         assert!(told(create_folder(&stage.path().join("state-link"))).contains("is a symbolic link"));
-        assert!(told(folder(&stage.path().join("elsewhere"))).contains("elsewhere is no folder"));
-        assert!(told(socket(&state, "pipe")).contains("pipe is no socket"));
+        assert!(told(folder(&stage.path().join("elsewhere"))).contains("elsewhere is not a folder"));
+        assert!(told(socket(&state, "pipe")).contains("pipe is not a socket"));
         set_permissions(state.join("socket"), Permissions::from_mode(0o600)).unwrap();
         assert_eq!(socket(&state, "socket").unwrap(), state.join("socket"));
     }
@@ -270,7 +265,7 @@ mod tests {
         let stage = tempfile::tempdir().unwrap();
         let path = stage.path().join("elsewhere");
         std::fs::write(&path, "text").unwrap();
-        assert!(told(create_folder(&path)).contains("elsewhere is no folder"));
+        assert!(told(create_folder(&path)).contains("elsewhere is not a folder"));
         assert_eq!(create_folder(&path.join("below")).unwrap_err().kind(), ErrorKind::NotADirectory);
     }
 }

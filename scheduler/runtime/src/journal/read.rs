@@ -1,4 +1,4 @@
-//! Reads the lines of a journal back, as far as they are whole.
+//! Reads the whole lines of a journal.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -10,29 +10,29 @@ use super::private::{self, How};
 use super::{Opened, OpenedRobot, VERSION};
 use downbeat_mission::{Kept, Left, Record, Torn, sound, whole};
 
-/// A journal that does not even say whose it is.
+/// A journal whose first line cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum Unreadable {
     /// The file cannot be read.
     #[error("cannot read {}: {error}", path.display())]
     Io {
-        /// Which file.
+        /// The journal file.
         path: PathBuf,
-        /// The error of the system.
+        /// The operating system's error.
         error: io::Error,
     },
-    /// Its first line is not whole.
-    #[error("{} does not begin with a whole line of a journal", path.display())]
+    /// The first line is not whole.
+    #[error("{} does not begin with a complete line of a journal", path.display())]
     NoBegin {
-        /// Which file.
+        /// The journal file.
         path: PathBuf,
     },
-    /// Another version of Downbeat has written it.
-    #[error("{} is a journal of version {found}, expected version {VERSION}; use the Downbeat that wrote it", path.display())]
+    /// The journal was written by another version of Downbeat.
+    #[error("{} is a journal of version {found}, expected version {VERSION}; use the version of Downbeat that wrote it", path.display())]
     OtherVersion {
-        /// Which file.
+        /// The journal file.
         path: PathBuf,
-        /// Its version.
+        /// The journal's version.
         found: u32,
     },
 }
@@ -54,7 +54,7 @@ impl BadBegin {
     }
 }
 
-/// Reads the first line of a journal, and when it was written.
+/// Parses the first line of a journal and the time at which it was written.
 pub(super) fn begin_of(line: &[u8]) -> Result<(Opened, Timestamp<Server>), BadBegin> {
     let line = whole(line).ok_or(BadBegin::Damaged)?;
     let version = line["version"].as_u64().and_then(|version| u32::try_from(version).ok());
@@ -79,14 +79,13 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// Reads the bytes of a journal.
     pub(crate) fn of_bytes(bytes: &[u8]) -> Result<Self, BadBegin> {
         let first = bytes.split_inclusive(|byte| *byte == b'\n').next().unwrap_or_default();
         let (opened, opened_at) = begin_of(first)?;
         Ok(Self { opened, opened_at, kept: Kept::of_bytes(bytes) })
     }
 
-    /// What the mission left on its robots.
+    /// The state in which the mission left its robots.
     #[must_use]
     pub fn left(&self) -> Left {
         let own_id = |opened: &OpenedRobot| Some((opened.robot.clone(), opened.own_id.clone()?));
@@ -98,13 +97,13 @@ impl Contents {
 /// Reads a journal of this user up to the first line that is not whole.
 ///
 /// # Errors
-/// [`Unreadable`] where not even the first line is whole.
+/// Returns [`Unreadable`] if even the first line is not whole.
 pub fn read(path: &Path) -> Result<Contents, Unreadable> {
     let bytes = bytes_of(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
     Contents::of_bytes(&bytes).map_err(|bad| bad.of(path))
 }
 
-/// The bytes of a journal in the state folder.
+/// Reads the bytes of a journal in the state folder.
 pub(super) fn bytes_of(path: &Path) -> io::Result<Vec<u8>> {
     let name = path.file_name().and_then(std::ffi::OsStr::to_str).ok_or(io::ErrorKind::NotFound)?;
     let mut bytes = Vec::new();
@@ -112,21 +111,21 @@ pub(super) fn bytes_of(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// All that a journal says, for reports and pages.
+/// All records of a journal, for reports and pages.
 #[derive(Clone, Debug)]
 pub struct Records {
-    /// Its first line.
+    /// The first line.
     pub opened: Opened,
-    /// Its further lines, up to where it stops being whole.
+    /// The other lines, up to the first one that is not whole.
     pub all: Vec<(Timestamp<Server>, Record)>,
-    /// Where that is.
+    /// The position of that line, if there is one.
     pub torn: Option<Torn>,
 }
 
-/// The lines of a journal whose bytes these are, up to the first one that is not whole. `path` is for error messages.
+/// Parses the bytes of a journal up to the first line that is not whole. `path` is for error messages.
 ///
 /// # Errors
-/// [`Unreadable`] where not even the first line is whole.
+/// Returns [`Unreadable`] if even the first line is not whole.
 pub fn records(bytes: &[u8], path: &Path) -> Result<Records, Unreadable> {
     #[derive(Deserialize)]
     struct Dated {

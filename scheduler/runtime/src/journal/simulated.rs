@@ -1,4 +1,4 @@
-//! A disk that loses power, tears what is being written, and runs full.
+//! A disk that can lose power, tear the data being written, and become full.
 
 use std::io;
 
@@ -8,9 +8,9 @@ use super::disk::Disk;
 #[derive(Clone, Debug, Default)]
 pub struct SimulatedDisk {
     bytes: Vec<u8>,
-    /// Bytes from the beginning that survive a loss of power.
+    /// Number of bytes, from the beginning, that survive a power loss.
     synced: usize,
-    /// The file cannot grow beyond this many bytes.
+    /// Maximum size of the file in bytes.
     capacity: Option<usize>,
 }
 
@@ -21,31 +21,31 @@ impl SimulatedDisk {
         Self { capacity, ..Self::default() }
     }
 
-    /// What the file contains.
+    /// The contents of the file.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Bytes that a loss of power may tear off.
+    /// Number of bytes that a power loss may destroy.
     #[must_use]
     pub const fn at_risk(&self) -> usize {
         self.bytes.len() - self.synced
     }
 
-    /// Bytes from the beginning that survive a loss of power.
+    /// Number of bytes, from the beginning, that survive a power loss.
     #[must_use]
     pub const fn synced(&self) -> usize {
         self.synced
     }
 
-    /// The power fails. Only the first `survive` bytes of those that were not synced remain.
+    /// Simulates a power loss. Only the first `survive` unsynced bytes remain.
     pub fn lose_power(&mut self, survive: usize) {
         self.bytes.truncate(self.synced + survive);
         self.synced = self.bytes.len();
     }
 
-    /// The file can grow again.
+    /// Removes the size limit.
     pub const fn make_room(&mut self) {
         self.capacity = None;
     }

@@ -162,7 +162,7 @@ fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
     assert_eq!((kept.stopped, kept.dropped), (vec![], vec![robot()]));
 }
 
-/// The line of the act 0, with as much of its report as a journal's reader needs.
+/// The line of act 0, with only the parts of its report that a reader of the journal needs.
 fn ended_line(fate: ActFate, flaws: ActFlaws, again: bool) -> Vec<u8> {
     #[derive(serde::Serialize)]
     struct Ended {
@@ -250,12 +250,12 @@ fn a_journal_whose_first_line_is_damaged_is_named() {
     std::fs::write(&path, &bytes).unwrap();
     let missions = Missions::of(state.path()).unwrap();
     assert_eq!((missions.found.len(), missions.damaged), (0, vec![path.clone()]));
-    // Cut off while it began: nothing had been sent.
+    // Cut off at its start: nothing had been sent.
     std::fs::write(&path, &bytes[..40]).unwrap();
     assert!(Missions::of(state.path()).unwrap().damaged.is_empty());
 }
 
-/// A mission of that many megabytes, most of them a hole in the file.
+/// Creates a mission whose journal is `megabytes` long, most of it a hole in the file.
 fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
     let folder = state.join(format!("m{number}"));
     let mut journal = Journal::open(&folder).unwrap();
@@ -506,7 +506,7 @@ async fn the_thread_tells_that_the_journal_is_lost() {
     while !matches!(writer.next().await, News::Lost(_)) {}
 }
 
-/// A journal with a promise in the folder of a mission, and its content.
+/// Creates a journal with a promise in the folder of a mission, and returns it with its contents.
 fn promised(mission: &Path) -> (Journal, Vec<u8>) {
     let mut journal = Journal::open(mission).unwrap();
     journal.begin(at(1), &opened()).unwrap();
@@ -523,7 +523,7 @@ fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lo
         |state| std::fs::remove_dir_all(state).unwrap(),
         |state| std::fs::remove_file(state.join("m/journal")).unwrap(),
         |state| std::fs::rename(state, state.with_extension("elsewhere")).unwrap(),
-        // A copy of its beginning takes its place.
+        // Replaced by a copy of its beginning.
         |state| {
             let journal = state.join("m/journal");
             let bytes = std::fs::read(&journal).unwrap();
@@ -572,7 +572,7 @@ fn a_journal_that_cannot_be_written_again_takes_nothing_more_and_says_why() {
     let (mut journal, _) = promised(&mission);
     std::fs::remove_dir_all(&state).unwrap();
     std::fs::write(&state, "a file where the folder was").unwrap();
-    assert!(journal.keep_name().unwrap_err().contains("cannot be written again"));
+    assert!(journal.keep_name().unwrap_err().contains("cannot be restored"));
 }
 
 #[tokio::test]
@@ -587,7 +587,7 @@ async fn the_thread_writes_a_removed_journal_again_before_its_records_are_durabl
     assert_eq!(writer.next().await, News::WrittenAgain);
     while writer.next().await != News::Recorded(2) {}
     assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);
-    // The thread also notices it without a record.
+    // The thread also notices it when no record arrives.
     std::fs::remove_dir_all(stage.path().join("state")).unwrap();
     assert_eq!(writer.next().await, News::WrittenAgain);
     assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);
@@ -630,7 +630,9 @@ fn a_journal_of_another_version_is_not_read() {
     std::fs::write(&path, first + others).unwrap();
     let error = read(&path).unwrap_err().to_string();
     assert!(
-        error.ends_with("is a journal of version 2, expected version 1; use the Downbeat that wrote it"),
+        error.ends_with(
+            "is a journal of version 2, expected version 1; use the version of Downbeat that wrote it"
+        ),
         "{error}"
     );
     let missions = Missions::of(state.path()).unwrap();
@@ -650,17 +652,20 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
     };
     assert_eq!(fate(vec![]), Fate::Withdraw("no act was under way"));
     assert_eq!(fate(vec![prepared(0), decided(0)]), Fate::Resume);
-    let undecided = Fate::Withdraw("an act was sent and not decided");
+    let undecided = Fate::Withdraw("an act was sent, but its start was not decided");
     assert_eq!(fate(vec![prepared(0), decided(0), prepared(1)]), undecided);
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let mut bytes = std::fs::read(&path).unwrap();
-    // Cut off within the second promise, which was not sent before it was on the disk.
+    // Cut off within the second promise, which had not been sent because it was not on the disk yet.
     bytes.truncate(bytes.len() - 5);
     std::fs::write(&path, bytes).unwrap();
     assert_eq!(read(&path).unwrap().kept.fate(), Fate::Resume);
     let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
-    assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
+    assert_eq!(
+        fate(vec![prepared(0), decided(0), stopping]),
+        Fate::Withdraw("the mission was being stopped")
+    );
 }
 
 /// Writes a journal with these records and reads it back.

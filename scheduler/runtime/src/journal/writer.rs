@@ -1,4 +1,4 @@
-//! A journal on a thread of its own: the mission never waits for the disk.
+//! A journal that is written on its own thread, so that the mission never waits for the disk.
 
 use std::io;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -10,25 +10,25 @@ use urrcp::{Server, Timestamp};
 use super::{Disk, FileDisk, Journal, Name};
 use downbeat_mission::Record;
 
-/// Records that may wait for the disk; with one more the journal counts as lost.
+/// Maximum number of records that may wait for the disk. With one more, the journal is treated as lost.
 pub const WAITING_MAX: usize = 4_096;
-/// So long the disk may take at the end of a mission.
+/// Maximum time for the disk at the end of a mission.
 const FINISH_MAX: Duration = Duration::from_secs(5);
 /// Interval between checks that the journal is still found under its name, if no record arrives.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
-/// How far the records of a mission have come.
+/// The progress of a mission's records.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Written {
-    /// So many durable records are on the disk.
+    /// Number of durable records on the disk.
     count: u64,
-    /// How often the journal was removed or replaced, and written again.
+    /// Number of times that the journal was removed or replaced and written again.
     again: u32,
-    /// Why no more records are taken.
+    /// The reason why the journal takes no further records.
     lost: Option<String>,
 }
 
-/// What the thread reports.
+/// A report from the thread.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum News {
     /// The number of durable records on the disk.
@@ -40,8 +40,8 @@ pub enum News {
 }
 
 impl Written {
-    /// The next news of `now` for a reader that knows `self`. `WrittenAgain` comes before `Recorded`: only then do the records
-    /// count as durable.
+    /// Returns the next news in `now` for a reader that knows `self`. `WrittenAgain` comes before `Recorded`, because only the rewritten
+    /// file makes the records durable.
     fn learn(&mut self, now: &Self) -> Option<News> {
         if self.again != now.again {
             self.again = now.again;
@@ -59,22 +59,22 @@ impl Written {
     }
 }
 
-/// Hands records to the thread that writes them.
+/// Sends records to the thread that writes them.
 #[derive(Debug)]
 pub struct Writer<D = FileDisk> {
     queue: SyncSender<(Timestamp<Server>, Record)>,
     written: watch::Receiver<Written>,
-    /// The state that [`Writer::next`] has reported so far.
+    /// The state that [`Writer::next`] has already reported.
     known: Written,
-    /// The journal, once the thread has ended.
+    /// Returns the journal once the thread has ended.
     back: oneshot::Receiver<Journal<D>>,
 }
 
 impl<D: Disk + Send + 'static> Writer<D> {
-    /// Starts the thread. It ends when the writer is dropped and everything is on the disk.
+    /// Starts the thread. It ends once the writer is dropped and everything is on the disk.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// Fails if the operating system cannot start a thread.
     pub fn start(journal: Journal<D>) -> io::Result<Self> {
         let (queue, records) = sync_channel(WAITING_MAX);
         let (tell, written) = watch::channel(Written::default());
@@ -86,14 +86,14 @@ impl<D: Disk + Send + 'static> Writer<D> {
         Ok(Self { queue, written, known: Written::default(), back })
     }
 
-    /// Queues a record, without waiting.
+    /// Queues a record without waiting.
     ///
     /// # Errors
-    /// Why the journal takes no more: too many records wait for the disk.
+    /// Returns the reason why the journal takes no further records, for example because too many records wait for the disk.
     pub fn write(&self, at: Timestamp<Server>, record: Record) -> Result<(), String> {
         self.queue.try_send((at, record)).map_err(|error| match error {
             TrySendError::Full(_) => {
-                format!("the journal's disk is too slow: {WAITING_MAX} records wait for it")
+                format!("the journal's disk is too slow: {WAITING_MAX} records are waiting")
             }
             TrySendError::Disconnected(_) => "the journal's thread has ended".to_owned(),
         })
@@ -112,14 +112,14 @@ impl<D: Disk + Send + 'static> Writer<D> {
         }
     }
 
-    /// Waits until everything is on the disk, 5 s at most, and returns the journal.
+    /// Waits at most 5 s until everything is on the disk, and returns the journal.
     pub async fn finish(self) -> Option<Journal<D>> {
         drop(self.queue);
         tokio::time::timeout(FINISH_MAX, self.back).await.ok()?.ok()
     }
 }
 
-/// Writes what comes, and syncs once for all that waited.
+/// Writes all records from the queue, with one sync for all that are waiting.
 fn write_all<D: Disk>(
     mut journal: Journal<D>,
     records: &Receiver<(Timestamp<Server>, Record)>,

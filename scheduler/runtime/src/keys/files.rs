@@ -1,4 +1,4 @@
-//! The files of an authority: private where a key is in them, and replaced as a whole.
+//! The files of an authority. Files with a key are private, and every file is replaced as a whole.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -11,29 +11,29 @@ use urrcp::RobotId;
 
 use super::KeysError;
 
-/// What a file's name may hold as it is. A full stop is not among it, so no name is `..` or hidden.
+/// The characters that remain unchanged in a file name. A full stop is not among them, so no name is `..` or hidden.
 const KEPT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'_');
 
-/// Bytes that are read of a file at most: the record of some 100,000 certificates.
+/// Maximum number of bytes read from a file: the record of some 100,000 certificates.
 const BYTES_MAX: u64 = 32 * 1024 * 1024;
 
 fn at(path: &Path) -> impl FnOnce(io::Error) -> KeysError + '_ {
     |error| KeysError::File { path: path.into(), error }
 }
 
-/// Makes a folder that its owner alone can open, unless it is there.
+/// Creates a folder to which only its owner has access, unless it exists.
 pub(super) fn make_private_folder(path: &Path) -> Result<(), KeysError> {
     fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(at(path))
 }
 
-/// Keeps other processes away from a folder until the file is closed.
+/// Locks a folder against other processes until the file is closed.
 pub(super) fn lock(folder: &Path) -> Result<File, KeysError> {
     let file = File::open(folder).map_err(at(folder))?;
     file.lock().map_err(at(folder))?;
     Ok(file)
 }
 
-/// Where a robot's or operator's identity is.
+/// The path of a robot's or operator's identity.
 pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
     let (kind, name) = match name {
         Name::Robot(id) => ("robots", id.as_str()),
@@ -47,12 +47,11 @@ fn secrets(folder: &Path) -> PathBuf {
     folder.join("secrets")
 }
 
-/// Where a robot's secret is.
 pub(super) fn secret_path(folder: &Path, robot: &RobotId) -> PathBuf {
     secrets(folder).join(format!("{}.secret", utf8_percent_encode(robot.as_str(), KEPT)))
 }
 
-/// The robots that have a secret, in their order.
+/// Returns the robots that have a secret, sorted.
 pub(super) fn robots_with_secret(folder: &Path) -> Result<Vec<RobotId>, KeysError> {
     let folder = secrets(folder);
     if !folder.exists() {
@@ -69,7 +68,7 @@ pub(super) fn robots_with_secret(folder: &Path) -> Result<Vec<RobotId>, KeysErro
     Ok(robots)
 }
 
-/// Deletes a file if it is there; returns whether it was.
+/// Deletes a file if it exists, and returns whether it did.
 pub(super) fn delete(path: &Path) -> Result<bool, KeysError> {
     match fs::remove_file(path) {
         Ok(()) => Ok(true),
@@ -78,20 +77,20 @@ pub(super) fn delete(path: &Path) -> Result<bool, KeysError> {
     }
 }
 
-/// Reads a file whole; a pipe or a device in its place is refused, not waited for.
+/// Reads a whole file. A pipe or a device in its place is refused, so that the call does not block.
 pub(super) fn read(path: &Path) -> Result<String, KeysError> {
     let text = downbeat_scripts::open(path).and_then(|file| io::read_to_string(file.take(BYTES_MAX)));
     text.map_err(at(path))
 }
 
-/// A key that others may read is none.
+/// Rejects a key that others may read.
 pub(super) fn check_private(path: &Path) -> Result<(), KeysError> {
     let mode = fs::metadata(path).map_err(at(path))?.permissions().mode() & 0o777;
     if mode & 0o077 == 0 {
         return Ok(());
     }
     let what = format!(
-        "others may read this key (mode {mode:03o}); make it yours alone: chmod 600 {}",
+        "other users can read this key (mode {mode:03o}); restrict the access with `chmod 600 {}`",
         path.display()
     );
     Err(KeysError::Damaged { path: path.into(), what })
@@ -105,7 +104,7 @@ pub(super) fn write_public(path: &Path, text: &str) -> Result<(), KeysError> {
     write(path, text, 0o644)
 }
 
-/// A reader sees the old file or the new one, never a part.
+/// Writes so that a reader sees the old file or the new one, never a part.
 fn write(path: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
     let part = path.with_extension("part");
     let _left_by_an_interrupted_one = fs::remove_file(&part);

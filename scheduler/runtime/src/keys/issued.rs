@@ -1,4 +1,4 @@
-//! The record of all certificates that an authority has issued: a line of JSON each.
+//! The record of all certificates that an authority has issued, one line of JSON each.
 
 use std::path::Path;
 
@@ -10,39 +10,39 @@ use super::{KeysError, files};
 
 const FILE: &str = "issued.jsonl";
 
-/// One certificate.
+/// An issued certificate.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Entry {
-    /// Its number, in hexadecimal digits with colons.
+    /// The serial number, in hexadecimal digits with colons.
     pub serial: String,
     /// `robot` or `operator`.
     pub kind: Kind,
     /// The robot's id, or the operator's name.
     pub name: String,
-    /// What an operator may do.
+    /// The roles of an operator.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub roles: Vec<String>,
-    /// Since when it counts, in seconds since 1970, UTC.
+    /// When it was issued, in seconds since 1970, UTC.
     pub issued: i64,
-    /// Until when it counts, in the same.
+    /// When it expires, in seconds since 1970, UTC.
     pub expires: i64,
-    /// Since when it counts no more, in the same.
+    /// When it was revoked, in seconds since 1970, UTC. `None` if it is not revoked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revoked: Option<i64>,
 }
 
-/// Whose certificate it is.
+/// The kind of a certificate's owner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// A robot's.
+    /// A robot.
     Robot,
-    /// An operator's.
+    /// An operator.
     Operator,
 }
 
 impl Entry {
-    /// What its owner may do.
+    /// The roles of the owner.
     #[must_use]
     pub fn roles(&self) -> Roles {
         self.roles.iter().filter_map(|role| role.parse::<Role>().ok()).collect()
@@ -60,7 +60,7 @@ impl Entry {
     }
 }
 
-/// All of them, in the order in which they were issued.
+/// All issued certificates, in order of issue.
 #[derive(Clone, Debug, Default)]
 pub struct Issued {
     entries: Vec<Entry>,
@@ -75,7 +75,12 @@ impl Issued {
         let text = files::read(&path)?;
         let entry = |(number, line): (usize, &str)| {
             let entry = serde_json::from_str::<Entry>(line).ok().filter(|entry| entry.serial().is_some());
-            let what = || format!("line {}: this is no certificate as `downbeat keys` notes it", number + 1);
+            let what = || {
+                format!(
+                    "line {}: invalid certificate entry, expected an entry that `downbeat keys` wrote",
+                    number + 1
+                )
+            };
             entry.ok_or_else(|| KeysError::Damaged { path: path.clone(), what: what() })
         };
         Ok(Self { entries: text.lines().enumerate().map(entry).collect::<Result<_, _>>()? })
@@ -99,25 +104,25 @@ impl Issued {
         self.entries.push(Entry { serial, kind, name, roles, issued: now, expires, revoked: None });
     }
 
-    /// All of them.
+    /// All entries, in order of issue.
     #[must_use]
     pub fn entries(&self) -> &[Entry] {
         &self.entries
     }
 
-    /// The last one of a name.
+    /// Returns the latest certificate of a name.
     #[must_use]
     pub fn latest(&self, name: &Name) -> Option<&Entry> {
         self.entries.iter().rev().find(|entry| entry.is_of(name))
     }
 
-    /// Revokes all of a name; returns how many counted until now.
+    /// Revokes all certificates of a name. Returns how many were not revoked before.
     pub(super) fn revoke(&mut self, name: &Name, now: i64) -> usize {
         let counts = self.entries.iter_mut().filter(|entry| entry.is_of(name) && entry.revoked.is_none());
         counts.map(|entry| entry.revoked = Some(now)).count()
     }
 
-    /// The last ones of operators, as far as they are not revoked.
+    /// Returns the latest certificate of each operator, unless it is revoked.
     pub(super) fn operators(&self) -> impl Iterator<Item = &Entry> + '_ {
         let is_last = |entry: &&Entry| {
             self.latest(&Name::Operator(entry.name.clone())).is_some_and(|last| last.serial == entry.serial)
@@ -126,7 +131,7 @@ impl Issued {
         operators.filter(|entry| entry.revoked.is_none()).filter(is_last)
     }
 
-    /// Number and instant of each that is revoked.
+    /// Returns the serial number and the time of revocation of each revoked certificate.
     pub(super) fn revoked(&self) -> impl Iterator<Item = (Vec<u8>, i64)> + '_ {
         self.entries.iter().filter_map(|entry| entry.serial().zip(entry.revoked))
     }

@@ -1,9 +1,9 @@
-//! The authority of a site: a folder with its key, from which robots and operators get theirs.
+//! The authority of a site: a folder with a key, which issues the keys of robots and operators.
 //!
-//! The folder is its owner's alone. It holds `authority.key`, `authority.pem`, the list of revoked certificates
-//! `revoked.pem`, a record of all that were issued (`issued.rs`), and an identity file for each robot and operator: the private key,
-//! its certificate, and behind it the authority's. What is in a certificate is defined in `downbeat_robot::tls`. For robots without
-//! TLS it holds secrets, and operators' passes made from them (`secrets.rs`).
+//! Only the owner has access to the folder. It contains `authority.key`, `authority.pem`, the list of revoked certificates `revoked.pem`,
+//! a record of all issued certificates (`issued.rs`), and an identity file for each robot and operator: the private key, its certificate,
+//! and then that of the authority. The contents of a certificate are defined in `downbeat_robot::tls`. For robots without TLS, the folder
+//! contains secrets, and operators' passes made from them (`secrets.rs`).
 
 mod files;
 mod issued;
@@ -37,64 +37,64 @@ const AUTHORITY_KEY: &str = "authority.key";
 const AUTHORITY: &str = "authority.pem";
 const REVOKED: &str = "revoked.pem";
 const REVOKED_SERIALS: &str = "revoked.serials";
-/// How long an authority lasts.
+/// Validity of an authority in days.
 const AUTHORITY_DAYS: i64 = 3_650;
-/// A list of revoked certificates says when the next one comes. It is made when something is revoked, so this is far away.
+/// Days until the next list of revoked certificates, which the list must state. A list is made only at a revocation, so this is far away.
 const LIST_DAYS: i64 = AUTHORITY_DAYS;
-/// Certificates are valid from a little earlier on, because clocks differ.
+/// Certificates are valid from this many seconds before their issue, because clocks differ.
 const BACKDATED: i64 = 300;
 const DAY: i64 = 24 * 3_600;
-/// Longest common name (RFC 5280, appendix A.1: `ub-common-name`). It is for people alone.
+/// Maximum length of a common name (RFC 5280, appendix A.1: `ub-common-name`). It is only for people.
 const COMMON_NAME_MAX: usize = 64;
 
-/// Keys could not be made.
+/// Keys could not be made or used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeysError {
     /// A file cannot be read or written.
     #[error("{}: {error}", path.display())]
     File {
-        /// Which file.
+        /// The path of the file.
         path: PathBuf,
-        /// The error of the system.
+        /// The operating system's error.
         error: io::Error,
     },
-    /// There is an authority already.
-    #[error("{} has an authority already: its robots would trust a second one no more", .0.display())]
+    /// An authority already exists.
+    #[error("{} already contains an authority; robots that trust it would not accept a second one", .0.display())]
     Exists(PathBuf),
-    /// There is no authority.
-    #[error("{} has no authority; `downbeat keys init` makes one, or name its folder with --keys", .0.display())]
+    /// The authority does not exist.
+    #[error("{} contains no authority; create one with `downbeat keys init`, or set its folder with --keys", .0.display())]
     NoAuthority(PathBuf),
-    /// What is in a file cannot be used.
+    /// The contents of a file cannot be used.
     #[error("{}: {what}", path.display())]
     Damaged {
-        /// Which file.
+        /// The path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         what: String,
     },
-    /// These names have a key already.
-    #[error("{} already: `downbeat keys renew` makes a new one", have_keys(.0))]
+    /// These names already have a key.
+    #[error("{} already; `downbeat keys renew` creates a new one", have_keys(.0))]
     Taken(Vec<Name>),
-    /// These robots have a secret already.
-    #[error("{} already: with --renew another takes its place, and the old one counts no more", have_secrets(.0))]
+    /// These robots already have a secret.
+    #[error("{} already; --renew replaces and invalidates it", have_secrets(.0))]
     SecretTaken(Vec<RobotId>),
     /// A secret or a pass cannot be read or made.
     #[error(transparent)]
     Secret(#[from] SecretError),
     /// No key was issued under this name.
-    #[error("{name} has no key here; those that have one: {known}")]
+    #[error("{name} has no key in this folder; these have one: {known}")]
     Unknown {
-        /// The name that was asked for.
+        /// The requested name.
         name: String,
-        /// Names that there are, for people.
+        /// The existing names, as text.
         known: String,
     },
-    /// All certificates of this name are revoked already.
-    #[error("every certificate of {0} is revoked already")]
+    /// All certificates of this name are already revoked.
+    #[error("every certificate of {0} is already revoked")]
     RevokedAlready(Name),
-    /// It could not be signed.
-    #[error("cannot make a certificate: {0}")]
+    /// The certificate could not be signed.
+    #[error("cannot create a certificate: {0}")]
     Signing(#[from] rcgen::Error),
 }
 
@@ -119,15 +119,15 @@ fn have(names: impl Iterator<Item = String>, what: &str) -> String {
 #[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,
-    /// One process at a time: held as long as this lives.
+    /// Admits one process at a time. Held while this value lives.
     _lock: File,
 }
 
 impl Authority {
-    /// Makes a new one.
+    /// Creates a new authority.
     ///
     /// # Errors
-    /// [`KeysError`], also where there is one already.
+    /// Returns [`KeysError`], also if an authority already exists.
     pub fn create(folder: &Path, now: i64) -> Result<Self, KeysError> {
         files::make_private_folder(folder)?;
         let own = Self { folder: folder.into(), _lock: files::lock(folder)? };
@@ -135,7 +135,7 @@ impl Authority {
             return Err(KeysError::Exists(folder.into()));
         }
         let key = KeyPair::generate()?;
-        // With a mark of its key: two authorities of one name could not be told from each other.
+        // With a mark from its key, to distinguish it from other authorities.
         let mark: String =
             key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
         let mut of_authority = params(&format!("Downbeat authority {mark}"), now, AUTHORITY_DAYS)?;
@@ -148,10 +148,10 @@ impl Authority {
         Ok(own)
     }
 
-    /// One that was made earlier.
+    /// Opens an existing authority.
     ///
     /// # Errors
-    /// [`KeysError`].
+    /// Returns [`KeysError`].
     pub fn open(folder: &Path) -> Result<Self, KeysError> {
         if !folder.join(AUTHORITY_KEY).exists() {
             return Err(KeysError::NoAuthority(folder.into()));
@@ -160,19 +160,19 @@ impl Authority {
         Ok(Self { folder: folder.into(), _lock: files::lock(folder)? })
     }
 
-    /// What it has issued.
+    /// The certificates that it has issued.
     ///
     /// # Errors
-    /// The record cannot be read.
+    /// Fails if the record cannot be read.
     pub fn issued(&self) -> Result<Issued, KeysError> {
         Issued::read(&self.folder)
     }
 
-    /// Makes the keys and certificates of robots or of an operator, valid for some days from `now`, in seconds since 1970. Returns
-    /// the identity files.
+    /// Makes the keys and certificates of robots or of an operator, valid for `days` days from `now`, in seconds since 1970. Returns the
+    /// identity files.
     ///
     /// # Errors
-    /// [`KeysError`], also where any of the names has a key already: then nothing is made.
+    /// Returns [`KeysError`], also if any of the names already has a key: then nothing is made.
     pub fn issue(
         &self,
         names: &BTreeSet<Name>,
@@ -192,18 +192,18 @@ impl Authority {
     /// Makes a new key and certificate for the same name and roles. The old one remains valid until it expires or is revoked.
     ///
     /// # Errors
-    /// [`KeysError`], also where the name has no key.
+    /// Returns [`KeysError`], also if the name has no key.
     pub fn renew(&self, name: &Name, now: i64, days: i64) -> Result<PathBuf, KeysError> {
         let issued = self.issued()?;
         let known = issued.latest(name).ok_or_else(|| issued.unknown(name))?;
         self.write_identity(name, &known.roles(), now, days)
     }
 
-    /// Revokes all certificates of a name, and writes the list of revoked ones. Passes that were made for an operator are revoked with
-    /// them; the secret of a robot is deleted, with the passes made from it. Returns how many keys that were.
+    /// Revokes all certificates of a name and writes the list of revoked ones. For an operator, this also revokes the passes. For a
+    /// robot, it also deletes the secret and the passes made from it. Returns the number of revoked keys.
     ///
     /// # Errors
-    /// [`KeysError`], also where the name has no key, or none that counts.
+    /// Returns [`KeysError`], also if the name has no key, or no valid one.
     pub fn revoke(&self, name: &Name, now: i64) -> Result<usize, KeysError> {
         let mut issued = self.issued()?;
         let secret = match name {
@@ -217,20 +217,20 @@ impl Authority {
         if revoked == 0 {
             return Err(KeysError::RevokedAlready(name.clone()));
         }
-        // First the list that robots obey: a record without it would promise too much.
+        // The list that robots obey comes first: with the record first, a failure would leave a revocation that robots do not know.
         self.write_revoked(&issued, now)?;
         issued.write(&self.folder)?;
         self.write_passes(&issued)?;
         Ok(revoked)
     }
 
-    /// Where the list of revoked certificates is.
+    /// The path of the list of revoked certificates.
     #[must_use]
     pub fn revoked(&self) -> PathBuf {
         self.path(REVOKED)
     }
 
-    /// Where the list of revoked passes is.
+    /// The path of the list of revoked passes.
     #[must_use]
     pub fn revoked_serials(&self) -> PathBuf {
         self.path(REVOKED_SERIALS)
@@ -244,7 +244,7 @@ impl Authority {
         let (key_path, path) = (self.path(AUTHORITY_KEY), self.path(AUTHORITY));
         let damaged = |path: &Path, error: rcgen::Error| KeysError::Damaged {
             path: path.into(),
-            what: format!("this is no key or certificate of an authority: {error}"),
+            what: format!("invalid key or certificate of an authority: {error}"),
         };
         let key = KeyPair::from_pem(&files::read(&key_path)?).map_err(|error| damaged(&key_path, error))?;
         let certificate = files::read(&path)?;
@@ -273,7 +273,7 @@ impl Authority {
             .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
         let path = files::identity_path(&self.folder, name);
         path.parent().map(files::make_private_folder).transpose()?;
-        // First the record: what is not in it cannot be revoked.
+        // The record comes first: a certificate that is not in it cannot be revoked.
         let mut issued = self.issued()?;
         issued.add(&identity, now);
         issued.write(&self.folder)?;
@@ -295,7 +295,7 @@ impl Authority {
         let list = CertificateRevocationListParams {
             this_update: instant(now - BACKDATED)?,
             next_update: instant(now + LIST_DAYS * DAY)?,
-            // A later list has a larger number.
+            // A later list needs a larger number.
             crl_number: SerialNumber::from(u64::try_from(now).unwrap_or_default()),
             issuing_distribution_point: None,
             revoked_certs: issued.revoked().map(revoked).collect::<Result<_, _>>()?,
@@ -306,7 +306,7 @@ impl Authority {
     }
 }
 
-/// The calendar's time, by which certificates count: in seconds since 1970, UTC.
+/// The calendar time, which determines the validity of certificates: in seconds since 1970, UTC.
 #[must_use]
 #[expect(clippy::disallowed_methods, reason = "certificates count by the calendar")]
 pub fn calendar() -> i64 {
@@ -314,10 +314,10 @@ pub fn calendar() -> i64 {
     i64::try_from(since.as_secs()).unwrap_or(i64::MAX)
 }
 
-/// The door of a robot whose keys are in the folder of their authority.
+/// Returns the door of a robot whose keys are in the folder of their authority.
 ///
 /// # Errors
-/// The robot has no key there, or one that cannot be used, as a sentence.
+/// Returns the reason as a sentence if the robot has no usable key there.
 pub fn door_of(folder: &Path, robot: &RobotId, protection: Protection) -> Result<Door, String> {
     match protection {
         Protection::Open => Ok(Door::Open),

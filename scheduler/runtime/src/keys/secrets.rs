@@ -1,6 +1,6 @@
-//! Secrets of robots without TLS, and the passes of operators that are made from them.
+//! Secrets of robots without TLS, and the passes that are made from them for operators.
 //!
-//! A pass has the name, the roles, the end and the number of the operator's certificate, so both end and are revoked together.
+//! A pass has the name, roles, expiry and number of the operator's certificate, so both expire and are revoked together.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -11,20 +11,20 @@ use urrcp::RobotId;
 
 use super::{Authority, Entry, Issued, KeysError, Kind, files};
 
-/// What becomes of a secret that is there already.
+/// What to do with an existing secret.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IfThere {
-    /// It stays, and another is refused.
+    /// Keep it and refuse to make another.
     Keep,
-    /// Another takes its place, and passes made from it count no more once the robot has that.
+    /// Replace it. Passes made from the old secret become invalid once the robot has the new one.
     Replace,
 }
 
 impl Authority {
-    /// Makes the secrets of robots, and each operator a pass for each of them. Returns the files of the secrets.
+    /// Makes secrets for robots, and passes for them for each operator. Returns the files of the secrets.
     ///
     /// # Errors
-    /// [`KeysError`], also where any of the robots has a secret already: then nothing is made.
+    /// Returns [`KeysError`], also if any of the robots already has a secret that is to be kept: then nothing is made.
     pub fn make_secrets(
         &self,
         robots: &BTreeSet<RobotId>,
@@ -42,27 +42,27 @@ impl Authority {
             Ok(path)
         };
         let made = robots.iter().map(make).collect::<Result<_, KeysError>>();
-        // Also where one of them could not be written: the others are there.
+        // Even if one secret could not be written, because the others exist.
         let issued = self.issued()?;
         self.write_revoked_serials(&issued)?;
         self.write_passes(&issued)?;
         made
     }
 
-    /// The robots that have a secret, in the order of their ids.
+    /// Returns the robots that have a secret, sorted by id.
     ///
     /// # Errors
-    /// The folder cannot be read.
+    /// Fails if the folder cannot be read.
     pub fn robots_with_secret(&self) -> Result<Vec<RobotId>, KeysError> {
         files::robots_with_secret(&self.folder)
     }
 
-    /// Deletes a robot's secret; returns how many there were.
+    /// Deletes a robot's secret and returns the number of deleted ones.
     pub(super) fn delete_secret(&self, robot: &RobotId) -> Result<usize, KeysError> {
         Ok(usize::from(files::delete(&files::secret_path(&self.folder, robot))?))
     }
 
-    /// Writes the passes of all operators: for each robot with a secret one. Who is revoked has none.
+    /// Writes the passes of all operators, one for each robot with a secret. Revoked operators get none.
     pub(super) fn write_passes(&self, issued: &Issued) -> Result<(), KeysError> {
         let robots = self.robots_with_secret()?.into_iter().map(|robot| {
             let secret = Secret::read(&files::secret_path(&self.folder, &robot))?;
@@ -94,7 +94,7 @@ impl Authority {
         Ok(())
     }
 
-    /// The list of revoked passes as robots without TLS read it.
+    /// Writes the list of revoked passes in the format for robots without TLS.
     pub(super) fn write_revoked_serials(&self, issued: &Issued) -> Result<(), KeysError> {
         let head = "# Numbers of revoked passes, written by `downbeat keys`.\n".to_owned();
         let is_revoked = |entry: &&Entry| entry.kind == Kind::Operator && entry.revoked.is_some();

@@ -1,4 +1,4 @@
-//! Certificates as they are made are tried against each other in real handshakes.
+//! Tests issued certificates against each other in real handshakes.
 
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
@@ -52,7 +52,7 @@ impl Site {
     }
 }
 
-/// A real handshake and one word each way; returns whom each has met, or what each says went wrong.
+/// Performs a real handshake and exchanges one message in each direction. Returns the peers' names, or the error on each side.
 fn meet(
     robot: &Credentials,
     operator: &Credentials,
@@ -171,7 +171,7 @@ fn keys_are_private_and_not_made_twice() {
     assert_eq!(path.parent(), Some(keys.join("robots").as_path()));
     assert_eq!((mode(&keys), mode(&keys.join("authority.key")), mode(&path)), (0o700, 0o600, 0o600));
     let taken = issue(&["../cf1", "cf2"]).unwrap_err().to_string();
-    assert_eq!(taken, "robot ../cf1 has a key already: `downbeat keys renew` makes a new one");
+    assert_eq!(taken, "robot ../cf1 has a key already; `downbeat keys renew` creates a new one");
     assert_eq!(issue(&["cf2", "cf3", "cf2"]).unwrap().len(), 2, "nothing was made of what was refused");
     let taken = issue(&["cf4", "cf3", "cf2"]).unwrap_err().to_string();
     assert!(taken.starts_with("robot cf2, robot cf3 have keys already"), "{taken}");
@@ -181,7 +181,7 @@ fn keys_are_private_and_not_made_twice() {
         Err(CredentialsError::File(KeyFileError::NotPrivate { mode: 0o640, .. }))
     ));
     let unknown = site.authority.revoke(&robot("cf9"), calendar()).unwrap_err().to_string();
-    assert_eq!(unknown, "robot cf9 has no key here; those that have one: ../cf1, cf2, cf3");
+    assert_eq!(unknown, "robot cf9 has no key in this folder; these have one: ../cf1, cf2, cf3");
 }
 
 #[test]
@@ -194,7 +194,10 @@ fn an_authority_is_made_once_and_has_to_be_there() {
     assert!(matches!(Authority::open(site.folder.path()), Err(KeysError::NoAuthority(_))));
     std::fs::write(keys.join("issued.jsonl"), "{}\n").unwrap();
     let damaged = Authority::open(&keys).unwrap().issued().unwrap_err().to_string();
-    assert!(damaged.ends_with("line 1: this is no certificate as `downbeat keys` notes it"), "{damaged}");
+    assert!(
+        damaged.ends_with("line 1: invalid certificate entry, expected an entry that `downbeat keys` wrote"),
+        "{damaged}"
+    );
 }
 
 #[test]
@@ -209,7 +212,7 @@ fn no_pipe_is_waited_for_in_place_of_a_file() {
     let record = site.authority.issued().unwrap_err().to_string();
     assert!(record.ends_with("this is a pipe, not a file"), "{record}");
     let list = Revoked::in_file(&site.authority.revoked()).unwrap_err().to_string();
-    assert!(list.contains("it is no regular file; expected a file that `downbeat keys` wrote"), "{list}");
+    assert!(list.contains("it is not a regular file; expected a file that `downbeat keys` wrote"), "{list}");
 }
 
 #[test]
@@ -232,7 +235,7 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
     let (cf1, cf2) = ("cf 1/ö".parse().unwrap(), "cf2".parse().unwrap());
     let secret = site.of_secret(&cf1, IfThere::Keep).unwrap();
     site.of_secret(&cf2, IfThere::Keep).unwrap();
-    // One who comes later has them as well.
+    // A user who is added later has them as well.
     site.of(&Name::Operator("bert".into()), &[Role::Observe]);
     let path = site.folder.path().join("keys/operators/anna.passes");
     for private in [&secret, &path] {
@@ -249,7 +252,7 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
     let cf3: RobotId = "cf3".parse().unwrap();
     let both = [cf1.clone(), cf3].into();
     let taken = site.authority.make_secrets(&both, IfThere::Keep).unwrap_err().to_string();
-    assert!(taken.starts_with("robot cf 1/ö has a secret already: "), "{taken}");
+    assert!(taken.starts_with("robot cf 1/ö has a secret already; "), "{taken}");
     assert_eq!(site.authority.robots_with_secret().unwrap(), [cf1.clone(), cf2.clone()], "none of them");
     let (before, anna) = (std::fs::read(&secret).unwrap(), passes(&site, OPERATOR));
     site.of_secret(&cf1, IfThere::Replace).unwrap();

@@ -1,17 +1,17 @@
-//! Messages that are written at once. A script that was published for several robots is left out of their bytes.
+//! Messages that are written at once. Scripts published for several robots are left out of their bytes.
 
 use urrcp::{Command, ControlRequest, Encoding, Message, Script, encode_as};
 
 use super::reach::Text;
 
-/// How the line of a request without steps ends.
+/// The end of the line of a request without steps.
 const NO_STEPS: &[u8] = b"[]}}\n";
 
-/// Messages as bytes, and texts that go in among them.
+/// Messages as bytes, with published texts to be inserted.
 #[derive(Debug, Default)]
 pub(crate) struct Batch {
     bytes: Vec<u8>,
-    /// Each with the count of bytes ahead of it.
+    /// Each text with the number of bytes before it.
     texts: Vec<(usize, Text)>,
     text_bytes: usize,
 }
@@ -22,18 +22,19 @@ impl Batch {
         &self.bytes
     }
 
-    /// The texts, each with the count of bytes ahead of it.
+    /// The texts, each with the number of bytes before it.
     #[cfg(feature = "zenoh")]
     pub(crate) fn texts(&self) -> &[(usize, Text)] {
         &self.texts
     }
 
-    /// How many bytes the robot reads of it.
+    /// Number of bytes that the robot reads.
     pub(crate) const fn len(&self) -> usize {
         self.bytes.len() + self.text_bytes
     }
 
-    /// Appends a message; returns how many bytes the robot reads of it. `offer` publishes its script, if that goes to other robots too.
+    /// Appends a message and returns the number of bytes that the robot reads of it. `offer` publishes the message's script if it goes to
+    /// other robots too.
     pub(crate) fn push(
         &mut self,
         encoding: Encoding,
@@ -42,7 +43,7 @@ impl Batch {
     ) -> usize {
         let before = self.len();
         let published = match message {
-            // Its text is that of JSON.
+            // A published text is always JSON.
             Message::ControlRequest(request) if encoding == Encoding::Json => published(request, offer),
             _ => None,
         };
@@ -63,7 +64,7 @@ impl Batch {
     }
 }
 
-/// A request without its script, and the text that was published instead.
+/// Returns the request without its script, and the text that was published instead.
 fn published(
     request: &ControlRequest,
     offer: impl FnOnce(&Script) -> Option<Text>,
@@ -81,7 +82,7 @@ mod tests {
 
     use super::*;
 
-    /// What the robot's side makes of it.
+    /// Assembles the batch as the robot's side does.
     fn put_together(batch: &Batch) -> Vec<u8> {
         let (mut all, mut done) = (Vec::new(), 0);
         for (at, text) in batch.texts() {

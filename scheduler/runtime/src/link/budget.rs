@@ -1,11 +1,11 @@
-//! How much a robot may say: what it was asked for, and a little more. A robot that says more floods its link.
+//! Limits how much a robot may send: the answers to its requests, and a little more. A robot that sends more floods its link.
 //!
-//! Each message to a robot allows the answers that it may have, in messages and in bytes. What comes beyond that is taken from a
-//! reserve, which fills again with time. Once the reserve is empty, the link is closed: a robot that does not stop talking costs
-//! the mission's time and memory, and robots that work never do it.
+//! Each message to a robot allows the answers to it, in messages and in bytes. Anything beyond that is taken from a reserve, which
+//! refills with time. Once the reserve is empty, the link is closed: a robot that sends endlessly costs the mission's time and memory,
+//! and working robots never do that.
 //!
-//! A robot that floods may still move, so a link to stop it may be made. Of what comes on that, nothing passes but the answers to
-//! what was asked on such links, and it ends after a moment.
+//! A robot that floods may still move, so a link to stop it is permitted. On that link, only answers to requests on such links pass, and
+//! it closes after a short time.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -14,30 +14,30 @@ use urrcp::{Command, LINE_BYTES_MAX, Message, RequestId, Server, Span, Timestamp
 
 use downbeat_mission::Loss;
 
-/// Messages that a robot may send without being asked, at once.
+/// Number of unrequested messages that a robot may send at once.
 const RESERVE_MESSAGES: u64 = 1_000;
-/// Bytes of them.
+/// Number of bytes in unrequested messages that a robot may send at once.
 const RESERVE_BYTES: u64 = 4 * 1024 * 1024;
-/// Messages a second with which the reserve fills again.
+/// Refill rate of the reserve, in messages per second.
 const REFILL_MESSAGES: u64 = 100;
-/// Bytes of them.
+/// Refill rate of the reserve, in bytes per second.
 const REFILL_BYTES: u64 = 64 * 1024;
-/// Answers to a control request: `Accepted`, `Started`, and `OK` or `Failed`.
+/// Number of answers to a control request: `Accepted`, `Started`, and `OK` or `Failed`.
 const ANSWERS_TO_A_REQUEST: u64 = 3;
-/// Bytes of an answer, beyond what it repeats of the request: names, times, hash, reason.
+/// Size of an answer, in bytes, in addition to the repeated request: names, times, hash, reason.
 const ANSWER_BYTES: u64 = 4 * 1024;
-/// An accepted script is repeated, perhaps in JSON where it was sent in the compact encoding.
+/// Size factor for an accepted script in the answer: it may be repeated in JSON after it was sent in the compact encoding.
 const REPEATED: u64 = 8;
-/// Answers that may be open at most: of three scripts on each of 32,000 devices, and more.
+/// Maximum number of pending answers: enough for three scripts on each of 32,000 devices, and more.
 const ASKED_MESSAGES_MAX: u64 = 500_000;
-/// Bytes of them at most.
+/// Maximum size of all pending answers in bytes.
 const ASKED_BYTES_MAX: u64 = 1024 * 1024 * 1024;
 
-/// For how long a link to a robot that has flooded is heard.
+/// Time for which messages are read on a link to a robot that has flooded.
 const SIFTED_FOR: Span = Span::from_millis(2_000);
 
-/// What a robot may say, on all links to it: the answers to what was sent on a broken one come on the next, and a robot that closes
-/// its link gets no new reserve with the next one.
+/// What a robot may send, on all its links together. Answers to requests on a broken link arrive on the next one, and a robot that closes
+/// its link gets no new reserve.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Asked(Arc<Mutex<Allowance>>);
 
@@ -45,18 +45,18 @@ pub(crate) struct Asked(Arc<Mutex<Allowance>>);
 struct Allowance {
     asked_for: Amount,
     reserve: Amount,
-    /// When the reserve was last filled; `None` before anything came.
+    /// When the reserve was last filled. `None` until the first bytes arrive.
     filled: Option<Timestamp<Server>>,
-    /// What may pass of what a robot says that has flooded.
+    /// The messages that may pass from a robot that has flooded. `None` if it never did.
     sieve: Option<Sieve>,
 }
 
-/// What was asked of a robot since it has flooded.
+/// The requests to a robot since it flooded.
 #[derive(Debug, Default)]
 struct Sieve {
-    /// The answers that each request may still have.
+    /// The number of answers that each request may still receive.
     answers: HashMap<RequestId, u64>,
-    /// Descriptions that may still come.
+    /// The number of descriptions that may still arrive.
     descriptions: u64,
 }
 
@@ -98,7 +98,7 @@ struct Amount {
 }
 
 impl Asked {
-    /// Notes a message that is about to be written in so many bytes.
+    /// Notes a message that is about to be written and its size in bytes.
     pub(crate) fn note(&self, message: &Message, bytes: usize) {
         if let Some(sieve) = &mut self.lock().sieve {
             return sieve.note(message);
@@ -107,7 +107,7 @@ impl Asked {
         let (messages, bytes) = match message {
             Message::InitializationRequest(_) => {
                 let mut allowance = self.lock();
-                // A robot that does not describe itself is asked again and again, and may describe itself once.
+                // A robot that does not describe itself is asked repeatedly, but may describe itself only once.
                 let bytes = allowance.asked_for.bytes.max(LINE_BYTES_MAX as u64);
                 allowance.asked_for.bytes = bytes;
                 (1, 0)
@@ -128,7 +128,7 @@ impl Asked {
         self.allow(messages, bytes);
     }
 
-    /// It holds so many scripts that another process has sent, and will tell what becomes of them.
+    /// Notes that the robot holds this number of scripts from another process, and will report on them.
     pub(crate) fn note_held(&self, scripts: usize) {
         let messages = u64::try_from(scripts).unwrap_or(u64::MAX).saturating_mul(ANSWERS_TO_A_REQUEST);
         self.allow(messages, messages.saturating_mul(ANSWER_BYTES));
@@ -146,7 +146,7 @@ impl Asked {
 }
 
 impl Allowance {
-    /// Adds what time has brought.
+    /// Refills the reserve for the elapsed time.
     fn fill(&mut self, now: Timestamp<Server>) {
         let filled = self.filled.get_or_insert(now);
         let passed = u64::try_from((now - *filled).max(Span::ZERO).as_nanos()).unwrap_or(0);
@@ -154,7 +154,7 @@ impl Allowance {
             u64::try_from(u128::from(a_second) * u128::from(passed) / 1_000_000_000).unwrap_or(u64::MAX)
         };
         let messages = brought(REFILL_MESSAGES);
-        // In whole messages, so that what is rounded off is not lost.
+        // In whole messages, so that no rounding error accumulates.
         if messages > 0 {
             *filled = now;
             self.reserve.messages = self.reserve.messages.saturating_add(messages).min(RESERVE_MESSAGES);
@@ -163,7 +163,7 @@ impl Allowance {
     }
 }
 
-/// What comes on one link.
+/// The incoming data of one link.
 #[derive(Debug)]
 pub(crate) struct Budget {
     asked: Asked,
@@ -171,26 +171,26 @@ pub(crate) struct Budget {
     hears: Hears,
 }
 
-/// What is heard on a link.
+/// The messages accepted on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Hears {
-    /// All, as long as it was asked for.
+    /// All messages, within the budget.
     All,
-    /// What passes the sieve, since the first of it came.
+    /// Only messages that pass the sieve, with the time of the first bytes.
     Sifted(Option<Timestamp<Server>>),
 }
 
 impl Budget {
-    /// For a new link to a robot that was asked this.
+    /// Creates the budget of a new link to a robot with these requests.
     pub(crate) fn new(asked: Asked) -> Self {
         let hears = if asked.lock().sieve.is_some() { Hears::Sifted(None) } else { Hears::All };
         Self { asked, came: Amount::default(), hears }
     }
 
-    /// So many bytes have come.
+    /// Takes received bytes from the budget.
     ///
     /// # Errors
-    /// [`Loss::Flooding`]: more than it was asked for, and the link is to be closed.
+    /// Returns [`Loss::Flooding`] if the robot sent more than requested. The link must then be closed.
     pub(crate) fn take_bytes(&mut self, now: Timestamp<Server>, bytes: usize) -> Result<(), Loss> {
         let bytes = u64::try_from(bytes).unwrap_or(u64::MAX);
         self.came.bytes = self.came.bytes.saturating_add(bytes);
@@ -207,10 +207,10 @@ impl Budget {
         })
     }
 
-    /// A message has come, or what stands in place of one.
+    /// Takes a received message, or an invalid one, from the budget.
     ///
     /// # Errors
-    /// As [`Budget::take_bytes`].
+    /// Same as [`Budget::take_bytes`].
     pub(crate) fn take_message(&mut self) -> Result<(), Loss> {
         self.came.messages += 1;
         if self.is_sifted() {
@@ -223,12 +223,12 @@ impl Budget {
         })
     }
 
-    /// Whether the robot has flooded before, so that only answers are heard.
+    /// Whether the robot has flooded before, so that only answers are accepted.
     pub(crate) const fn is_sifted(&self) -> bool {
         matches!(self.hears, Hears::Sifted(_))
     }
 
-    /// Whether a message is heard; once, if it is.
+    /// Whether a message is accepted. If so, uses up one permitted answer.
     pub(crate) fn passes(&self, message: &Message) -> bool {
         match self.hears {
             Hears::All => true,
@@ -241,7 +241,7 @@ impl Budget {
     }
 }
 
-/// Takes what came from what was asked for, and the rest from the reserve.
+/// Takes received data from the pending answers first, and the rest from the reserve.
 fn take(asked_for: &mut u64, reserve: &mut u64, came: u64) -> Option<()> {
     let answers = came.min(*asked_for);
     *asked_for -= answers;
@@ -262,7 +262,7 @@ mod tests {
         Timestamp::from_nanos(millis * 1_000_000)
     }
 
-    /// How many messages of so many bytes are taken at one instant.
+    /// Returns how many messages of `bytes` bytes are accepted at one instant.
     fn taken(budget: &mut Budget, now: Timestamp<Server>, bytes: usize) -> u64 {
         let mut count = 0;
         while budget.take_bytes(now, bytes).and_then(|()| budget.take_message()).is_ok() {

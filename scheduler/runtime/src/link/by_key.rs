@@ -1,4 +1,4 @@
-//! Robots at keys of a Zenoh network, where this program is built for that.
+//! Robots at keys of a Zenoh network, if this program is built with Zenoh.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 
 /// The message of a build without Zenoh.
 #[cfg(not(feature = "zenoh"))]
-pub const NOT_BUILT: &str = "this build of downbeat has no Zenoh, which `zenoh:` addresses need; build it with \
+pub const NOT_BUILT: &str = "this build of downbeat does not support `zenoh:` addresses; build it with \
      `cargo install --path scheduler --features zenoh`";
 
 /// The Zenoh network of a site, joined once.
@@ -45,19 +45,19 @@ impl OfSite {
 /// Joins the network of a configuration.
 ///
 /// # Errors
-/// Why not, as a sentence.
+/// Returns the reason as a sentence.
 #[cfg(feature = "zenoh")]
 pub fn join(file: Option<&std::path::Path>) -> Result<downbeat_robot::zenoh::Networks, String> {
     let file = file.ok_or(
-        "robots at `zenoh:` addresses are reached by a configuration of Zenoh: name its file by `zenoh:` in the fleet file, \
-         or by DOWNBEAT_ZENOH (docs/zenoh.md)",
+        "robots at `zenoh:` addresses require a Zenoh configuration: set its file with `zenoh:` in the fleet file, \
+         or with DOWNBEAT_ZENOH (docs/zenoh.md)",
     )?;
     downbeat_robot::zenoh::Networks::open(file).map_err(|error| error.to_string())
 }
 
 #[cfg(feature = "zenoh")]
 impl Network {
-    /// The robot at a key; `None` if this is not a key.
+    /// Returns the endpoint of the robot at a key, or `None` if this is not a key.
     #[must_use]
     pub fn endpoint(&self, key: &str, encoding: LinkEncoding) -> Option<Endpoint> {
         let key = key.parse().ok()?;
@@ -78,7 +78,7 @@ impl OfSite {
 
 #[cfg(not(feature = "zenoh"))]
 impl Network {
-    /// The robot at a key.
+    /// Returns the endpoint of the robot at a key.
     #[must_use]
     pub const fn endpoint(&self, _: &str, _: LinkEncoding) -> Option<Endpoint> {
         match *self {}

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use urrcp::{Encoding, Message};
 
-/// The encoding of a link to a robot: JSON, until the robot is known to understand the encoding that the fleet file asks for.
-/// Clones belong to the same robot and learn together, so a new link to it need not ask again.
+/// The encoding of a link to a robot. JSON until the robot is known to support the encoding requested in the fleet file. Clones belong to
+/// the same robot and share this knowledge, so a new link to it need not ask again.
 #[derive(Clone, Debug)]
 pub struct LinkEncoding {
     wanted: Encoding,
@@ -14,13 +14,13 @@ pub struct LinkEncoding {
 }
 
 impl LinkEncoding {
-    /// JSON until the robot's initialization block lists the wanted encoding.
+    /// Uses JSON until the robot's initialization block lists the wanted encoding.
     #[must_use]
     pub fn once_listed(wanted: Encoding) -> Self {
         Self { wanted, understood: Arc::new(AtomicBool::new(false)) }
     }
 
-    /// The wanted encoding at once, for a robot whose init file lists it.
+    /// Uses the wanted encoding immediately, for a robot whose init file lists it.
     #[must_use]
     pub fn at_once(wanted: Encoding) -> Self {
         Self { wanted, understood: Arc::new(AtomicBool::new(true)) }
@@ -31,7 +31,7 @@ impl LinkEncoding {
         if self.understood.load(Ordering::Relaxed) { self.wanted } else { Encoding::Json }
     }
 
-    /// Notes which encodings the robot lists, if the message is its initialization block.
+    /// Notes the encodings that the robot lists, if the message is its initialization block.
     pub(super) fn hear(&self, message: &Message) {
         if let Message::InitializationBlock(block) = message {
             self.understood.store(block.understands(self.wanted), Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! A robot in the same process: messages go to its host as they are, without bytes.
+//! A robot in the same process: messages go to its host unencoded.
 
 use downbeat_robot::{HostHandle, LinkEvent};
 
@@ -8,7 +8,7 @@ use downbeat_mission::Loss;
 /// Carries messages both ways until either side closes.
 pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut queue: Queue) {
     let Some(mut link) = host.connect(index) else {
-        return sink.down(Loss::Refused, "the simulated robot is gone").await;
+        return sink.down(Loss::Refused, "the simulated robot has ended").await;
     };
     sink.up().await;
     loop {

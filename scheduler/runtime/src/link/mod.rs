@@ -1,5 +1,5 @@
-//! Links to robots. A link is a pair of channels with tasks behind it; which transport carries the messages, the mission
-//! never knows.
+//! Links to robots. A link is a pair of channels with tasks behind it. The mission does not depend on the transport that carries the
+//! messages.
 
 mod batch;
 mod budget;
@@ -36,20 +36,21 @@ use downbeat_mission::drive::{Happened, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::session;
 use downbeat_mission::{Event, Loss};
 
-/// Messages that may wait for one robot's socket; beyond that the link counts as broken.
+/// Maximum number of messages that may wait for one robot's socket. Beyond that, the link is treated as broken.
 const OUTGOING_MAX: usize = 40_000;
 
-/// Places that what comes on one link has in the mission's queue; the link waits beyond that, and the others have theirs.
+/// Number of places in the mission's queue for the events of one link. Beyond that, the link waits; the other links have their own
+/// places.
 const PLACES: usize = 256;
-/// A message takes a place for each so many bytes that it began.
+/// A message takes one place for each started block of this many bytes.
 const PLACE_BYTES: usize = 64 * 1024;
 
-/// Something that happened, and the places that it takes until it is heard.
+/// An event, and the places that it occupies until the mission has received it.
 #[derive(Debug)]
 pub(crate) struct Waiting {
-    /// What happened.
+    /// The event.
     pub(crate) happened: Happened,
-    /// Given back when this is dropped; `None` for what is bounded otherwise.
+    /// Released on drop. `None` for events with another limit.
     _places: Option<OwnedSemaphorePermit>,
 }
 
@@ -59,15 +60,15 @@ impl From<Happened> for Waiting {
     }
 }
 
-/// Where a robot is reached.
+/// How a robot is reached.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Endpoint {
     /// A simulated robot in this process, by its index in the host.
     InProcess {
-        /// The host that runs it.
+        /// The host that runs the robot.
         host: HostHandle,
-        /// Its index there.
+        /// The robot's index in the host.
         index: usize,
     },
     /// A robot that listens on TCP.
@@ -76,9 +77,9 @@ pub enum Endpoint {
         host: String,
         /// Port.
         port: u16,
-        /// How it is written to.
+        /// The encoding of messages to the robot.
         encoding: LinkEncoding,
-        /// Whether both sides prove who they are.
+        /// Whether and how both sides authenticate.
         security: Security,
     },
     /// A robot at a key of a Zenoh network.
@@ -88,13 +89,13 @@ pub enum Endpoint {
         network: downbeat_robot::zenoh::Network,
         /// Its key.
         key: downbeat_robot::zenoh::Key,
-        /// How it is written to.
+        /// The encoding of messages to the robot.
         encoding: LinkEncoding,
     },
 }
 
 impl Endpoint {
-    /// What robots have in common that hear what is published for several: the session and the place.
+    /// The Zenoh session and the place. Robots that share both can receive what is published for several robots.
     fn place(&self) -> Option<shared::Place> {
         match self {
             #[cfg(feature = "zenoh")]
@@ -104,7 +105,7 @@ impl Endpoint {
     }
 }
 
-/// The sending end of a link. Dropping it closes the link once all has been sent.
+/// The sending end of a link. When it is dropped, the link closes once all messages have been sent.
 #[derive(Debug)]
 pub struct Link {
     outgoing: mpsc::Sender<Outgoing>,
@@ -112,28 +113,28 @@ pub struct Link {
     task: AbortHandle,
 }
 
-/// A robot that listens.
+/// A robot that listens, with all that its link needs.
 #[derive(Clone)]
 struct Peer {
     sink: EventSink,
     reach: Reach,
     encoding: LinkEncoding,
     of: OfRobot,
-    /// What a robot repeats when it accepts it.
+    /// Scripts sent on this link, which a robot repeats when it accepts them.
     sent: KnownScripts,
 }
 
-/// What all links to one robot have in common.
+/// State shared by all links to one robot.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OfRobot {
-    /// What it was asked on all of them.
+    /// The requests to the robot on all links.
     pub(crate) asked: Asked,
-    /// The scripts that go to others as well.
+    /// The scripts that other robots receive as well.
     pub(crate) shared: SharedScripts,
     pub(crate) long_upload: LongUpload,
 }
 
-/// How long a robot may be busy reading after one batch of the longest kind.
+/// How long a robot may be busy reading a batch of maximum size.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LongUpload(pub(crate) Span);
 
@@ -143,18 +144,18 @@ impl Default for LongUpload {
     }
 }
 
-/// The other ends of a link's channels.
+/// The receiving ends of a link's channels.
 struct Queue {
     outgoing: mpsc::Receiver<Outgoing>,
-    /// Stops: at most one a device, and a repetition now and then.
+    /// Stops: at most one per device, and an occasional repetition.
     urgent: mpsc::UnboundedReceiver<Outgoing>,
 }
 
-/// Boxed, because a channel keeps room for 32 of them, and there may be thousands of links.
+/// Boxed, because a channel reserves room for 32 messages, and there may be thousands of links.
 pub(crate) type Outgoing = Box<Message>;
 
 impl Link {
-    /// Opens a link after a while; what happens on it comes as events of `robot` on the link of this number.
+    /// Opens a link after the delay `after`. Its events are sent as events of `robot` on the link with this number.
     pub fn open(
         of: (usize, LinkNumber),
         endpoint: Endpoint,
@@ -165,7 +166,7 @@ impl Link {
         Self::carrying(of, (endpoint, OfRobot::default()), clock, Events::Plain(events), after)
     }
 
-    /// The same, where what comes on one link leaves the others their places.
+    /// Same as [`Link::open`], but the events of one link leave room for those of the others.
     pub(crate) fn open_beside_others(
         of: (usize, LinkNumber),
         (endpoint, of_robot): (Endpoint, OfRobot),
@@ -173,7 +174,7 @@ impl Link {
         events: mpsc::Sender<Waiting>,
         after: Duration,
     ) -> Self {
-        // A robot of this process is no stranger, and its host keeps what waits.
+        // A robot in this process is trusted, and its host stores the waiting messages.
         let places =
             (!matches!(endpoint, Endpoint::InProcess { .. })).then(|| Arc::new(Semaphore::new(PLACES)));
         Self::carrying(of, (endpoint, of_robot), clock, Events::Placed(events, places), after)
@@ -190,7 +191,7 @@ impl Link {
         let (urgent, first) = mpsc::unbounded_channel();
         let queue = Queue { outgoing: queue, urgent: first };
         let sink = EventSink { robot, link: Some(number), clock, events };
-        // The task ends when its link breaks or when `outgoing` is dropped, whichever comes first.
+        // The task ends when its link breaks or when `outgoing` is dropped, whichever happens first.
         let task = tokio::spawn(async move {
             if !after.is_zero() {
                 tokio::time::sleep(after).await;
@@ -215,10 +216,10 @@ impl Link {
         Self { outgoing, urgent, task: task.abort_handle() }
     }
 
-    /// Queues a message. A link that is down drops it: the mission hears of that by its own event.
+    /// Queues a message. A link that is down drops it; the mission learns of that from a separate event.
     ///
     /// # Errors
-    /// [`QueueFull`] when the robot does not read: the message is lost.
+    /// Returns [`QueueFull`] if the robot does not read. The message is then lost.
     pub fn send(&self, message: Message, urgency: Urgency) -> Result<(), QueueFull> {
         let message = Box::new(message);
         let full = match urgency {
@@ -233,19 +234,19 @@ impl Link {
         if full { Err(QueueFull { waiting: OUTGOING_MAX }) } else { Ok(()) }
     }
 
-    /// Where messages go in that overtake all that waits.
+    /// Returns the channel for messages that overtake all waiting ones.
     pub(crate) fn overtaking(&self) -> mpsc::UnboundedSender<Outgoing> {
         self.urgent.clone()
     }
 
-    /// Closes the link at once. What waits to be sent is discarded.
+    /// Closes the link immediately. Messages that are still queued are discarded.
     pub fn cut(&self) {
         self.task.abort();
     }
 }
 
 impl Queue {
-    /// The next message, urgent ones first, and whether it is one; `None` once the mission has let go of the link.
+    /// Returns the next message, urgent ones first, and whether it is urgent. Returns `None` once the mission has dropped the link.
     async fn next(&mut self) -> Option<(Outgoing, bool)> {
         tokio::select! {
             biased;
@@ -259,21 +260,21 @@ impl Queue {
     }
 }
 
-/// Stamps what happens on a link and hands it to the mission's driver.
+/// Timestamps the events of a link and sends them to the mission's driver.
 #[derive(Clone)]
 struct EventSink {
     robot: usize,
-    /// `None` on an additional connection, which says nothing about the link.
+    /// `None` on an additional connection, whose state is not that of the link.
     link: Option<LinkNumber>,
     clock: ServerClock,
     events: Events,
 }
 
-/// Where events go.
+/// The destination of events.
 #[derive(Clone)]
 enum Events {
     Plain(mpsc::Sender<Happened>),
-    /// Each with its places, as far as they are counted.
+    /// Each event occupies places, if they are counted.
     Placed(mpsc::Sender<Waiting>, Option<Arc<Semaphore>>),
 }
 
@@ -282,8 +283,8 @@ impl EventSink {
         self.put_long(event, 0).await;
     }
 
-    /// Hands on an event that came in so many bytes, once it has a place. The driver's end is gone only when the mission has
-    /// ended; then the event is not needed.
+    /// Sends an event of `bytes` bytes once it has a place. The receiver is gone only after the mission has ended; the event is not
+    /// needed then.
     async fn put_long(&self, event: Event, bytes: usize) {
         let (at, robot, event) = (self.clock.now(), self.robot, Box::new(event));
         let happened = match self.link {

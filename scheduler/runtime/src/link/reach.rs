@@ -1,4 +1,4 @@
-//! By which way a robot that listens is connected to: all that the bytes of a link come and go by.
+//! Connections to robots that listen: the transport of a link's bytes.
 
 use std::fmt;
 use std::io;
@@ -20,21 +20,21 @@ use super::Security;
 use super::batch::Batch;
 use super::secure::{BareReadEnd, BareWriteEnd, Met, secured};
 
-/// The end of a connection from which is read.
+/// The reading end of a connection.
 #[cfg(not(feature = "zenoh"))]
 pub(crate) type ReadEnd = BareReadEnd;
-/// The end of a connection to which is written, and then flushed: what is encrypted or sealed may wait in it.
+/// The writing end of a connection. It must be flushed after a write, because it may buffer encrypted or sealed data.
 #[cfg(not(feature = "zenoh"))]
 pub(crate) type WriteEnd = BareWriteEnd;
 
-/// The end of a connection from which is read.
+/// The reading end of a connection.
 #[cfg(feature = "zenoh")]
 pub(crate) type ReadEnd = Either<BareReadEnd, Stream>;
-/// The end of a connection to which is written, and then flushed: what is encrypted or sealed may wait in it.
+/// The writing end of a connection. It must be flushed after a write, because it may buffer encrypted or sealed data.
 #[cfg(feature = "zenoh")]
 pub(crate) type WriteEnd = Either<BareWriteEnd, Stream>;
 
-/// What was published for several robots: nothing, without Zenoh.
+/// A text published for several robots. It cannot exist without Zenoh.
 #[cfg(not(feature = "zenoh"))]
 #[derive(Debug)]
 pub(crate) enum Text {}
@@ -46,22 +46,22 @@ impl Text {
     }
 }
 
-/// A way to one robot.
+/// The transport and address of one robot.
 #[derive(Clone, Debug)]
 pub(crate) enum Reach {
-    /// It listens on TCP.
+    /// The robot listens on TCP.
     Tcp { host: String, port: u16, security: Security },
-    /// It is at a key.
+    /// The robot is at a key of a Zenoh network.
     #[cfg(feature = "zenoh")]
     Zenoh { network: Network, key: Key },
 }
 
-/// What a connection is for.
+/// The purpose of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose<'a> {
-    /// All that a mission says; some of it is published for these audiences, to which the robot belongs.
+    /// All messages of a mission. Some are published for these audiences, to which the robot belongs.
     Link { audiences: &'a [u32] },
-    /// A stop, which nothing else may keep waiting.
+    /// A stop, which nothing else may delay.
     Stop,
 }
 
@@ -69,7 +69,7 @@ pub(crate) type Ends = ((ReadEnd, WriteEnd), Option<Met>);
 
 impl Reach {
     pub(crate) async fn connect(&self, purpose: Purpose<'_>) -> io::Result<Ends> {
-        // Over TCP all go the same way.
+        // Over TCP, the purpose makes no difference.
         #[cfg(not(feature = "zenoh"))]
         let _alike = purpose;
         match self {
@@ -90,18 +90,18 @@ impl Reach {
     }
 }
 
-/// Writes messages, and then flushes.
+/// Writes messages and flushes.
 pub(crate) async fn write_out(writer: &mut WriteEnd, batch: &Batch) -> io::Result<()> {
     #[cfg(feature = "zenoh")]
     if let Either::Right(stream) = writer {
         return stream.write_with(batch.bytes(), batch.texts()).await;
     }
-    // A text is put in only where it was offered by a stream of Zenoh.
+    // Only a Zenoh stream offers texts, so the batch contains none here.
     writer.write_all(batch.bytes()).await?;
     writer.flush().await
 }
 
-/// Publishes a script for an audience, once; `None` where it has to be written to each robot.
+/// Publishes a script once for an audience. Returns `None` if the script must be written to each robot instead.
 #[cfg(feature = "zenoh")]
 pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option<Text> {
     let Either::Right(stream) = writer else { return None };
@@ -109,13 +109,13 @@ pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option
     stream.offer((audience, Command::Script(script.clone()).content_hash()), text)
 }
 
-/// Publishes a script for an audience, once; `None` where it has to be written to each robot.
+/// Publishes a script once for an audience. Returns `None` if the script must be written to each robot instead.
 #[cfg(not(feature = "zenoh"))]
 pub(crate) const fn offer(_: &WriteEnd, _: u32, _: &Script) -> Option<Text> {
     None
 }
 
-/// The same over a connection that is made.
+/// Secures an established TCP connection.
 pub(crate) async fn over(stream: TcpStream, security: &Security) -> io::Result<Ends> {
     let ((reader, writer), met) = secured(stream, security).await?;
     #[cfg(feature = "zenoh")]

@@ -1,4 +1,4 @@
-//! What lies between a link and its bytes: nothing, TLS with certificates on both sides, or records with codes by a shared secret.
+//! The layer between a link and its bytes: none, TLS with certificates on both sides, or records authenticated by a shared secret.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -19,14 +19,14 @@ use urrcp::RobotId;
 
 use super::by_key::{Network, OfSite};
 
-/// The end of a connection over TCP from which is read.
+/// The reading end of a TCP connection.
 pub(crate) type BareReadEnd =
     Either<OwnedReadHalf, Either<ReadHalf<TlsStream<TcpStream>>, ReadHalf<Sealed<TcpStream>>>>;
-/// The end of a connection over TCP to which is written, and then flushed: what is encrypted or sealed may wait in it.
+/// The writing end of a TCP connection. It must be flushed after a write, because it may buffer encrypted or sealed data.
 pub(crate) type BareWriteEnd =
     Either<OwnedWriteHalf, Either<WriteHalf<TlsStream<TcpStream>>, WriteHalf<Sealed<TcpStream>>>>;
 
-/// How a site's robots are spoken to.
+/// The credentials and networks for connections to the robots of a site.
 #[derive(Clone, Debug, Default)]
 pub struct Site {
     config: Option<Arc<ClientConfig>>,
@@ -36,40 +36,40 @@ pub struct Site {
 }
 
 impl Site {
-    /// As the fleet file says, or as another identity file does.
+    /// Reads the files named in the fleet file, or another identity file if given.
     ///
     /// # Errors
-    /// What is wrong with the files, as a sentence.
+    /// Returns the fault of the files as a sentence.
     pub fn of(fleet: &Fleet, identity: Option<&Path>) -> Result<Self, String> {
         let site = Self::of_files(identity.or(fleet.identity.as_deref()), fleet.revoked.as_deref())?;
         Ok(site.with_zenoh(fleet.zenoh.clone()))
     }
 
-    /// The same with the Zenoh network of this configuration.
+    /// Returns the same site with the Zenoh network of this configuration.
     #[must_use]
     pub fn with_zenoh(mut self, file: Option<PathBuf>) -> Self {
         self.zenoh = Arc::new(OfSite::new(file));
         self
     }
 
-    /// The Zenoh network, which is joined when it is asked for first.
+    /// The Zenoh network, which is joined on first use.
     ///
     /// # Errors
-    /// Why it cannot be joined, as a sentence.
+    /// Returns the reason why it cannot be joined, as a sentence.
     pub fn network(&self) -> Result<Network, String> {
         self.zenoh.joined()
     }
 
-    /// With these files; without an identity nothing but plain TCP is spoken.
+    /// Reads these files. Without an identity, only plain TCP is possible.
     ///
     /// # Errors
-    /// What is wrong with them, as a sentence.
+    /// Returns the fault of the files as a sentence.
     pub fn of_files(identity: Option<&Path>, revoked: Option<&Path>) -> Result<Self, String> {
         let Some(path) = identity else { return Ok(Self::default()) };
         let own = Credentials::read(path).map_err(|error| error.to_string())?;
         if let Name::Robot(id) = &own.identity().name {
             return Err(format!(
-                "{}: this is the identity of robot `{id}`; expected an operator's, which `downbeat keys operator` makes",
+                "{}: this is the identity of robot `{id}`, expected that of an operator, which `downbeat keys operator` makes",
                 path.display()
             ));
         }
@@ -82,7 +82,7 @@ impl Site {
         Ok(Self { config: Some(Arc::new(config)), identity, passes, ..Self::default() })
     }
 
-    /// Who speaks; `None` without an identity.
+    /// The operator's identity. `None` without an identity file.
     #[must_use]
     pub const fn identity(&self) -> Option<&Identity> {
         self.identity.as_ref()
@@ -94,7 +94,7 @@ impl Site {
         &self.passes
     }
 
-    /// For a robot that calls itself so; `None`: whichever robot it is.
+    /// Returns the security for a robot with this own id. `None` stands for any robot.
     #[must_use]
     pub fn with(&self, protection: Protection, robot: Option<&RobotId>) -> Security {
         let robot = robot.cloned();
@@ -111,38 +111,38 @@ impl Site {
     }
 }
 
-/// How one robot is spoken to.
+/// The security of the connection to one robot.
 #[derive(Clone, Debug)]
 pub enum Security {
-    /// As it is.
+    /// Plain TCP.
     Plain,
-    /// With TLS, by a certificate that says so.
+    /// TLS with the operator's certificate.
     Tls(Arc<Tls>),
-    /// In records with codes, by a pass that says so.
+    /// Authenticated records with the operator's pass.
     Hmac(Arc<Hmac>),
-    /// Not as it is, but there is no identity: nothing can be said.
+    /// The robot requires authentication, but there is no identity: no connection is possible.
     Nameless,
 }
 
-/// What it takes to seal what is said to one robot.
+/// The parameters of authenticated records with one robot.
 #[derive(Debug)]
 pub struct Hmac {
     passes: Arc<Passes>,
-    /// Whose secret its pass is made from; `None`: any robot's.
+    /// The robot for which the pass must be. `None` for any robot.
     robot: Option<RobotId>,
 }
 
 impl Hmac {
-    /// The same for one robot alone.
+    /// Returns the same for this robot only.
     #[must_use]
     pub fn for_robot(&self, robot: RobotId) -> Self {
         Self { passes: Arc::clone(&self.passes), robot: Some(robot) }
     }
 
-    /// The first pass to present.
+    /// Returns the first pass to present.
     ///
     /// # Errors
-    /// The operator has no pass; the error says how to make one.
+    /// Fails if the operator has no pass. The error says how to make one.
     pub fn pass(&self) -> io::Result<&Held> {
         self.first().map_err(io::Error::other)
     }
@@ -159,7 +159,8 @@ impl Hmac {
         }
     }
 
-    /// Connects. A robot that refuses the pass of another names itself; if any robot is meant, it is asked again with its own.
+    /// Connects. A robot that refuses another robot's pass names itself. If any robot is permitted, connects again with the pass for that
+    /// one.
     async fn connect(&self, stream: TcpStream) -> io::Result<Sealed<TcpStream>> {
         let address = stream.peer_addr()?;
         let held = self.pass()?;
@@ -178,26 +179,26 @@ impl Hmac {
     }
 }
 
-/// What TLS with one robot takes.
+/// The parameters of TLS with one robot.
 #[derive(Debug)]
 pub struct Tls {
     config: Arc<ClientConfig>,
-    /// Whom its certificate has to name; `None`: any robot of the authority.
+    /// The robot that the certificate must name. `None` for any robot of the authority.
     robot: Option<RobotId>,
 }
 
 impl Tls {
-    /// How this side proves who it is.
+    /// The TLS configuration, with which this side authenticates.
     #[must_use]
     pub const fn config(&self) -> &Arc<ClientConfig> {
         &self.config
     }
 }
 
-/// Connects to a robot, makes sure that it is this one, and says whose certificate it has shown.
+/// Connects to a robot, verifies that it is the expected one, and returns the validity of its certificate.
 ///
 /// # Errors
-/// The connection cannot be made, or the other side does not prove who it is.
+/// Fails if the connection cannot be made, or if the other side does not authenticate.
 pub(crate) async fn secured(
     stream: TcpStream,
     security: &Security,
@@ -210,8 +211,8 @@ pub(crate) async fn secured(
             return Ok(((Either::Left(reader), Either::Left(writer)), None));
         }
         Security::Nameless => {
-            let hint = "name your identity file: `identity` in the fleet file, or DOWNBEAT_IDENTITY";
-            return Err(denied(format!("the robot needs to know who you are: {hint}")));
+            let hint = "set `identity` in the fleet file, or DOWNBEAT_IDENTITY, to your identity file";
+            return Err(denied(format!("the robot requires your identity: {hint}")));
         }
         Security::Hmac(hmac) => {
             let (reader, writer) = tokio::io::split(hmac.connect(stream).await?);
@@ -226,10 +227,11 @@ pub(crate) async fn secured(
     let connector = TlsConnector::from(Arc::clone(&tls.config));
     let stream = connector.connect(name, stream).await?;
     let certificates = stream.get_ref().1.peer_certificates().unwrap_or_default();
-    let certificate = certificates.first().ok_or_else(|| denied("the robot showed no certificate".into()))?;
+    let certificate =
+        certificates.first().ok_or_else(|| denied("the robot presented no certificate".into()))?;
     let met = Identity::of_certificate(certificate).map_err(|error| denied(error.to_string()))?;
     if let Some(robot) = tls.robot.as_ref().filter(|robot| met.name != Name::Robot((*robot).clone())) {
-        return Err(denied(format!("its certificate is that of {}, expected robot {robot}", met.name)));
+        return Err(denied(format!("its certificate belongs to {}, expected robot {robot}", met.name)));
     }
     let (reader, writer) = tokio::io::split(stream);
     Ok((
@@ -238,7 +240,7 @@ pub(crate) async fn secured(
     ))
 }
 
-/// Why one side was not let in, in words of keys and certificates; `None` where the connection failed otherwise.
+/// Returns why one side denied access, in terms of keys and certificates. Returns `None` if the connection failed for another reason.
 #[must_use]
 pub fn denial(error: &io::Error) -> Option<String> {
     use rustls::{AlertDescription as Alert, CertificateError as Certificate, Error};
@@ -251,32 +253,32 @@ pub fn denial(error: &io::Error) -> Option<String> {
     }
     let why = match inner.downcast_ref::<Error>()? {
         Error::InvalidCertificate(Certificate::UnknownIssuer | Certificate::BadSignature) => {
-            "the robot's certificate is of another authority than yours"
+            "the robot's certificate was issued by a different authority than yours"
         }
         Error::InvalidCertificate(Certificate::Expired | Certificate::ExpiredContext { .. }) => {
             "the robot's certificate has expired: `downbeat keys renew` makes a new one"
         }
         Error::InvalidCertificate(Certificate::Revoked) => "the robot's certificate is revoked",
-        Error::InvalidMessage(_) => "what listens there does not speak TLS",
+        Error::InvalidMessage(_) => "the program at this address does not use TLS",
         Error::AlertReceived(Alert::UnknownCA | Alert::DecryptError) => {
-            "the robot trusts another authority than yours"
+            "the robot trusts a different authority than yours"
         }
         Error::AlertReceived(Alert::CertificateExpired) => {
             "your certificate has expired: `downbeat keys renew` makes a new one"
         }
         Error::AlertReceived(Alert::CertificateRevoked) => "your certificate is revoked",
-        other => return Some(format!("no TLS with the robot: {other}")),
+        other => return Some(format!("TLS with the robot failed: {other}")),
     };
     Some(why.to_owned())
 }
 
-/// A robot that has proven who it is.
+/// A robot that has authenticated.
 pub(crate) struct Met {
-    /// Until when its certificate counts, if it has one, in seconds since 1970.
+    /// The expiry of its certificate, in seconds since 1970, if it has one.
     pub(crate) until: Option<i64>,
 }
 
-/// Not let in, for a reason of this side.
+/// Access denied, for a reason on this side.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Denied(String);
@@ -301,16 +303,28 @@ mod tests {
     #[test]
     fn why_no_tls_came_about_is_told_in_words_of_certificates_and_by_whose_they_are() {
         for (error, expected) in [
-            (Error::InvalidCertificate(CertificateError::UnknownIssuer), "of another authority than yours"),
-            (Error::InvalidCertificate(CertificateError::BadSignature), "of another authority than yours"),
+            (
+                Error::InvalidCertificate(CertificateError::UnknownIssuer),
+                "issued by a different authority than yours",
+            ),
+            (
+                Error::InvalidCertificate(CertificateError::BadSignature),
+                "issued by a different authority than yours",
+            ),
             (Error::InvalidCertificate(CertificateError::Expired), "the robot's certificate has expired"),
             (Error::InvalidCertificate(CertificateError::Revoked), "the robot's certificate is revoked"),
-            (Error::InvalidMessage(InvalidMessage::InvalidContentType), "does not speak TLS"),
-            (Error::AlertReceived(AlertDescription::UnknownCA), "the robot trusts another authority"),
-            (Error::AlertReceived(AlertDescription::DecryptError), "the robot trusts another authority"),
+            (Error::InvalidMessage(InvalidMessage::InvalidContentType), "does not use TLS"),
+            (
+                Error::AlertReceived(AlertDescription::UnknownCA),
+                "the robot trusts a different authority than yours",
+            ),
+            (
+                Error::AlertReceived(AlertDescription::DecryptError),
+                "the robot trusts a different authority than yours",
+            ),
             (Error::AlertReceived(AlertDescription::CertificateExpired), "your certificate has expired"),
             (Error::AlertReceived(AlertDescription::CertificateRevoked), "your certificate is revoked"),
-            (Error::AlertReceived(AlertDescription::InternalError), "no TLS with the robot"),
+            (Error::AlertReceived(AlertDescription::InternalError), "TLS with the robot failed"),
         ] {
             let told = denial(&io::Error::other(error.clone())).unwrap();
             assert!(told.contains(expected), "{error:?}: {told}");
@@ -341,7 +355,7 @@ mod tests {
         assert!(denial(&error).is_some_and(|why| why.contains("DOWNBEAT_IDENTITY")), "{error}");
     }
 
-    /// A pass by a secret of its own.
+    /// Returns a pass from a newly generated secret.
     fn held(robot: &str) -> Held {
         held_by(&sealed::Secret::generate().unwrap(), robot)
     }
@@ -351,7 +365,7 @@ mod tests {
         Held { robot: robot.parse().unwrap(), pass: secret.pass(&claim), claim }
     }
 
-    /// The robot `b` behind a secret, until its host is dropped.
+    /// Starts robot `b` behind a secret. It runs until its host is dropped.
     async fn robot_b(secret: sealed::Secret) -> (Host, SocketAddr) {
         let block = r#"{"id": "b", "api_version": "1", "devices": [{"id": "eye", "name": "eye",
             "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
@@ -369,13 +383,17 @@ mod tests {
     async fn whichever_robot_it_is_it_is_asked_again_with_its_own_pass_and_another_than_is_meant_is_not() {
         let secret = sealed::Secret::generate().unwrap();
         let (host, address) = robot_b(secret.clone()).await;
-        let other = "it is robot b, another than your pass is for";
+        let other = "it is robot b, but your pass is for a different robot";
         for (meant, passes, expected) in [
             (None, vec![held("a"), held_by(&secret, "b")], None),
             (None, vec![held_by(&secret, "b")], None),
             (None, vec![held("a")], Some(other)),
-            (None, vec![held("a"), held("b")], Some("the robot does not know the secret")),
-            (None, vec![held("b"), held_by(&secret, "b")], Some("the robot does not know the secret")),
+            (None, vec![held("a"), held("b")], Some("the robot does not have the secret of your pass")),
+            (
+                None,
+                vec![held("b"), held_by(&secret, "b")],
+                Some("the robot does not have the secret of your pass"),
+            ),
             (Some("a"), vec![held("a"), held_by(&secret, "b")], Some(other)),
             (Some("b"), vec![held("a"), held_by(&secret, "b")], None),
         ] {
@@ -391,7 +409,7 @@ mod tests {
         drop(host);
     }
 
-    /// The address of a listener that answers the first connection with this line, in place of the robot.
+    /// Returns the address of a listener that answers the first connection with this line, in place of the robot.
     async fn forged(line: String) -> SocketAddr {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -406,7 +424,7 @@ mod tests {
         address
     }
 
-    /// The link to the robot `b`, with the first event on it.
+    /// Opens a link to robot `b` and waits for its first event.
     async fn link_to_b(at: SocketAddr, security: &Security) -> (Link, mpsc::Receiver<Happened>, Event) {
         let endpoint = Endpoint::Tcp {
             host: at.ip().to_string(),
@@ -434,7 +452,7 @@ mod tests {
             Refused::OtherRobot("a".parse().unwrap()),
         ] {
             let (_link, _more, event) = link_to_b(forged(refused.line()).await, &security).await;
-            // Neither that no process of the robot runs, nor that another robot is there.
+            // It implies neither that the robot has no process, nor that another robot is there.
             assert!(matches!(event, Event::LinkDown { loss: Loss::Denied, .. }), "{refused:?}: {event:?}");
             let (_link, _more, event) = link_to_b(address, &security).await;
             assert!(

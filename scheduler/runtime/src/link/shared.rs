@@ -1,5 +1,5 @@
-//! Which scripts of a mission go to several robots of one place in a Zenoh network: those are published there once, for the robots
-//! that get them.
+//! Finds the scripts of a mission that go to several robots at one place of a Zenoh network. These are published there once, for the
+//! robots that get them.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -9,25 +9,26 @@ use urrcp::{Command, ContentHash, RobotId, Script};
 use super::Endpoint;
 use downbeat_mission::Mission;
 
-/// A script of fewer steps is written to each robot: to publish it costs more than it spares.
+/// Minimum number of steps of a published script. Shorter ones are written to each robot, because publishing would cost more than it
+/// saves.
 const STEPS_MIN: usize = 16;
-/// Audiences to which one robot belongs; what it gets with others beyond that is written to it.
+/// Maximum number of audiences of one robot. Further shared scripts are written to the robot directly.
 const AUDIENCES_MAX: usize = 32;
 
-/// The same session of Zenoh, and the same place.
+/// The Zenoh session and the place.
 pub(super) type Place = (String, String);
 
-/// The scripts that go to one robot and to others where it stands.
+/// The scripts that one robot shares with others at its place.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SharedScripts {
-    /// All that are shared in its place, each with the number of its audience.
+    /// All shared scripts at its place, each with the number of its audience.
     audience_of: Arc<HashMap<ContentHash, u32>>,
-    /// The audiences to which it belongs.
+    /// The audiences to which the robot belongs.
     own: Vec<u32>,
 }
 
 impl SharedScripts {
-    /// Those of each robot of a mission, in the order of its robots.
+    /// Returns the shared scripts of each robot of a mission, in the order of the endpoints.
     pub(crate) fn of(mission: &Mission, endpoints: &[Endpoint]) -> Vec<Self> {
         let ids = (0..endpoints.len()).map(|robot| (mission.robot_id(robot), robot));
         let robots: HashMap<&RobotId, usize> = ids.collect();
@@ -47,12 +48,11 @@ impl SharedScripts {
         all
     }
 
-    /// The audiences to which the robot belongs.
     pub(crate) fn audiences(&self) -> &[u32] {
         &self.own
     }
 
-    /// The audience that gets a script, if the robot belongs to one that does.
+    /// Returns the audience of a script, if the robot belongs to it.
     pub(crate) fn audience(&self, script: &Script) -> Option<u32> {
         if self.own.is_empty() || !is_long(script) {
             return None;
@@ -61,7 +61,7 @@ impl SharedScripts {
     }
 }
 
-/// What is shared of the scripts that go to the robots of one place.
+/// Finds the shared scripts among those for the robots of one place.
 fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> {
     sent.sort_by_key(|(robot, _)| *robot);
     let mut sets = Sets::default();
@@ -70,7 +70,7 @@ fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> 
         let set = set_of.entry(hash_of(script)).or_default();
         *set = sets.with(*set, *robot);
     }
-    // The same robots get the same number.
+    // A set of robots has one number, whichever script it gets.
     let shared = set_of.into_iter().filter(|(_, set)| sets.count(*set) > 1);
     let audience_of: HashMap<_, _> =
         shared.filter_map(|(hash, set)| Some((hash, u32::try_from(set).ok()?))).collect();
@@ -89,12 +89,12 @@ fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> 
     all
 }
 
-/// Sets of robots, each with a number; 0 is the empty one. Robots are added in order.
+/// Numbered sets of robots. Number 0 is the empty set. Robots must be added in order.
 #[derive(Default)]
 struct Sets {
-    /// Of each set but the empty one: its last robot, and how many it has.
+    /// For each set except the empty one: its last robot and its size.
     known: Vec<(usize, usize)>,
-    /// The number of a set with one robot more.
+    /// Maps a set and an additional robot to the number of the larger set.
     larger: HashMap<(usize, usize), usize>,
 }
 
@@ -124,7 +124,7 @@ fn is_long(script: &Script) -> bool {
     script.steps().len() >= STEPS_MIN
 }
 
-/// Scripts keep it once it has been asked for.
+/// Cheap after the first call, because scripts cache their hash.
 fn hash_of(script: &Script) -> ContentHash {
     Command::Script(script.clone()).content_hash()
 }
@@ -144,7 +144,7 @@ mod tests {
         Script::new((0..steps).map(step).collect()).unwrap()
     }
 
-    /// By robot: which of these scripts have which audience.
+    /// Returns, for each robot, the audience of each of these scripts.
     fn audiences(sent: &[(usize, &Script)], of: &[&Script]) -> Vec<(usize, Vec<Option<u32>>)> {
         let shared = in_one_place(sent.to_vec());
         let row = |shared: &SharedScripts| of.iter().map(|script| shared.audience(script)).collect();
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn a_script_of_several_robots_is_shared_by_them_and_one_of_a_single_robot_is_not() {
         let [all, pair, own] = [1.0, 2.0, 3.0].map(|value| script(value, STEPS_MIN));
-        // Twice for one robot, and in any order.
+        // Duplicates for one robot, and any order.
         let sent = [(2, &all), (0, &all), (0, &pair), (1, &all), (1, &pair), (0, &own), (0, &own)];
         let found = audiences(&sent, &[&all, &pair, &own]);
         let [(0, first), (1, second), (2, third)] = found.as_slice() else { panic!("{found:?}") };
@@ -174,7 +174,7 @@ mod tests {
     #[test]
     fn a_robot_belongs_to_so_many_audiences_at_most_and_is_written_the_rest() {
         let scripts: Vec<_> = (0..40).map(|i| script(f64::from(i), STEPS_MIN)).collect();
-        // Each with another robot.
+        // Each shared with a different robot.
         let sent: Vec<_> =
             scripts.iter().zip(1..).flat_map(|(script, other)| [(0, script), (other, script)]).collect();
         let found = audiences(&sent, &scripts.iter().collect::<Vec<_>>());

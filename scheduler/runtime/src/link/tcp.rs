@@ -1,4 +1,4 @@
-//! Messages over TCP, or another stream of bytes: the robot listens, the scheduler connects.
+//! Messages over TCP or another byte stream: the robot listens, the scheduler connects.
 
 use std::io::{self, ErrorKind};
 use std::time::Duration;
@@ -15,9 +15,9 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::{Event, Loss};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// For how long answers to an overtaking stop are awaited.
+/// How long to wait for answers to an overtaking stop.
 const OVERTAKING_LISTENS: Duration = Duration::from_secs(10);
-/// Bytes gathered before one write, so that a burst of requests is one system call.
+/// Number of bytes collected before one write, so that a burst of requests takes one system call.
 const WRITE_BATCH: usize = 64 * 1024;
 
 /// Connects and carries messages both ways until either side closes.
@@ -57,10 +57,10 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
     }
 }
 
-/// So long a line that is no message is held back: a robot that floods its link with such lines is named for that alone.
+/// Delay before an invalid line is reported. If the robot floods its link with such lines meanwhile, only the flooding is reported.
 const GARBLED_AFTER: Span = Span::from_millis(50);
 
-/// What is wrong with the lines that are held back.
+/// The faults of the delayed invalid lines.
 #[derive(Debug, Default)]
 struct Garbled {
     reasons: Vec<String>,
@@ -81,7 +81,7 @@ impl Garbled {
     }
 }
 
-/// Ends with the reason for which no more can be read.
+/// Returns the reason why reading has ended.
 async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let sink = &peer.sink;
     let mut decoder = Decoder::default().that_knows(peer.sent.clone());
@@ -116,7 +116,7 @@ async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
             return flooding(loss);
         }
         if budget.is_sifted() {
-            // However much it says, the others have their turn.
+            // A robot that sends a lot must not starve the others.
             tokio::task::yield_now().await;
         }
         decoder.push(&bytes[..came]);
@@ -142,21 +142,21 @@ async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
 }
 
 fn flooding(loss: Loss) -> (Loss, String) {
-    (loss, "it sends far more than it was asked for".to_owned())
+    (loss, "the robot sends far more than requested".to_owned())
 }
 
-/// Ends with a reason when writing fails, without one when the mission has let go of the link.
+/// Returns a reason if writing fails, or `None` once the mission has dropped the link.
 async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(Loss, String)> {
     let clock: &ServerClock = &peer.sink.clock;
     let mut long_until: Option<Timestamp<Server>> = None;
     while let Some((message, urgent)) = queue.next().await {
-        // Behind a long upload the robot may still be reading when a stop comes: that goes by a connection of its own.
+        // The robot may still be reading a long upload when a stop comes, so the stop is sent on a separate connection.
         if urgent && long_until.is_some_and(|until| clock.now() < until) {
             peer.overtake(&message, &mut queue.urgent);
             continue;
         }
         let encoding = peer.encoding.current();
-        // One for each batch: thousands of links are idle at a time.
+        // A new one for each batch, because thousands of links may be idle.
         let mut batch = Batch::default();
         peer.encode(encoding, &message, &mut batch, &writer);
         while batch.len() < WRITE_BATCH {
@@ -182,7 +182,7 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
     None
 }
 
-/// What the error of an established connection says.
+/// Classifies the error of an established connection.
 fn ended(error: &io::Error) -> (Loss, String) {
     if let Some(denial) = denial(error) {
         return (Loss::Denied, denial);
@@ -195,7 +195,7 @@ fn ended(error: &io::Error) -> (Loss, String) {
 }
 
 impl Peer {
-    /// Appends a message, which allows the robot to answer it.
+    /// Appends a message and allows the robot to answer it.
     fn encode(&self, encoding: Encoding, message: &Message, batch: &mut Batch, writer: &WriteEnd) {
         let shared = |script: &Script| offer(writer, self.of.shared.audience(script)?, script);
         let bytes = batch.push(encoding, message, shared);
@@ -205,14 +205,14 @@ impl Peer {
         }
     }
 
-    /// The same for a stop, which nobody shares.
+    /// Same as [`Peer::encode`] for a stop, which is never shared.
     fn encode_stop(&self, encoding: Encoding, message: &Message, batch: &mut Batch) {
         let bytes = batch.push(encoding, message, |_| None);
         self.of.asked.note(message, bytes);
     }
 
-    /// Sends all that is urgent by a connection of its own, and hands on what is answered there. What it carries may be
-    /// carried twice: the robot knows it by its id.
+    /// Sends all urgent messages on a separate connection and forwards the answers from there. A message may be sent twice: the robot
+    /// recognizes it by its id.
     fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Outgoing>) {
         let mut batch = Batch::default();
         let encoding = self.encoding.current();
@@ -222,12 +222,12 @@ impl Peer {
         }
         let mut peer = self.clone();
         peer.sink.link = None;
-        // Ends when the robot closes, or when no request can be waiting for its answers any more.
+        // Ends when the robot closes the connection, or once no request can still be waiting for its answers.
         tokio::spawn(async move {
             let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.reach.connect(Purpose::Stop)).await;
             let Ok(Ok(((reader, mut writer), _))) = connected else { return };
             if let Err(error) = write_out(&mut writer, &batch).await {
-                return tracing::debug!("the stop that overtakes: {error}");
+                return tracing::debug!("the overtaking stop was not sent: {error}");
             }
             let _robot_closed = tokio::time::timeout(OVERTAKING_LISTENS, read(&peer, reader)).await;
         });

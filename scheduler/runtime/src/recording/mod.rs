@@ -1,5 +1,5 @@
-//! Everything that was said in a mission as an MCAP file, which Foxglove and others open: requests and responses, planned
-//! and reported values, clock offsets, decisions. All messages are JSON; `docs/recording.md` lists the topics.
+//! Records all messages of a mission in an MCAP file, which Foxglove and others can open: requests and responses, planned and reported
+//! values, clock offsets, decisions. All messages are JSON; `docs/recording.md` lists the topics.
 
 mod recorder;
 
@@ -29,21 +29,21 @@ pub use recorder::Recorder;
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the recording {}: {}", path.display(), why(path, error))]
 pub struct RecordingError {
-    /// Which file.
+    /// The recording's file.
     pub path: PathBuf,
-    /// The error of the MCAP writer, or of the system below it.
+    /// The error of the MCAP writer, or of the operating system below it.
     pub error: McapError,
 }
 
 impl RecordingError {
-    /// Why, without the file.
+    /// The reason, without the file.
     #[must_use]
     pub fn reason(&self) -> String {
         reason(&self.error)
     }
 }
 
-/// What the system refuses, and what to do.
+/// Returns the operating system's error and how to resolve it.
 fn why(path: &Path, error: &McapError) -> String {
     match error {
         McapError::Io(error) => Refusal::of(Attempt::Write(path), error).to_string(),
@@ -51,7 +51,7 @@ fn why(path: &Path, error: &McapError) -> String {
     }
 }
 
-/// What the system said, where it was the system.
+/// Returns the operating system's message, or that of the MCAP writer.
 fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(error) => error.to_string(),
@@ -59,7 +59,7 @@ fn reason(error: &McapError) -> String {
     }
 }
 
-/// How much of a mission may be missing in the file of a process that is killed.
+/// Maximum part of a mission, by time, that may be missing in the file if the process is killed.
 const FLUSH_EVERY: Span = Span::from_millis(1_000);
 
 /// A file that is being written.
@@ -68,9 +68,9 @@ pub struct Recording {
     writer: Writer<BufWriter<File>>,
     channels: HashMap<String, u16>,
     sequence: u32,
-    /// When what was written was last brought to the file.
+    /// When the written data was last flushed to the file.
     flushed: Timestamp<Server>,
-    /// The first failure: nothing is written after it.
+    /// The first failure. Nothing is written after it.
     failed: Option<McapError>,
 }
 
@@ -121,7 +121,7 @@ pub const VERSION_KEY: &str = "downbeat_version";
 /// A value of a script, at the time at which it is due.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlannedValue {
-    /// In the device's unit.
+    /// Unit: the device's unit.
     pub value: f64,
     /// The type of control.
     pub control_type: ControlType,
@@ -129,10 +129,10 @@ pub struct PlannedValue {
     pub request_id: Option<RequestId>,
 }
 
-/// A value that a robot reported of a device.
+/// A value that a robot reported for a device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReportedValue {
-    /// In the device's unit.
+    /// Unit: the device's unit.
     pub value: f64,
     /// `Provide` for the reading of a sensor.
     pub status: Status,
@@ -143,19 +143,19 @@ pub struct ReportedValue {
 /// A measurement of a robot's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockOffset {
-    /// Robot minus server.
+    /// Robot time minus server time.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// The round trip, without the robot's own time.
+    /// The round-trip time, without the robot's processing time.
     #[serde(rename = "delay_ms")]
     pub delay: Span,
 }
 
 impl Recording {
-    /// Begins a file.
+    /// Creates a file.
     ///
     /// # Errors
-    /// [`RecordingError`] when it cannot be written.
+    /// Returns [`RecordingError`] if the file cannot be written.
     pub fn create(path: &Path) -> Result<Self, RecordingError> {
         let open = || -> Result<_, McapError> {
             let file = BufWriter::new(File::create(path)?);
@@ -175,7 +175,7 @@ impl Recording {
         }
     }
 
-    /// A message left for a robot. The key of its session is left out.
+    /// Records a message sent to a robot. The key of its session is omitted.
     pub fn sent(&mut self, at: Timestamp<Server>, robot: &RobotId, message: Message) {
         let message = session::without_key(message);
         self.put(&format!("/robots/{robot}/requests"), Kind::Message, at, at, &message);
@@ -184,7 +184,7 @@ impl Recording {
         }
     }
 
-    /// The values of a script, each at the time at which it is due.
+    /// Records the values of a script, each at the time at which it is due.
     fn planned(&mut self, at: Timestamp<Server>, robot: &RobotId, request: &ControlRequest) {
         let (Command::Script(script), Some(start)) = (&request.command, request.starts_at()) else { return };
         let topic = format!("/robots/{robot}/{}/planned", request.device_id);
@@ -198,7 +198,7 @@ impl Recording {
         }
     }
 
-    /// A message came from a robot.
+    /// Records a message received from a robot.
     pub fn received(&mut self, at: Timestamp<Server>, robot: &RobotId, message: &Message) {
         self.put(&format!("/robots/{robot}/responses"), Kind::Message, at, at, message);
         match message {
@@ -215,7 +215,7 @@ impl Recording {
         }
     }
 
-    /// Records a clock sample from the times in an answer: the question was sent, was received, and was answered.
+    /// Records a clock sample from the times in an answer: when the question was sent, received and answered.
     fn clock(
         &mut self,
         at: Timestamp<Server>,
@@ -235,12 +235,12 @@ impl Recording {
         self.put(&format!("/robots/{robot}/{}/reported", response.device_id), Kind::Value, at, at, &value);
     }
 
-    /// The mission wrote something down.
+    /// Records an entry of the journal.
     pub fn record(&mut self, at: Timestamp<Server>, record: &Record) {
         self.put("/mission/decisions", Kind::Record, at, at, record);
     }
 
-    /// The operator was told something.
+    /// Records a progress report to the operator.
     pub fn progress(&mut self, at: Timestamp<Server>, progress: &Progress) {
         self.put("/mission/progress", Kind::Progress, at, at, progress);
     }
@@ -290,7 +290,7 @@ impl Recording {
             publish_time: nanos(published),
         };
         self.writer.write_to_known_channel(&header, &data)?;
-        // What a process that is killed leaves can be read but for the last second.
+        // If the process is killed, only the last second is missing in the file.
         if published - self.flushed >= FLUSH_EVERY {
             self.flushed = published;
             self.writer.flush()?;
@@ -301,7 +301,7 @@ impl Recording {
     /// Writes the end of the file.
     ///
     /// # Errors
-    /// [`RecordingError`], also for a failure on the way.
+    /// Returns [`RecordingError`], also for an earlier failure.
     pub fn finish(mut self) -> Result<(), RecordingError> {
         let failed = match self.failed.take() {
             Some(error) => Some(error),

@@ -1,4 +1,4 @@
-//! A recording on a thread of its own: the mission never waits for its disk, and a recording that fails, fails alone.
+//! A recording on its own thread: the mission never waits for its disk, and a failed recording does not affect the mission.
 
 use std::io;
 use std::path::PathBuf;
@@ -10,30 +10,30 @@ use tokio::sync::oneshot;
 use super::Recording;
 use downbeat_mission::report::Recorded;
 
-/// Notes that may wait for the disk; further ones are missing in the file.
+/// Maximum number of notes that may wait for the disk. Any more are missing in the file.
 const WAITING_MAX: usize = 65_536;
-/// So long the disk may take at the end of a mission.
+/// Maximum time for the disk at the end of a mission.
 const FINISH_MAX: Duration = Duration::from_secs(5);
 
-/// Something for the recording.
+/// An entry for the recording.
 type Note = Box<dyn FnOnce(&mut Recording) + Send>;
 
-/// Hands what is said to the thread that writes it.
+/// Sends the entries to the thread that writes them.
 #[derive(Debug)]
 pub struct Recorder {
     path: PathBuf,
     notes: SyncSender<Note>,
-    /// Notes that found no room.
+    /// Number of notes that did not fit into the queue.
     missing: u64,
-    /// What became of the file, once the thread has ended.
+    /// Receives the reason for a failure, if there was one, once the thread has ended.
     ended: oneshot::Receiver<Option<String>>,
 }
 
 impl Recorder {
-    /// Starts the thread. It ends when the recorder is dropped and everything is in the file.
+    /// Starts the thread. It ends once the recorder is dropped and everything is in the file.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// Fails if the operating system cannot start a thread.
     pub fn start(recording: Recording) -> io::Result<Self> {
         let path = recording.path.clone();
         let (notes, taken) = sync_channel::<Note>(WAITING_MAX);
@@ -48,14 +48,14 @@ impl Recorder {
         Ok(Self { path, notes, missing: 0, ended })
     }
 
-    /// Queues a note, without waiting.
+    /// Queues a note without waiting.
     pub fn note(&mut self, note: impl FnOnce(&mut Recording) + Send + 'static) {
         if self.notes.try_send(Box::new(note)).is_err() {
             self.missing += 1;
         }
     }
 
-    /// Waits until everything is in the file, 5 s at most.
+    /// Waits at most 5 s until everything is in the file.
     pub async fn finish(self) -> Recorded {
         drop(self.notes);
         let failure = match tokio::time::timeout(FINISH_MAX, self.ended).await {

@@ -1,12 +1,12 @@
-//! A mission's socket: other terminals say `go` or `stop` and hear what became of it. A line of text each way.
+//! A mission's socket, through which other terminals send `go` or `stop` and receive the result. Messages are lines of text.
 //!
-//! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
-//! or `home`, which sends robots to their default state, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
-//! by its report, a line of JSON, preceded by `superseded` if a later stop brought robots to rest in the other way. So a client
-//! knows within a second whether the mission listens.
+//! The mission sends `ready` on every connection. It answers `go`, or `go ACT`, with `started ACT` or `refused: REASON`. It answers
+//! `stop`, or `home`, which sends robots to their default state, with `heard` once it has taken the command. It then sends `alive` four
+//! times a second while it stops, and finally its report, a line of JSON. `superseded` precedes the report if a later stop brought the
+//! robots to rest in the other way. A client therefore knows within a second whether the mission listens.
 //!
-//! A mission with an identity says `ready NONCE`. Then a client that presents an identity of its own says so by a line ahead of its
-//! word, `as CERTIFICATE SIGNATURE`, and may do what its roles permit ([`super::desk`]); what they do not is answered by `refused: REASON`.
+//! A mission with an identity sends `ready NONCE`. A client with its own identity then sends the line `as CERTIFICATE SIGNATURE` before
+//! its command, and may do what its roles permit ([`super::desk`]). Anything else is answered with `refused: REASON`.
 
 use std::fs::Permissions;
 use std::io;
@@ -28,27 +28,27 @@ use crate::journal::private;
 use crate::stop_lane::{Operator, StopLane, Voice};
 use downbeat_mission::Rest;
 
-/// Longest word that is listened to, in bytes: a word and the name of an act.
+/// Maximum length of a line, in bytes: a command and the name of an act.
 const LINE_MAX: u64 = 4_096;
-/// The same with a certificate and a signature ahead of it.
+/// Maximum length, in bytes, with a certificate and a signature before the command.
 const PRESENTED_MAX: u64 = 16_384;
-/// After which connections are taken again where the system refused one.
+/// Pause before connections are accepted again after the system refused one.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
-/// A scheduler that is silent for this long does not listen.
+/// A scheduler that is silent for this long is considered unresponsive.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
-/// How often a mission that stops says that it is alive.
+/// Interval between `alive` messages while a mission stops.
 const ALIVE_EVERY: Duration = Duration::from_millis(250);
-/// If the loop of a stopping mission makes no progress for this long, the client gives it up and asks the robots itself.
+/// If the loop of a stopping mission makes no progress for this long, the client gives up and contacts the robots itself.
 const STANDS_STILL: Duration = Duration::from_secs(2);
-/// Interval between checks that the socket is still found under its name.
+/// Interval between checks that the socket can still be found under its name.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
-/// How often it is looked whether the mission has taken a word.
+/// Polling interval for whether the mission has taken a command.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
 
-/// Sent ahead of the report if a later stop of the operator brings robots to rest in the other way.
+/// Sent before the report if a later stop of the operator brings the robots to rest in the other way.
 const SUPERSEDED: &str = "superseded";
 
-/// The socket in a mission's folder.
+/// The path of the socket in a mission's folder.
 #[must_use]
 pub fn socket(folder: &Path) -> PathBuf {
     folder.join(SOCKET)
@@ -56,35 +56,35 @@ pub fn socket(folder: &Path) -> PathBuf {
 
 const SOCKET: &str = "control";
 
-/// Whether the other end of a connection is a process of this user, or of root.
+/// Whether the peer of a connection is a process of this user or of root.
 fn is_ours(stream: &UnixStream) -> bool {
     let own = rustix::process::geteuid().as_raw();
     stream.peer_cred().is_ok_and(|peer| peer.uid() == own || peer.uid() == 0)
 }
 
-/// Whether it is one of root, to a mission of another user.
+/// Whether the peer is a process of root, while the mission belongs to another user.
 fn is_root(stream: &UnixStream) -> bool {
     !rustix::process::geteuid().is_root() && stream.peer_cred().is_ok_and(|peer| peer.uid() == 0)
 }
 
-/// Listens for other terminals as long as a mission runs.
+/// Listens for other terminals while a mission runs.
 #[derive(Debug)]
 pub struct Control {
-    /// The task that accepts connections, and the task that keeps the socket under its name.
+    /// The task that accepts connections, and the task that checks the socket's name.
     listening: [AbortHandle; 2],
     report: watch::Sender<Option<String>>,
-    /// Closed once everybody has been told how it ended.
+    /// Closed once every client has received the result of its stop.
     told: mpsc::Receiver<()>,
 }
 
 impl Control {
-    /// Listens until [`Control::end`]. With a desk, operators that present themselves may do what their roles permit. If the
-    /// socket is removed or replaced, it is made again, together with its folder.
+    /// Listens until [`Control::end`]. With a desk, operators that present an identity may do what their roles permit. If the socket is
+    /// removed or replaced, it is created again, together with its folder.
     ///
     /// # Errors
-    /// The socket cannot be made, as where its path is too long.
+    /// Fails if the socket cannot be created, for example because its path is too long.
     pub fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> io::Result<Self> {
-        // In the lane: nothing that stands still elsewhere keeps a stop from being heard.
+        // In the lane, so that a stop is received even if everything else is blocked.
         let _in_the_lane = lane.runtime().enter();
         let voice = lane.voice();
         let (place, listener) = Place::bind(folder)?;
@@ -105,7 +105,7 @@ impl Control {
                     }
                 };
                 let Ok((stream, _)) = accepted else {
-                    // As where there are too many open files: it may be over soon.
+                    // For example, too many files are open. That may be temporary.
                     tokio::time::sleep(ACCEPT_AGAIN).await;
                     continue;
                 };
@@ -117,7 +117,7 @@ impl Control {
                 let desk = desk.clone().map(|desk| (desk, Challenge::new(&mission)));
                 let listener = Listener { writer, voice: voice.clone(), report: reported.clone(), desk, by };
                 let telling = telling.clone();
-                // Ends with the mission, or with the other process.
+                // Ends with the mission or with the client.
                 tokio::spawn(async move {
                     let _gone = listener.converse(reader).await;
                     drop(telling);
@@ -127,7 +127,7 @@ impl Control {
         Ok(Self { listening: [accepting.abort_handle(), keeping.abort_handle()], report, told })
     }
 
-    /// Tells every client that said stop how the mission ended, for at most a second.
+    /// Sends the mission's result to every client that requested a stop. Waits at most a second.
     pub async fn end(mut self, report: Option<String>) {
         let _nobody_waits = self.report.send(report);
         self.listening.iter().for_each(AbortHandle::abort);
@@ -136,7 +136,7 @@ impl Control {
     }
 }
 
-/// The name of a mission's socket, and the file that it leads to.
+/// The name of a mission's socket, and the file to which it refers.
 struct Place {
     folder: PathBuf,
     /// Device and inode.
@@ -146,17 +146,17 @@ struct Place {
 impl Place {
     fn bind(folder: &Path) -> io::Result<(Self, std::os::unix::net::UnixListener)> {
         let path = socket(folder);
-        // Left behind by a process that was killed: the process that holds the journal's lock owns the folder.
+        // A killed process may have left it. The process that holds the journal's lock owns the folder.
         let _absent = std::fs::remove_file(&path);
         let listener = std::os::unix::net::UnixListener::bind(&path)?;
-        // The folder is for this user alone, too.
+        // The folder is accessible to this user only, too.
         std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
         listener.set_nonblocking(true)?;
         let found = rustix::fs::lstat(&path)?;
         Ok((Self { folder: folder.to_path_buf(), file: (found.st_dev, found.st_ino) }, listener))
     }
 
-    /// Whether the name no longer leads to the file. If the check itself fails, the file counts as present.
+    /// Whether the name no longer refers to the file. If the check itself fails, the file is treated as present.
     fn is_gone(&self) -> bool {
         match rustix::fs::lstat(socket(&self.folder)) {
             Ok(found) => (found.st_dev, found.st_ino) != self.file,
@@ -164,7 +164,7 @@ impl Place {
         }
     }
 
-    /// Makes the socket again if it is gone, together with the folders that it needs.
+    /// Creates the socket again if it is gone, together with the folders that it needs.
     fn make_again(&mut self) -> io::Result<Option<std::os::unix::net::UnixListener>> {
         if !self.is_gone() {
             return Ok(None);
@@ -179,7 +179,7 @@ impl Place {
     }
 }
 
-/// Passes on each socket that had to be made again. Another thread accesses the disk, because the disk may stall.
+/// Sends each socket that had to be created again. Another thread accesses the disk, because the disk may stall.
 async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
     let mut before = None;
     loop {
@@ -193,7 +193,7 @@ async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
         match made.and_then(|made| made.map(UnixListener::from_std).transpose()) {
             Ok(None) => {}
             Ok(Some(listener)) => {
-                tracing::warn!("the mission's socket was removed or replaced, and is made again");
+                tracing::warn!("the mission's socket was removed or replaced and has been restored");
                 if made_again.send(listener).await.is_err() {
                     return;
                 }
@@ -202,7 +202,7 @@ async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
                 let reason = error.to_string();
                 if before.as_ref() != Some(&reason) {
                     tracing::warn!(
-                        "the mission's socket was removed or replaced, and cannot be made again, so `downbeat stop` does not reach this mission: {reason}"
+                        "the mission's socket was removed or replaced and cannot be restored, so `downbeat stop` does not reach this mission: {reason}"
                     );
                 }
                 before = Some(reason);
@@ -216,9 +216,9 @@ struct Listener {
     writer: OwnedWriteHalf,
     voice: Voice,
     report: watch::Receiver<Option<String>>,
-    /// Checks who presents itself, and what it has to sign.
+    /// Verifies the identity that the client presents, with the challenge that it must sign.
     desk: Option<(Arc<Desk>, Challenge)>,
-    /// Who speaks, where that is another than who began the mission.
+    /// The operator at the other end, if it is not the one who began the mission.
     by: Option<String>,
 }
 
@@ -286,9 +286,9 @@ impl Listener {
                     }
                     return self.say(&report).await;
                 }
-                // The mission ended without one.
+                // The mission ended without a report.
                 Ok(None) => return Ok(()),
-                // Robots are asked again at least once a second.
+                // Robots are asked again at least once a second, so the loop must turn.
                 Err(_) if still >= STANDS_STILL => return Ok(()),
                 Err(_) => {
                     let now = self.voice.turns();
@@ -301,19 +301,19 @@ impl Listener {
     }
 }
 
-/// A scheduler did not do what it was told.
+/// A scheduler did not execute a command.
 #[derive(Debug, thiserror::Error)]
 pub enum Unheard {
     /// No process listens.
-    #[error("no process listens at its socket: {0}")]
+    #[error("no process listens on its socket: {0}")]
     NobodyListens(#[from] io::Error),
-    /// It is silent.
-    #[error("it does not answer within 1 s")]
+    /// The scheduler is silent.
+    #[error("no answer within 1 s")]
     Silent,
-    /// It hung up without an answer.
+    /// The scheduler closed the connection without an answer.
     #[error("it ended without an answer")]
     Ended,
-    /// It does not let this operator do that.
+    /// The scheduler does not permit this operator to do that.
     #[error("refused: {0}")]
     Refused(String),
 }
@@ -323,21 +323,21 @@ fn mission_of(folder: &Path) -> String {
     folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Lets the act begin that waits for the operator, of this name if one is given. Returns the name of the act, or why the go
-/// counts for none.
+/// Begins the act that waits for the operator; `act` must match its name if given. Returns the name of the act, or the reason why none
+/// begins.
 ///
 /// # Errors
-/// [`Unheard`]; nothing begins then, unless the scheduler fell silent in the middle of it.
+/// Returns [`Unheard`]. Nothing begins then, unless the scheduler became silent during the exchange.
 pub async fn go(
     folder: &Path,
     act: Option<&str>,
     presented: Option<&Presented>,
 ) -> Result<Result<String, String>, Unheard> {
     if act.is_some_and(|act| act.contains(['\n', '\r']) || act.len() as u64 > LINE_MAX / 2) {
-        return Ok(Err("no act has such a name".to_owned()));
+        return Ok(Err("invalid name of an act: too long, or with a line break".to_owned()));
     }
     let mut speaker = Speaker::to(folder).await?;
-    // A go that a scheduler finds when it wakes up from standing still would come at any time.
+    // Wait for `ready` first: a scheduler that is suspended would otherwise find the go later and begin the act at any time.
     let ready = speaker.hear().await?;
     let word = format!("go {}", act.unwrap_or_default());
     speaker.present(folder, &ready, presented, word.trim()).await?;
@@ -352,16 +352,16 @@ pub async fn go(
 /// How a mission ended after a stop was requested.
 #[derive(Clone, Debug)]
 pub struct Ending {
-    /// Its report, a line of JSON.
+    /// The mission's report, a line of JSON.
     pub report: String,
     /// Whether a later stop of the operator replaced this one.
     pub superseded: bool,
 }
 
-/// Stops a mission. Waits for its end, and returns how it ended.
+/// Stops a mission, waits for its end and returns the result.
 ///
 /// # Errors
-/// [`Unheard`], as soon as it is silent for 1 s. What was said to it may still count then.
+/// Returns [`Unheard`] as soon as the mission is silent for 1 s. The stop may still take effect then.
 pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<Ending, Unheard> {
     let mut speaker = Speaker::to(folder).await?;
     let mut superseded = false;
@@ -369,7 +369,7 @@ pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> R
         Rest::InPlace => "stop",
         Rest::Home => "home",
     };
-    // Who presents nothing waits for nothing.
+    // Without an identity to present, there is no need to wait for `ready`.
     if presented.is_some() {
         let ready = speaker.hear().await?;
         speaker.present(folder, &ready, presented, word).await?;
@@ -387,7 +387,7 @@ pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> R
     }
 }
 
-/// Another terminal's end of a connection.
+/// The client's end of a connection.
 struct Speaker {
     reader: BufReader<OwnedReadHalf>,
     writer: OwnedWriteHalf,
@@ -398,13 +398,13 @@ impl Speaker {
         let stream = UnixStream::connect(private::socket(folder, SOCKET)?);
         let stream = timeout(SILENCE_MAX, stream).await.map_err(|_| Unheard::Silent)??;
         if !is_ours(&stream) {
-            return Err(io::Error::other("the process that listens there is of another user").into());
+            return Err(io::Error::other("the listening process belongs to another user").into());
         }
         let (reader, writer) = stream.into_split();
         Ok(Self { reader: BufReader::new(reader), writer })
     }
 
-    /// Says who speaks, to a mission that asks for that.
+    /// Presents the identity to a mission that asks for it.
     async fn present(
         &mut self,
         folder: &Path,
@@ -416,9 +416,9 @@ impl Speaker {
         match presented.signed(&Challenge::of(&mission_of(folder), nonce), word) {
             Ok(signed) => self.say(&format!("as {signed}")).await,
             Err(error) if word.starts_with("go") => Err(Unheard::Refused(error)),
-            // A stop waits for no key.
+            // A stop does not depend on a key.
             Err(error) => {
-                tracing::warn!("the stop is said without a name: {error}");
+                tracing::warn!("the stop is sent without an identity: {error}");
                 Ok(())
             }
         }

@@ -1,8 +1,8 @@
-//! Who says `go` and `stop` at a mission's socket, where several operators share a computer: an operator presents its certificate and
-//! signs what it says, and its roles decide.
+//! Decides who may send `go` and `stop` to a mission's socket if several operators share a computer. An operator presents its certificate
+//! and signs its command, and its roles decide.
 //!
-//! This keeps accounts; it is no wall. A process of the mission's user, or of root, can end the mission by other means, and counts as the
-//! mission's own operator where it presents nothing: a stop never waits for a key.
+//! This serves accountability, not security. A process of the mission's user, or of root, can end the mission by other means. Without an
+//! identity, it is treated as the mission's own operator: a stop never waits for a key.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -11,10 +11,10 @@ use downbeat_robot::tls::{Credentials, Name, Revoked, Signed, Witness};
 
 use crate::journal::OpenedKeys;
 
-/// Random bytes of a challenge.
+/// Number of random bytes in a challenge.
 const NONCE_BYTES: usize = 32;
 
-/// What an operator signs together with its word: it counts for one connection of one mission.
+/// The challenge that an operator signs together with its command. It is valid for one connection of one mission.
 #[derive(Clone, Debug)]
 pub struct Challenge {
     mission: String,
@@ -22,7 +22,7 @@ pub struct Challenge {
 }
 
 impl Challenge {
-    /// For a connection of this mission. Where the system has no random bits nothing that is signed counts.
+    /// Creates the challenge for a connection of this mission. If the system has no random bits, no signature is accepted.
     pub(super) fn new(mission: &str) -> Self {
         let mut bytes = [0; NONCE_BYTES];
         let nonce = match getrandom::fill(&mut bytes) {
@@ -32,7 +32,7 @@ impl Challenge {
         Self { mission: mission.to_owned(), nonce }
     }
 
-    /// As the mission has told it.
+    /// Creates the challenge from the nonce that the mission sent.
     pub(super) fn of(mission: &str, nonce: &str) -> Self {
         Self { mission: mission.to_owned(), nonce: nonce.to_owned() }
     }
@@ -41,41 +41,42 @@ impl Challenge {
         &self.nonce
     }
 
-    /// Nothing else that a key signs begins like this.
+    /// No other statement signed by a key has this prefix.
     fn statement(&self, word: &str) -> Vec<u8> {
         format!("downbeat control\0{}\0{}\0{word}", self.mission, self.nonce).into_bytes()
     }
 }
 
-/// The identity that a terminal presents.
+/// The identity that a client presents.
 #[derive(Debug)]
 pub struct Presented(Credentials);
 
 impl Presented {
-    /// That of an identity file.
+    /// Presents the identity from an identity file.
     #[must_use]
     pub const fn new(credentials: Credentials) -> Self {
         Self(credentials)
     }
 
-    /// The certificate and the signature, as a line has them.
+    /// Returns the certificate and the signature in the format of the line.
     pub(super) fn signed(&self, challenge: &Challenge, word: &str) -> Result<String, String> {
         let Signed { certificate, signature } = self.0.sign(&challenge.statement(word))?;
         Ok(format!("{} {}", STANDARD.encode(certificate), STANDARD.encode(signature)))
     }
 }
 
-/// Decides who may say what to a mission that has an identity.
+/// Decides which commands an operator may send to a mission that has an identity.
 #[derive(Debug)]
 pub struct Desk {
     witness: Witness,
 }
 
 impl Desk {
-    /// For the operator that began the mission; `None` without an identity: then there is no authority that could tell.
+    /// Creates the desk of the operator that began the mission. Returns `None` without an identity, because there is no authority to
+    /// verify others.
     ///
     /// # Errors
-    /// The files cannot be used, as a sentence.
+    /// Returns the reason why the files cannot be used, as a sentence.
     pub fn of(keys: &OpenedKeys) -> Result<Option<Self>, String> {
         let Some(identity) = &keys.identity else { return Ok(None) };
         let own = Credentials::read(identity).map_err(|error| error.to_string())?;
@@ -84,23 +85,23 @@ impl Desk {
         Ok(Some(Self { witness: Witness::new(own, revoked)? }))
     }
 
-    /// Who says this word; `None`: the operator that began the mission, which may say all.
+    /// Returns the operator that sends this command. `None` stands for the operator that began the mission, who may send any command.
     ///
     /// # Errors
-    /// Why it may not, as a sentence.
+    /// Returns the reason for a refusal, as a sentence.
     pub(super) fn admits(
         &self,
         challenge: &Challenge,
         presented: &str,
         word: &str,
     ) -> Result<Option<String>, String> {
-        let unreadable = || "what it presents cannot be read".to_owned();
+        let unreadable = || "the presented identity cannot be read".to_owned();
         let is_stop = word == "stop";
         if challenge.nonce.is_empty() && is_stop {
             return Ok(None);
         }
         if challenge.nonce.is_empty() {
-            return Err("this machine has no random bits to sign".to_owned());
+            return Err("this machine has no random bits for a signature".to_owned());
         }
         let (certificate, signature) = presented.split_once(' ').ok_or_else(unreadable)?;
         let decode = |text: &str| STANDARD.decode(text).map_err(|_| unreadable());
@@ -112,12 +113,12 @@ impl Desk {
         }
         let (takes, role) = match word {
             "stop" => ("a stop", Role::Stop),
-            "home" => ("the way home", Role::Drive),
+            "home" => ("the move to the default positions", Role::Drive),
             _ => ("a go", Role::Drive),
         };
         if !identity.roles.has(role) {
             let roles = identity.roles.to_string();
-            return Err(format!("{} may {roles}, and {takes} takes {role}", identity.name));
+            return Err(format!("{} may {roles}, but {takes} requires the role {role}", identity.name));
         }
         Ok(Some(identity.name.to_string()))
     }

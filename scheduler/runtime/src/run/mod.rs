@@ -19,18 +19,18 @@ use downbeat_mission::drive::drive;
 use downbeat_mission::report::Report;
 use downbeat_mission::{Mission, Progress};
 
-/// What goes with a mission.
+/// The additional resources of a mission, which it returns at its end.
 #[derive(Debug, Default)]
 pub struct Keep {
-    /// What was promised to which robot.
+    /// The promises to robots.
     pub journal: Option<Journal>,
-    /// Everything that was said.
+    /// All messages and decisions.
     pub recording: Option<Recorder>,
     /// Follows NTP while the mission continues.
     pub ntp: Option<NtpWatch>,
-    /// Stops the robots whatever else stands still.
+    /// Stops the robots even if everything else is blocked.
     pub stop_lane: Option<StopLane>,
-    /// Who watches it.
+    /// The watchers, for example for metrics and traces.
     pub watches: Watches,
 }
 
@@ -46,7 +46,7 @@ pub async fn run(
     run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await
 }
 
-/// As [`run`], with a journal or a recording.
+/// Same as [`run`], with the resources in `keep`, such as a journal or a recording.
 pub async fn run_and_keep(
     mut mission: Mission,
     endpoints: Vec<Endpoint>,
@@ -66,6 +66,6 @@ pub async fn run_and_keep(
     let report = drive(&mut mission, &mut world).await;
     *keep = world.finish().await;
     keep.watches.each(|watch| watch.ended(clock.now(), &mission));
-    // A real process that is killed does not come here.
+    // A real process that is killed does not get here.
     report.unwrap_or_else(|| Report::as_left(&mut mission, clock.now()))
 }

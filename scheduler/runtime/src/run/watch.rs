@@ -1,5 +1,5 @@
-//! Those who watch a mission from outside, as metrics and traces do. They are told in the mission's own loop, so nothing that they do
-//! there may wait: they write numbers, or hand what they hear to a thread of theirs.
+//! Watchers of a mission, for example for metrics and traces. They are called in the mission's own loop, so they must not block: they
+//! write numbers, or send data to a thread of their own.
 
 use std::fmt::Debug;
 
@@ -9,31 +9,31 @@ use downbeat_mission::{Mission, Progress};
 
 /// A watcher.
 pub trait Watch: Debug + Send {
-    /// What the operator is told as well.
+    /// Called for each progress report to the operator.
     fn told(&mut self, at: Timestamp<Server>, progress: &Progress);
 
-    /// The loop turns once more.
+    /// Called for each turn of the loop.
     fn turned(&mut self, _now: Timestamp<Server>, _mission: &Mission) {}
 
-    /// When the loop is to turn at the latest, also if nothing happens.
+    /// The latest time of the loop's next turn, even if nothing happens.
     fn turns_by(&self) -> Option<Timestamp<Server>> {
         None
     }
 
-    /// The loop has woken so long after it was due.
+    /// Called when the loop has woken up, with the delay after its due time.
     fn woke(&mut self, _late: Span) {}
 
-    /// A durable record is handed to the journal.
+    /// Called when a durable record is sent to the journal.
     fn filed(&mut self, _at: Timestamp<Server>) {}
 
-    /// So many durable records are on the disk.
+    /// Called when durable records have reached the disk, with their total number.
     fn recorded(&mut self, _at: Timestamp<Server>, _count: u64) {}
 
-    /// The mission is over.
+    /// Called when the mission is over.
     fn ended(&mut self, _now: Timestamp<Server>, _mission: &Mission) {}
 }
 
-/// All of them.
+/// All watchers of a mission.
 #[derive(Debug, Default)]
 pub struct Watches(Vec<Box<dyn Watch>>);
 

@@ -1,4 +1,4 @@
-//! The real world of a mission: tokio's links and timers, the journal's thread, the recording's file.
+//! The real environment of a mission: tokio's links and timers, the journal's thread, the recording's file.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,23 +18,23 @@ use downbeat_mission::clock::NtpState;
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use downbeat_mission::{Event, Mission, Progress, Record};
 
-/// Events that may wait for the mission; links wait beyond that.
+/// Maximum number of events that may wait for the mission. Beyond that, links wait.
 const EVENTS_MAX: usize = 65_536;
 
-/// Scripts of another process that one device is expected to tell of at most, beyond what a link takes unasked.
+/// Maximum number of scripts from another process on which one device is expected to report, beyond the link's reserve.
 const SCRIPTS_HELD: usize = 16;
 
 pub(super) struct RealWorld<T> {
     clock: ServerClock,
     endpoints: Vec<Endpoint>,
-    /// What the links to each robot have in common.
+    /// State shared by all links to each robot.
     of_robots: Vec<OfRobot>,
     ids: Arc<[RobotId]>,
     links: Vec<Option<Link>>,
     events: mpsc::Sender<Waiting>,
     happened: mpsc::Receiver<Waiting>,
     operator: mpsc::Receiver<Operator>,
-    /// Who waits for the answer to a go, the oldest first.
+    /// The pending answers to a go, oldest first.
     unanswered: VecDeque<oneshot::Sender<Result<String, String>>>,
     ntp: Option<NtpWatch>,
     tell: T,
@@ -47,7 +47,7 @@ pub(super) struct RealWorld<T> {
 enum FileJournal {
     None,
     Written(Writer),
-    /// Its thread cannot start.
+    /// The journal's thread could not be started.
     Lost(String),
 }
 
@@ -88,7 +88,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
     }
 
-    /// Lets go of the links, gives their tasks a moment to write what is queued, and waits for the disk.
+    /// Drops the links, gives their tasks a moment to write queued messages, and waits for the disk.
     pub(super) async fn finish(self) -> Keep {
         if let Some(lane) = &self.stop_lane {
             lane.let_go();
@@ -121,7 +121,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
     }
 
-    /// What happens next until then, in the order that every world keeps to.
+    /// Returns the next event before `until`, in the order of precedence that every world keeps.
     async fn happens(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
         tokio::select! {
             biased;
@@ -211,8 +211,8 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         if self.stop_lane.as_ref().is_some_and(|lane| lane.passes(robot, &message) == Passage::Closed) {
             return Ok(());
         }
-        // Taken before: the link may have sent it long before a busy machine runs this again, which would look
-        // like an error of the robot's clock in the recording.
+        // Taken before the send: on a busy machine, the link may send the message long before this code continues. In the recording, that
+        // would look like an error of the robot's clock.
         let copy = self.recording.is_some().then(|| (self.clock.now(), message.clone()));
         link.send(message, urgency)?;
         if let Some((at, message)) = copy {
@@ -260,7 +260,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 }
 
-/// A robot may still tell what becomes of scripts that another process has sent to some of its devices.
+/// A robot may still report on scripts that another process has sent to some of its devices.
 fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
     let of = |(robot, shared): (usize, SharedScripts)| {
         let asked = Asked::default();
@@ -286,7 +286,7 @@ async fn next_state(ntp: &mut Option<NtpWatch>) -> NtpState {
 
 async fn wait_until(clock: ServerClock, until: Option<Timestamp<Server>>) {
     match until {
-        // A timer that is due already would still take until the runtime's next millisecond.
+        // Even a timer that is already due would take until the runtime's next millisecond.
         Some(at) if at <= clock.now() => {}
         Some(at) => tokio::time::sleep_until(tokio::time::Instant::from_std(clock.instant_of(at))).await,
         None => std::future::pending().await,

@@ -1,4 +1,4 @@
-//! A connection of the lane with one robot, kept for a stop.
+//! A connection of the lane to one robot, kept open for a stop.
 
 use std::io;
 use std::net::SocketAddr;
@@ -16,19 +16,19 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::session;
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// How often a connection that is kept is asked for a sign of life: well within the 30 s after which robots let go of a
-/// silent one where others wait.
+/// Interval between requests that check an idle connection. It is well within 30 s: after that, a robot closes a silent connection if
+/// others wait.
 const ASK_EVERY: Duration = Duration::from_secs(10);
-/// How long the answer may take.
+/// Maximum time for the answer to such a request.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(3);
 
-/// A way to a robot.
+/// A connection to a robot.
 pub(super) enum Connection {
     InProcess(RobotLink),
     Bytes(Box<Bytes>),
 }
 
-/// A stream of bytes, over TCP or through a network.
+/// A byte stream, over TCP or through a Zenoh network.
 pub(super) struct Bytes {
     reader: ReadEnd,
     writer: WriteEnd,
@@ -38,12 +38,12 @@ pub(super) struct Bytes {
     clock: ServerClock,
     asked: Asked,
     budget: Budget,
-    /// Something was written in part, so that what follows would not be understood.
+    /// Whether the last message was written only in part, so that the robot could not decode further ones.
     torn: bool,
 }
 
 impl Connection {
-    /// Connects. `known` is the robot's address, once it has been resolved: a stop must not wait for a name server.
+    /// Connects. `known` is the robot's resolved address: a stop must not wait for a name server.
     pub(super) async fn open(
         endpoint: &Endpoint,
         (clock, asked): (ServerClock, &Asked),
@@ -51,7 +51,7 @@ impl Connection {
     ) -> io::Result<Self> {
         match endpoint {
             Endpoint::InProcess { host, index } => {
-                let gone = || io::Error::other("the robot in this process is gone");
+                let gone = || io::Error::other("the robot in this process has ended");
                 host.connect(*index).map(Self::InProcess).ok_or_else(gone)
             }
             Endpoint::Tcp { host, port, encoding, security } => {
@@ -94,7 +94,7 @@ impl Connection {
         }))
     }
 
-    /// Writes all of them at once.
+    /// Sends all messages in one write.
     pub(super) async fn send(&mut self, messages: impl Iterator<Item = &Message>) -> io::Result<()> {
         match self {
             Self::InProcess(link) => {
@@ -105,7 +105,7 @@ impl Connection {
         }
     }
 
-    /// What the robot says next; `None` once the connection has ended.
+    /// Returns the robot's next message, or `None` once the connection has ended.
     pub(super) async fn next(&mut self) -> Option<Message> {
         match self {
             Self::InProcess(link) => match link.recv().await? {
@@ -116,9 +116,9 @@ impl Connection {
         }
     }
 
-    /// Asks for signs of life until there is none.
+    /// Sends requests at regular intervals until one is not answered or the connection ends.
     pub(super) async fn stay(&mut self) {
-        // Without a session it claims nothing and renews no lease.
+        // Without a session, the request claims nothing and renews no lease.
         let ask = Message::AvailabilityRequest(AvailabilityRequest {
             timestamp: None,
             session: None,
@@ -130,7 +130,7 @@ impl Connection {
             if !matches!(tokio::time::timeout(ANSWERS_WITHIN, answered).await, Ok(true)) {
                 return;
             }
-            // What it says meanwhile is not asked for.
+            // Messages in the meantime are discarded.
             let ended = async { while self.next().await.is_some() {} };
             if tokio::time::timeout(ASK_EVERY, ended).await.is_ok() {
                 return;
@@ -142,7 +142,7 @@ impl Connection {
 impl Bytes {
     async fn send(&mut self, messages: impl Iterator<Item = &Message>) -> io::Result<()> {
         if std::mem::replace(&mut self.torn, true) {
-            return Err(io::Error::other("the last message was written in part"));
+            return Err(io::Error::other("the last message was sent only in part"));
         }
         let mut bytes = Vec::new();
         for message in messages {
@@ -156,8 +156,8 @@ impl Bytes {
         Ok(())
     }
 
-    /// The next message; `None` once the connection has ended, or is to be ended because the robot says more than it was asked
-    /// for.
+    /// Returns the next message. Returns `None` once the connection has ended, or if the robot sends more than requested and the
+    /// connection must be closed.
     async fn next(&mut self) -> Option<Message> {
         loop {
             let decoded = self.decoder.next_message();
@@ -169,7 +169,7 @@ impl Bytes {
                 Some(Ok(message)) => return Some(session::told_without_keys(message)),
                 Some(Err(error)) => tracing::debug!("on the connection for stops: {error}"),
                 None => {
-                    // However much one robot says, the others have their turn.
+                    // A robot that sends a lot must not starve the others.
                     tokio::task::yield_now().await;
                     match self.reader.read(&mut self.bytes).await {
                         Ok(0) | Err(_) => return None,

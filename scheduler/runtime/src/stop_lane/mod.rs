@@ -1,10 +1,10 @@
-//! The stop lane: a thread with a runtime of its own that stops the robots when the operator says so, whatever else has come
-//! to a standstill in this process: the mission's loop, the terminal, the disk, the other links.
+//! The stop lane: a thread with its own runtime that stops the robots on the operator's command, even if everything else in this process
+//! is blocked: the mission's loop, the terminal, the disk, the other links.
 //!
-//! It keeps a connection to every robot, knows which of their devices were sent anything (`sent.rs`), and sends nothing but
-//! stops. It hears the signals and the mission's socket (`words.rs`), stops the robots first and hands the word on to the
-//! mission, which stops them in its own way: it asks for confirmations, decides and reports. Once the operator has said stop,
-//! nothing that moves leaves this process, except the way home if the operator requests it.
+//! The lane keeps a connection to every robot, tracks which of its devices were sent commands (`sent.rs`), and sends only stops. It
+//! receives the signals and the commands from the mission's socket (`words.rs`). It stops the robots first and then forwards the command
+//! to the mission. The mission stops them in its own way: it requests confirmations, decides and reports. After a stop command, no
+//! message that moves a robot leaves this process, except the way home if the operator requests it.
 
 mod connection;
 mod sent;
@@ -28,49 +28,49 @@ use crate::server_clock::ServerClock;
 pub use crate::signals::OnHangUp;
 use downbeat_mission::Rest;
 
-/// Words that may wait for the mission.
+/// Maximum number of the operator's commands that may wait for the mission.
 const WORDS_MAX: usize = 64;
 
-/// Whether the operator has said stop.
+/// Whether the operator has requested a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Alarm {
     Quiet,
-    /// It is said; the latest word says how the robots come to rest.
+    /// A stop was requested. The latest command determines how the robots come to rest.
     Ringing(Rest),
     /// The operator's latest command was home. All robots rest, and the mission moves them to their default positions.
     GoingHome,
 }
 
-/// What an earlier process of the mission has moved.
+/// The devices that an earlier process of the mission has moved.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Before {
-    /// As the robots know it.
+    /// The session as the robots know it.
     pub(crate) session: Option<SessionId>,
-    /// The devices of each robot, by its index.
+    /// The moved devices of each robot, by its index.
     pub(crate) devices: Vec<BTreeSet<DeviceId>>,
 }
 
-/// The mission's end of the lane. When it is dropped the robots are let go; signals are heard to the end of the process.
+/// The mission's handle to the lane. When it is dropped, the robots are released. Signals are handled until the process ends.
 #[derive(Debug)]
 pub struct StopLane {
     runtime: Handle,
     voice: Voice,
     alarm: watch::Receiver<Alarm>,
     robots: Vec<Book>,
-    /// The robots' tasks end with it.
+    /// The robots' tasks end when this is dropped.
     over: watch::Sender<()>,
 }
 
 impl StopLane {
-    /// Starts the thread, which hears the signals from now on. Also returns what the operator says, for the mission.
+    /// Starts the thread, which handles the signals after that. Also returns the receiver of the operator's commands, for the mission.
     ///
     /// # Errors
-    /// The system gives no thread, no runtime or no signal handlers.
+    /// Fails if the operating system cannot provide a thread, a runtime or signal handlers.
     pub fn start(on_hang_up: OnHangUp) -> io::Result<(Self, mpsc::Receiver<Operator>)> {
         Self::hearing(Some(on_hang_up))
     }
 
-    /// The same for a mission that moves nothing: the lane hears no signals, so that one of them ends the process.
+    /// Same as [`start`](Self::start), but for a mission that moves nothing: the lane handles no signals, so a signal ends the process.
     ///
     /// # Errors
     /// Same as [`start`](Self::start), except for signal handlers.
@@ -84,7 +84,7 @@ impl StopLane {
         let voice = Voice::new(mission, ring);
         let of_signals = voice.clone();
         let (ready, started) = sync_channel(1);
-        // Ends with the process: signals have to be heard as long as it lives.
+        // This thread ends with the process, because signals must be handled until then.
         std::thread::Builder::new().name("stop-lane".to_owned()).spawn(move || {
             let runtime = match Builder::new_current_thread().enable_all().build() {
                 Ok(runtime) => runtime,
@@ -110,13 +110,13 @@ impl StopLane {
         Ok((Self { runtime, voice, alarm, robots, over }, operator))
     }
 
-    /// By which others speak for the operator.
+    /// Returns a handle through which others can send commands as the operator.
     #[must_use]
     pub fn voice(&self) -> Voice {
         self.voice.clone()
     }
 
-    /// The runtime of the lane, for what has to hear a stop whatever else stands still.
+    /// The runtime of the lane, for tasks that must receive a stop even if everything else is blocked.
     #[must_use]
     pub const fn runtime(&self) -> &Handle {
         &self.runtime
@@ -133,8 +133,8 @@ impl StopLane {
         }
     }
 
-    /// Takes the mission's robots into its care, in their order. `before` is what another process has moved of them under this
-    /// session. What they answer to stops goes to `events`.
+    /// Starts guarding the mission's robots, in their order. `before` lists the devices that another process has moved in this session.
+    /// The robots' answers to stops are sent to `events`.
     pub(crate) fn guard(
         &mut self,
         endpoints: &[Endpoint],
@@ -157,7 +157,7 @@ impl StopLane {
             let mut over = self.over.subscribe();
             self.runtime.spawn(async move {
                 tokio::select! {
-                    // The mission's end has been dropped.
+                    // The mission's handle has been dropped.
                     _ = over.changed() => {}
                     () = guard.keep() => {}
                 }
@@ -166,37 +166,38 @@ impl StopLane {
         }
     }
 
-    /// The mission is over: what it leaves as it is stays so, also if the operator says stop now.
+    /// Ends the lane's work when the mission is over. The robots stay as the mission leaves them, even if the operator then requests a
+    /// stop.
     pub(crate) fn let_go(&self) {
         self.voice.ended();
         self.over.send_replace(());
     }
 
-    /// The mission's loop continues.
+    /// Records that the mission's loop continues.
     pub(crate) fn turned(&self) {
         self.voice.turned();
     }
 
-    /// Lets the way home pass, unless the operator has stopped the mission in another way meanwhile.
+    /// Permits the way home, unless the operator has requested another kind of stop meanwhile.
     pub(crate) fn goes_home(&self) {
         self.voice.goes_home();
     }
 
-    /// The mission has made a link to a robot.
+    /// Registers a link that the mission has made to a robot.
     pub(crate) fn links(&self, robot: usize, link: &Link) {
         self.robots[robot].links(link);
     }
 
-    /// A link of the mission stands, so the robot can be reached.
+    /// Records that a link of the mission is up, so the robot can be reached.
     pub(crate) fn reached(&self, robot: usize) {
         self.robots[robot].reached();
     }
 
-    /// Notes what the mission is about to send, and says whether it may.
+    /// Notes the message that the mission is about to send, and returns whether it may be sent.
     pub(crate) fn passes(&self, robot: usize, message: &Message) -> Passage {
         match self.robots[robot].note(message) {
             sent::Moves::Nothing => Passage::Open,
-            // It is noted first and looked second: either the lane knows of it, or it is not sent.
+            // Noted first, checked second: either the lane knows of the message, or it is not sent.
             sent::Moves::Devices if matches!(*self.alarm.borrow(), Alarm::Ringing(_)) => Passage::Closed,
             sent::Moves::Devices => Passage::Open,
         }

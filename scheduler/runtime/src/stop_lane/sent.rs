@@ -1,5 +1,5 @@
-//! What the mission has sent a robot, as far as a stop has to know it. The mission's loop writes it, the lane reads the
-//! latest; neither waits for the other.
+//! The messages that the mission has sent to a robot, as far as a stop needs them. The mission's loop writes this record and the lane
+//! reads the latest state. Neither waits for the other.
 
 use std::collections::BTreeSet;
 
@@ -9,45 +9,45 @@ use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Serve
 use crate::link::{Link, Outgoing};
 use downbeat_mission::session;
 
-/// What a robot was sent.
+/// The messages sent to a robot, as far as a stop needs them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sent {
-    /// Devices that were sent anything that moves.
+    /// Devices that were sent a command that moves them.
     devices: BTreeSet<DeviceId>,
-    /// The latest timestamp of a request, by the robot's own clock where that is not the server's: a stop takes back all up
-    /// to it that arrives later.
+    /// The latest timestamp of a request, in the robot's own clock if that differs from the server's. A stop also cancels requests up to
+    /// this timestamp that arrive later.
     latest: Option<Timestamp<Server>>,
-    /// As the robot knows it.
+    /// The session as the robot knows it.
     session: Option<SessionId>,
     /// The mission's own link, for messages that overtake.
     pub(super) link: Option<mpsc::UnboundedSender<Outgoing>>,
-    /// A link has stood.
+    /// Whether a link has ever been up.
     pub(super) reached: bool,
 }
 
 impl Sent {
-    /// The devices of a mission that another process began.
+    /// Creates the record for a mission that another process began.
     pub(super) fn before(devices: &BTreeSet<DeviceId>, session: Option<SessionId>) -> Self {
         Self { devices: devices.clone(), session, ..Self::default() }
     }
 }
 
-/// Whether a message may leave.
+/// Whether a message may be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Passage {
     Open,
-    /// The operator has said stop.
+    /// The operator has requested a stop.
     Closed,
 }
 
-/// What a message moves.
+/// Whether a message moves devices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Moves {
     Nothing,
     Devices,
 }
 
-/// The writing end.
+/// The writing end of [`Sent`].
 #[derive(Debug)]
 pub(super) struct Book(watch::Sender<Sent>);
 
@@ -56,7 +56,6 @@ impl Book {
         Self(sent)
     }
 
-    /// Notes a message that is about to be sent.
     pub(super) fn note(&self, message: &Message) -> Moves {
         let Message::ControlRequest(request) = message else { return Moves::Nothing };
         match &request.command {
@@ -85,14 +84,14 @@ impl Sent {
         self.session.clone_from(&request.session);
     }
 
-    /// A stop for each device that was sent anything, each with its own name. Devices come to rest where they are, even if the
-    /// mission moves them home afterwards.
+    /// Returns a stop for each device that was sent a command, each with its own request id. Devices come to rest where they are, even if
+    /// the mission moves them home afterwards.
     pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
         let name = |session: &SessionId| format!("{}/", session::name_of(session));
         let session = self.session.as_ref().map(name).unwrap_or_default();
         let stop = |(index, device): (usize, &DeviceId)| {
             let name = format!("{session}stop/{}/lane/{robot}/{index}", now.as_nanos() / 1_000);
-            // Sessions are named by this program, far below the limit.
+            // This program names the sessions, with lengths far below the limit.
             let id = RequestId::new(name).ok()?;
             let mut request = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
             request.request_id = Some(id.clone());

@@ -1,5 +1,4 @@
-//! The lane's care for one robot: a connection is kept ready until the operator says stop, then the stop is sent until the
-//! robot has confirmed it.
+//! Guards one robot: keeps a connection ready until the operator requests a stop, then sends the stop until the robot has confirmed it.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -17,30 +16,30 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::drive::Happened;
 use downbeat_mission::{Event, Rest, may_be_for_a_stop};
 
-/// Between two tries to keep a connection, at first and at most; it doubles.
+/// Pause between attempts to connect: initial and maximum value. It doubles each time.
 const TRY_EVERY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
-/// An answer later than this lets the stop go by the mission's own link as well.
+/// If the answer takes longer than this, the stop is sent on the mission's own link as well.
 const ANSWERS_SOON: Duration = Duration::from_millis(100);
-/// So long each try may take, from the first to the last; it doubles.
+/// Maximum duration of an attempt to stop: initial and maximum value. It doubles each time.
 const TRY_WITHIN: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(1));
 
-/// Stops that a robot has not confirmed.
+/// Stops that the robot has not confirmed.
 type Open = BTreeMap<RequestId, Message>;
 
-/// How a try to stop a robot ended.
+/// The result of an attempt to stop a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Attempt {
     Over,
-    /// The operator has said something else.
+    /// The operator has requested another kind of rest.
     Otherwise(Rest),
 }
 
-/// What stops one robot.
+/// The task that stops one robot.
 pub(super) struct Guard {
     pub(super) robot: usize,
     pub(super) endpoint: Endpoint,
     pub(super) clock: ServerClock,
-    /// What the robot was asked by the lane.
+    /// The requests that the lane has sent to the robot.
     pub(super) asked: Asked,
     pub(super) events: mpsc::Sender<Waiting>,
     pub(super) sent: watch::Receiver<Sent>,
@@ -54,7 +53,7 @@ impl Guard {
         self.stop(connection, known, rest).await;
     }
 
-    /// Returns with a connection, if one stands, once the operator has said stop, and how.
+    /// Waits until the operator requests a stop. Returns the connection, if one is up, and the requested rest.
     async fn until_alarm(&mut self, known: &mut Option<SocketAddr>) -> (Option<Connection>, Rest) {
         let mut ringing = pin!(rings(self.alarm.clone(), None));
         tokio::select! {
@@ -70,7 +69,7 @@ impl Guard {
                 opened = Connection::open(&self.endpoint, (self.clock, &self.asked), known) => opened,
             };
             match opened {
-                // Nothing comes between this process and itself.
+                // A connection within this process cannot fail.
                 Ok(connection @ Connection::InProcess(_)) => {
                     return (Some(connection), ringing.await);
                 }
@@ -90,13 +89,12 @@ impl Guard {
         }
     }
 
-    /// Stops the robot. At each different command of the operator, stops it again, because the mission may have moved it home
-    /// meanwhile.
+    /// Stops the robot. Stops it again at each different command of the operator, because the mission may have moved it home meanwhile.
     async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, mut rest: Rest) {
         loop {
             self.stop_once(&mut connection, &mut known, &mut rest).await;
             let mut otherwise = pin!(rings(self.alarm.clone(), Some(rest)));
-            // The robot may report its scripts here, because it last received this session on this connection.
+            // The robot may report its scripts on this connection, because it last received this session here.
             rest = loop {
                 let Some(stands) = &mut connection else { break otherwise.await };
                 tokio::select! {
@@ -132,14 +130,14 @@ impl Guard {
                 break;
             }
             if let Ok(Attempt::Otherwise(latest)) = ended {
-                // By the same connection: the robot hears it last there, too.
+                // Uses the same connection, so that it stays the one on which the robot last received this session.
                 *rest = latest;
                 open = self.stops();
                 continue;
             }
             *connection = None;
             if !kept {
-                // A try that fails at once is not repeated at once.
+                // An attempt that fails immediately is not repeated immediately.
                 if ended.is_ok() {
                     tokio::time::sleep(within).await;
                 }
@@ -152,7 +150,8 @@ impl Guard {
         self.sent.borrow().stops(self.clock.now(), self.robot).into_iter().collect()
     }
 
-    /// Sends what is not confirmed, and hears until all is; ends early where the connection does, or by another word.
+    /// Sends the unconfirmed stops and waits until all are confirmed. Ends early if the connection ends or if the operator requests
+    /// another kind of rest.
     async fn attempt(
         &self,
         connection: &mut Option<Connection>,
@@ -199,14 +198,14 @@ impl Guard {
             Message::ControlResponse(response) if confirms(response) => match &response.request_id {
                 Some(id) if open.remove(id).is_some() => {}
                 Some(_) => self.hand_on(message),
-                // A robot that names no requests.
+                // A robot that does not return request ids.
                 None => open.retain(|_, stop| !is_for(stop, response)),
             },
             _ => self.hand_on(message),
         }
     }
 
-    /// Reports of scripts are for the mission, if it has room for them. What bears no name may answer the lane.
+    /// Forwards reports of scripts to the mission, if it has room for them. A response without a request id may answer the lane.
     fn hand_on(&self, message: Message) {
         if let Message::ControlResponse(ControlResponse { request_id: Some(_), .. }) = &message {
             let event = Box::new(Event::Received { robot: self.robot, message });
@@ -214,7 +213,7 @@ impl Guard {
         }
     }
 
-    /// Sends the stops by the mission's own link too.
+    /// Sends the stops on the mission's own link too.
     fn overtake(&self, open: &Open) {
         if let Some(link) = &self.sent.borrow().link {
             open.values().for_each(|stop| {
@@ -228,13 +227,13 @@ fn confirms(response: &ControlResponse) -> bool {
     response.status == Status::Ok
 }
 
-/// Whether an `OK` without a name answers a stop, and does not end a script of the same device.
+/// Whether an `OK` without a request id answers a stop, instead of ending a script of the same device.
 fn is_for(stop: &Message, response: &ControlResponse) -> bool {
     may_be_for_a_stop(response)
         && matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
 }
 
-/// The operator's word, once it is another one than this.
+/// Waits until the operator requests a rest other than `known`, and returns it.
 async fn rings(mut alarm: watch::Receiver<Alarm>, known: Option<Rest>) -> Rest {
     let other = |alarm: &Alarm| matches!(alarm, Alarm::Ringing(rest) if Some(*rest) != known);
     match alarm.wait_for(other).await.map(|alarm| *alarm) {

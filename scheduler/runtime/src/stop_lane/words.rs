@@ -1,4 +1,4 @@
-//! What the operator says, by signals or by the mission's socket: a stop rings the alarm, and the mission hears every word.
+//! The operator's commands, from signals or the mission's socket. A stop rings the alarm; the mission receives every command.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,45 +11,45 @@ use super::Alarm;
 use crate::signals::{Asked, Signals, die_of};
 use downbeat_mission::Rest;
 
-/// Once told to leave at once, or when the mission is over, the process may take this long to say what it has to.
+/// Maximum time for final reports once the operator has asked to leave at once, or when the mission is over.
 const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 
-/// What the operator asks for while a mission runs.
+/// The operator's commands while a mission runs.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Operator {
     /// Begin the act that waits for the operator.
     Go {
-        /// The act that is meant; `None` for any act that waits.
+        /// The requested act. `None` for any act that waits.
         act: Option<String>,
-        /// Who says so, if it is not the operator who began the mission.
+        /// Who requests it, if it is not the operator who began the mission.
         by: Option<String>,
-        /// Receives the act that begins, or the reason why none does; receives nothing if the mission ends before.
+        /// Receives the act that begins, or the reason why none does. Receives nothing if the mission ends first.
         answer: oneshot::Sender<Result<String, String>>,
     },
     /// Stop all robots and wait for their confirmation.
     Stop {
-        /// How they come to rest.
+        /// How the robots come to rest.
         rest: Rest,
-        /// Who says so, if it is not the operator who began the mission.
+        /// Who requests it, if it is not the operator who began the mission.
         by: Option<String>,
     },
     /// Leave at once.
     Leave,
 }
 
-/// Speaks for the operator: the mission hears every word, and the robots hear of a stop at once.
+/// Sends commands as the operator: the mission receives every command, and the robots receive a stop at once.
 #[derive(Clone, Debug)]
 pub struct Voice {
     mission: mpsc::Sender<Operator>,
     alarm: watch::Sender<Alarm>,
-    /// How often the mission's loop has turned; [`OVER`] once it has ended.
+    /// Number of turns of the mission's loop, or [`OVER`] once it has ended.
     turns: Arc<AtomicU64>,
 }
 
 const OVER: u64 = u64::MAX;
 
-/// The mission is over: it takes no more words.
+/// The mission is over and takes no further commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissionOver;
 
@@ -58,27 +58,27 @@ impl Voice {
         Self { mission, alarm, turns: Arc::default() }
     }
 
-    /// The mission's loop continues.
+    /// Records that the mission's loop continues.
     pub(super) fn turned(&self) {
         self.turns.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// The mission's loop has ended.
+    /// Records that the mission's loop has ended.
     pub(super) fn ended(&self) {
         self.turns.store(OVER, Ordering::Relaxed);
     }
 
-    /// How often the mission's loop has turned; `None` once it has ended. One that stands still does not turn.
+    /// Number of turns of the mission's loop. `None` once it has ended. The number of a blocked loop does not change.
     #[must_use]
     pub fn turns(&self) -> Option<u64> {
         Some(self.turns.load(Ordering::Relaxed)).filter(|turns| *turns != OVER)
     }
 
-    /// Says a word; returns once the mission has it among those that it takes next. A stop rings the alarm before that, but
-    /// where the mission has room it has the word first, so that it knows why its robots end what they do.
+    /// Sends a command. Returns once it is in the mission's queue. A stop rings the alarm before that. If the queue has room, the command
+    /// is queued before the alarm rings, so that the mission knows why its robots end their scripts.
     ///
     /// # Errors
-    /// [`MissionOver`].
+    /// Returns [`MissionOver`].
     pub async fn say(&self, word: Operator) -> Result<(), MissionOver> {
         let rest = match word {
             Operator::Stop { rest, .. } => Some(rest),
@@ -98,7 +98,7 @@ impl Voice {
         }
     }
 
-    /// Whether the operator's latest stop brings robots to rest in this way.
+    /// Whether `rest` is how the operator's latest stop brings the robots to rest.
     #[must_use]
     pub fn latest_is(&self, rest: Rest) -> bool {
         match *self.alarm.borrow() {
@@ -108,7 +108,7 @@ impl Voice {
         }
     }
 
-    /// Lets the way home pass if home is still the operator's latest command.
+    /// Permits the way home if home is still the operator's latest command.
     pub(super) fn goes_home(&self) {
         self.alarm.send_if_modified(|alarm| {
             let wanted = *alarm == Alarm::Ringing(Rest::Home);
@@ -119,7 +119,7 @@ impl Voice {
         });
     }
 
-    /// Whether the mission has taken all that was said, or is over.
+    /// Whether the mission has taken all commands, or is over.
     #[must_use]
     pub fn is_heard(&self) -> bool {
         self.mission.is_closed() || self.mission.capacity() == self.mission.max_capacity()
@@ -130,14 +130,14 @@ impl Voice {
     }
 }
 
-/// Hears the signals until the process ends.
+/// Handles the signals until the process ends.
 pub(super) async fn hear(mut signals: Signals, voice: Voice) {
     let mut before = None;
     loop {
         let asked = signals.next().await;
         let word = word_of(asked, before.replace(asked), voice.latest_is(Rest::Home));
         if matches!(word, Operator::Leave) || voice.is_over() {
-            // Nothing that still keeps the process, as a terminal that takes no report, keeps the operator.
+            // Nothing that blocks the process, such as a terminal that accepts no output, may keep the operator waiting.
             tokio::spawn(die_soon(asked));
         }
         let voice = voice.clone();
@@ -150,8 +150,8 @@ async fn die_soon(asked: Asked) {
     die_of(asked);
 }
 
-/// Every signal stops, but a Ctrl-C after another signal leaves. Any other may come twice by itself, as when a terminal
-/// closes. While robots may be on their way home, a Ctrl-C stops them first.
+/// Every signal stops the robots, but a Ctrl-C after another signal leaves. Any other signal may arrive twice on its own, for example
+/// when a terminal closes. While robots may be on their way home, a Ctrl-C stops them first.
 const fn word_of(asked: Asked, before: Option<Asked>, goes_home: bool) -> Operator {
     match (before, asked) {
         (_, Asked::Home) => Operator::Stop { rest: Rest::Home, by: None },

@@ -1,4 +1,4 @@
-//! Whole charts as people read them, and charts of any width.
+//! Charts in full, and charts of any width.
 
 use downbeat_scripts::{Choreography, DeviceScript, Plan, RobotPlan};
 use urrcp::{ControlType, Millis, Script, Setpoint, Step, StopCondition};
@@ -18,7 +18,7 @@ fn cue(name: &str, times: [i64; 3], critical: bool) -> PlannedCue {
     }
 }
 
-/// An arm that moves at these times, in milliseconds, each time to another value.
+/// An arm that reaches these values at these times, in milliseconds.
 fn arm(steps: &[(f64, f64)]) -> RobotPlan {
     let step = |(at, to): &(f64, f64)| {
         Step::new(Millis::new(*at).unwrap(), Setpoint::new(ControlType::Position, *to))
@@ -76,9 +76,9 @@ wave  * ┊         ┊         ━━━━━━━━━━━━━━━━
 go    * ┊         ┊         ◆         ┊
 robot   ┊0 s      ┊1 s      ┊2 s      ┊3 s
 arm-1   ━━━━━━━━━━┊         ┊         ━━━━━━━━━━
-━ plays or moves, · slack: it could start that
-  much later, ◆ a mark, * critical path: it
-  decides when the act ends
+━ plays or moves, · slack: it could start later
+  by this much, ◆ a mark, * critical path: it
+  determines when the act ends
 
 ",
     );

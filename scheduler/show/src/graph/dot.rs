@@ -56,7 +56,7 @@ fn relation(edge: &RelationEdge) -> String {
     format!("    {} -> {} [label={text}{critical}];\n", edge.from, edge.to)
 }
 
-/// Edges join nodes; at the clusters round them they are cut off.
+/// Edges connect nodes and are clipped at the surrounding clusters.
 fn course(edge: &CourseEdge, graph: &Graph) -> String {
     let act = |id: &str| graph.acts.iter().find(|act| act.id == id);
     let last = |act: &ActNode| {
@@ -82,7 +82,7 @@ fn course(edge: &CourseEdge, graph: &Graph) -> String {
     format!("  {from} -> {to} [{ltail}{lhead}, {style}, label={text}];\n")
 }
 
-/// A quoted string, in which Graphviz knows backslashes and the entities of HTML.
+/// A quoted string; Graphviz interprets backslashes and HTML entities in it.
 fn label(lines: &[String]) -> String {
     let escaped = lines.iter().map(|line| {
         let line = downbeat_scripts::shown::shown(line);
@@ -114,7 +114,7 @@ mod tests {
     fn no_name_ends_its_string() {
         let text = dot(&hostile());
         let outside: Vec<&str> = text.lines().filter(|line| line.contains("script")).collect();
-        // The title of the act and the node of its cue.
+        // The title of the act, and the node of its cue.
         assert_eq!(outside.len(), 2, "{text}");
         for line in outside {
             let string = line.split_once("label=\"").unwrap().1;

@@ -1,5 +1,4 @@
-//! The graph of a scenario: acts with the course between them, and in each act its cues with their relations. `dot`
-//! writes it for Graphviz.
+//! The graph of a scenario: acts connected by the course, and in each act its cues with their relations. `dot` writes it for Graphviz.
 
 mod dot;
 
@@ -8,7 +7,7 @@ use downbeat_scripts::{Act, Choreography, Gap, Moment, Outline, PlannedCue, Way,
 use serde::Serialize;
 use urrcp::Span;
 
-/// Columns of a name or a sentence in a picture; longer ones end in `…`.
+/// Maximum columns of a name or a sentence in a picture; longer texts end in `…`.
 const TEXT_MAX: usize = 60;
 
 /// Acts and cues as nodes, with generated ids: no name is part of an id.
@@ -16,17 +15,17 @@ const TEXT_MAX: usize = 60;
 pub struct Graph {
     scenario: String,
     acts: Vec<ActNode>,
-    /// The course: from act to act.
+    /// The edges from act to act.
     course: Vec<CourseEdge>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct ActNode {
     id: String,
-    /// Empty where the scenario has no acts of its own.
+    /// Empty if the scenario has no acts of its own.
     act: String,
     duration_ms: Span,
-    /// What it waits for; nothing if it follows the act before it at once.
+    /// The condition that starts it; `None` if it follows the previous act immediately.
     waits_for: Option<String>,
     cues: Vec<CueNode>,
     relations: Vec<RelationEdge>,
@@ -41,17 +40,17 @@ struct CueNode {
     slack_ms: Span,
     critical: bool,
     robots: Vec<String>,
-    /// What has to hold between it and the act itself, such as `at 2 s`.
+    /// Constraints between the cue and the act itself, such as `at 2 s`.
     bounds: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct RelationEdge {
-    /// The cue that comes first.
+    /// The earlier cue.
     from: String,
     to: String,
     text: String,
-    /// Both cues are on the critical path, and there is no room between them.
+    /// Whether both cues are on the critical path and there is no slack between them.
     critical: bool,
 }
 
@@ -72,11 +71,11 @@ enum Course {
     OnTimeout,
 }
 
-/// Where a mission ends.
+/// The id of the node at which a mission ends.
 const END: &str = "end";
 
 impl Graph {
-    /// Of all acts, or of the one at this index alone.
+    /// Builds the graph of all acts, or only of the act at index `only`.
     #[must_use]
     pub fn of(choreography: &Choreography, outline: &Outline, only: Option<usize>) -> Self {
         let shown = |index: &usize| only.is_none_or(|only| only == *index);
@@ -94,7 +93,7 @@ impl Graph {
         Self { scenario: choreography.scenario.clone(), acts: acts.map(act).collect(), course }
     }
 
-    /// For Graphviz.
+    /// Returns the graph in the DOT language of Graphviz.
     #[must_use]
     pub fn dot(&self) -> String {
         dot::dot(self)
@@ -147,7 +146,7 @@ fn cue_node(id: String, cue: &PlannedCue, written: Option<&WrittenCue>) -> CueNo
     }
 }
 
-/// Whether a relation without room joins two cues of the critical path.
+/// Whether a relation without slack connects two cues of the critical path.
 fn is_critical(cues: &[PlannedCue], gap: Gap) -> bool {
     let instant = |moment: Moment| {
         let cue = cues.get(moment.cue()).filter(|cue| cue.critical)?;
@@ -167,7 +166,7 @@ fn course(index: usize, act: &Act) -> Vec<CourseEdge> {
         Way::Fail => None,
     };
     let late =
-        act.timeout.and_then(|timeout| Some((to(act.on_timeout)?, format!("after {timeout} without it"))));
+        act.timeout.and_then(|timeout| Some((to(act.on_timeout)?, format!("timeout after {timeout}"))));
     let failed = act.on_failure.then.map(|other| (act_id(other), "if a robot fails".to_owned()));
     let next = to(act.next).map(|to| (to, String::new()));
     let ways = [(Course::Next, next), (Course::OnFailure, failed), (Course::OnTimeout, late)];
@@ -178,7 +177,7 @@ fn course(index: usize, act: &Act) -> Vec<CourseEdge> {
 }
 
 impl ActNode {
-    /// The lines of its title, of which the first is its name.
+    /// The lines of its title; the first one is its name.
     fn title(&self, scenario: &str) -> Vec<String> {
         let name = if self.act.is_empty() { scenario } else { &self.act };
         let waits = self.waits_for.as_ref().map(|waits| format!("waits for {}", within(waits, TEXT_MAX)));
@@ -205,7 +204,7 @@ pub(super) mod tests {
     use super::*;
     use downbeat_scripts::{Fleet, NoFiles, Source, compile, outline};
 
-    /// Marks alone need no robots.
+    /// Marks need no robots.
     pub(in crate::graph) fn graph(text: &str) -> Graph {
         let source = Source { name: "s.yaml".into(), text: text.to_owned() };
         let fleet = Fleet::default();
@@ -250,14 +249,14 @@ acts:
         let ways = [
             "a0 Next a1 ",
             "a0 OnFailure a1 if a robot fails",
-            "a0 OnTimeout end after 5 s without it",
+            "a0 OnTimeout end timeout after 5 s",
             "a1 Next end ",
         ];
         assert_eq!(course, ways);
         assert_eq!(graph.acts[0].title("s"), ["one", "waits for the operator", "lasts 0 ms"]);
     }
 
-    /// A name with everything that means something in DOT or HTML.
+    /// A name that contains all special characters of DOT and HTML.
     pub(in crate::graph) const HOSTILE: &str =
         r#"a"]; end <script>alert(1)</script> & #quot; `x` \" %% {{ | -->"#;
 

@@ -12,14 +12,14 @@ const ROW: f64 = 18.0;
 const BAR: f64 = 14.0;
 /// Cues beyond these rows are counted, not drawn.
 const ROWS_MAX: usize = 40;
-/// Pixels between two cues of a row.
+/// Minimum pixels between two cues of a row.
 const GAP: f64 = 6.0;
-/// Columns of a name that are drawn; all of it is in the bar's title.
+/// Columns of a name that are drawn; the bar's title contains the whole name.
 const LABEL_MAX: usize = 32;
-/// Pixels that a column of small text takes, at most in common fonts.
+/// Maximum width of a column of small text in common fonts, in pixels.
 const COLUMN: f64 = 6.2;
 
-/// Where a name stands.
+/// The position of a name relative to its bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Label {
     Within,
@@ -37,7 +37,7 @@ struct Placed<'a> {
     label: Label,
 }
 
-/// The cues of an act, each with its place.
+/// The cues of an act with their positions.
 pub(super) struct Cues<'a> {
     placed: Vec<Placed<'a>>,
     rows: usize,
@@ -45,17 +45,17 @@ pub(super) struct Cues<'a> {
 }
 
 impl<'a> Cues<'a> {
-    /// With their names; where that takes too many rows, with those names alone that fit into their bars.
+    /// Places all cues with their names. If that takes too many rows, only those names are drawn that fit into their bars.
     pub(super) fn place(act: &'a Act, frame: &Frame) -> Self {
         let named = Self::in_rows(act, frame, label_of);
         if named.left_out == 0 { named } else { Self::in_rows(act, frame, label_within) }
     }
 
-    /// In the order of their starts, each in the first row that has room for it with its name.
+    /// Places cues in the order of their starts, each in the first row that has room for it and its name.
     fn in_rows(act: &'a Act, frame: &Frame, label: fn(&PlannedCue, (f64, f64), &Frame) -> Label) -> Self {
         let mut cues: Vec<_> = act.cues.iter().collect();
         cues.sort_by_key(|cue| cue.start);
-        // Where the last cue of each row ends.
+        // The end of the last cue of each row.
         let mut ends: Vec<f64> = Vec::new();
         let mut placed = Vec::new();
         for cue in cues {
@@ -113,7 +113,7 @@ impl Placed<'_> {
     }
 }
 
-/// Where a cue begins and ends, so wide that it can be seen.
+/// The start and end of a cue's bar, which is at least wide enough to be visible.
 fn bar_of(cue: &PlannedCue, frame: &Frame) -> (f64, f64) {
     let [start, end] = [cue.start, cue.end].map(|at| frame.x(at.as_millis_f64()));
     (start, end.max(start + 2.0))
@@ -139,7 +139,7 @@ fn label_within(cue: &PlannedCue, bar: (f64, f64), frame: &Frame) -> Label {
     }
 }
 
-/// What a cue covers together with its name.
+/// The space that a cue covers together with its name.
 fn extent(cue: &PlannedCue, (start, end): (f64, f64), label: Label) -> (f64, f64) {
     let width = label_width(cue) + 4.0;
     match label {
@@ -149,7 +149,7 @@ fn extent(cue: &PlannedCue, (start, end): (f64, f64), label: Label) -> (f64, f64
     }
 }
 
-/// The first row that has ended before, or a new one.
+/// The first row whose last cue has ended, or a new row.
 fn row(ends: &mut Vec<f64>, (start, end): (f64, f64)) -> Option<usize> {
     let free = ends.iter().position(|before| before + GAP <= start);
     let row = free.or_else(|| {

@@ -1,4 +1,4 @@
-//! A lane a device, grouped by robot: planned values as a line, what the robot set as dots.
+//! A lane per device, grouped by robot: planned values as a line, the values that the robot set as dots.
 
 use std::fmt::Write;
 
@@ -14,37 +14,37 @@ use downbeat_rehearsal::dry_run::{Played, act_of};
 
 const LANE: f64 = 34.0;
 const HEADER: f64 = 22.0;
-/// Pixels between a lane's edge and its least or largest value.
+/// Pixels between a lane's edge and its lowest or highest value.
 const MARGIN: f64 = 6.0;
 /// Lanes beyond this are counted, not drawn.
 const LANES_MAX: usize = 120;
 /// Columns of a device's name that fit to the left of its lane.
 const LABEL_MAX: usize = 22;
-/// Pixels of a column in which dots cover each other.
+/// Width in pixels of a column in which dots overlap.
 const DOTS: f64 = 2.0;
-/// If more than half of a lane's dots are followed by the next one within this many pixels, all of them are drawn smaller, so
-/// that the line stays visible.
+/// If more than half of a lane's dots are followed by the next one within this many pixels, all of them are drawn smaller to keep the
+/// line visible.
 const DOTS_APART: f64 = 5.0;
 
-/// Everything that one device does.
+/// All scripts of one device.
 struct Lane<'a> {
     robot: &'a RobotId,
     device: &'a DeviceId,
     scripts: Vec<&'a DeviceScript>,
-    /// From a command to its motion: the lane is on the time of motions.
+    /// Milliseconds from a command to its motion: the lane shows the times of motions.
     latency_ms: f64,
     holds: bool,
 }
 
 /// The lanes of an act.
 pub(super) struct Lanes<'a> {
-    /// Those of one robot stand next to each other.
+    /// The lanes of a robot are adjacent.
     lanes: Vec<Lane<'a>>,
     left_out: usize,
 }
 
 impl<'a> Lanes<'a> {
-    /// In the order of the plan; `robots` are those of the plan.
+    /// Creates the lanes in the order of the plan; `robots` are those of the plan.
     pub(super) fn of(act: &'a Act, robots: &[&FleetRobot]) -> Self {
         let mut lanes: Vec<Lane<'a>> = Vec::new();
         for (index, plan) in act.plan.robots.iter().enumerate() {
@@ -69,12 +69,12 @@ impl<'a> Lanes<'a> {
         HEADER * self.groups().count() as f64 + LANE * self.lanes.len() as f64
     }
 
-    /// Whether a device has more than one value.
+    /// Whether a device has more than one value per step.
     pub(super) fn has_further_values(&self) -> bool {
         self.lanes.iter().any(|lane| lane.values() > 1)
     }
 
-    /// What a reader has to know that is not drawn.
+    /// Note on the devices that are not drawn.
     pub(super) fn note(&self) -> Option<String> {
         (self.left_out > 0).then(|| format!("and {} more devices", self.left_out))
     }
@@ -126,7 +126,7 @@ impl Lane<'_> {
         svg.push_str("</g>");
     }
 
-    /// Opens the group of the lane, in which the act begins at the left and the lane at the top.
+    /// Opens the group of the lane; its origin is the start of the act and the top of the lane.
     fn label(&self, svg: &mut String, top: f64, frame: &Frame, scale: &Scale) {
         let range = format!("{} .. {}", rounded(scale.least), rounded(scale.largest));
         let steps: usize = self.scripts.iter().map(|script| script.script.steps().len()).sum();
@@ -144,14 +144,14 @@ impl Lane<'_> {
         );
     }
 
-    /// How many values a step has, at most.
+    /// The maximum number of values in a step.
     fn values(&self) -> usize {
         let steps = self.scripts.iter().flat_map(|script| script.script.steps());
         steps.map(|step| step.setpoint.values().count()).max().unwrap_or(0)
     }
 
-    /// The planned values as points, the first value of each step or a later one, until the movement ends. A device that holds its
-    /// values is drawn in steps.
+    /// The planned values as points until the movement ends; `which` selects the value of each step, from 0. A device that holds its
+    /// values is drawn as a staircase.
     fn planned(&self, which: usize, frame: &Frame, scale: &Scale) -> Vec<(f64, f64)> {
         let mut points: Vec<(f64, f64)> = Vec::new();
         for script in &self.scripts {
@@ -170,7 +170,7 @@ impl Lane<'_> {
         points
     }
 
-    /// What the robot set, at the true time at which that is to be seen.
+    /// The values that the robot set, at the true times at which they become visible.
     fn set(&self, frame: &Frame, scale: &Scale, reported: &ActReport, played: &Played) -> Vec<(f64, f64)> {
         let log = played.log_of(self.robot).unwrap_or_default().iter().filter(|entry| {
             let of_act = entry.request_id.as_deref().and_then(act_of) == Some(reported.number);
@@ -187,7 +187,7 @@ fn are_close(dots: &[(f64, f64)]) -> bool {
     2 * dots.windows(2).filter(close).count() > dots.len()
 }
 
-/// Where values stand in a lane.
+/// The vertical positions of values in a lane.
 struct Scale {
     least: f64,
     largest: f64,
@@ -210,7 +210,7 @@ impl Scale {
     }
 }
 
-/// As people read a value.
+/// Rounds a value for people.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

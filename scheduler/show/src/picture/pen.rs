@@ -1,8 +1,8 @@
-//! Path data of SVG, short: tenths of a pixel, each point relative to the one before.
+//! Compact SVG path data: tenths of a pixel, each point relative to the previous one.
 
 use std::fmt::Write;
 
-/// Writes one path. Rounding does not add up: what is written is the difference of rounded points.
+/// Writes one path. Rounding errors do not accumulate: the output is the difference of rounded points.
 #[derive(Default)]
 pub(super) struct Pen {
     data: String,
@@ -23,7 +23,7 @@ impl Pen {
         pen.data
     }
 
-    /// A stroke without length at each of these points, which a round cap makes a dot.
+    /// A stroke without length at each of these points; a round cap makes it a dot.
     pub(super) fn dots(points: &[(f64, f64)]) -> String {
         let mut pen = Self::default();
         for point in points {

@@ -1,8 +1,8 @@
-//! Fewer points that look the same.
+//! Reduces the number of points without visible changes.
 
-/// The first, the least, the largest and the last point of each column of this many pixels: a line through them covers the same
-/// pixels as one through all points, and no spike is lost (Jugel, Jerzak, Hackenbroich and Markl, M4, VLDB 2014). Points are in
-/// the order of x.
+/// Keeps the first, the lowest, the highest and the last point of each column of `column` pixels. A line through them covers the same
+/// pixels as one through all points, and no spike is lost (Jugel, Jerzak, Hackenbroich and Markl, M4, VLDB 2014). Points are in the order
+/// of x.
 pub(super) fn thinned(points: &[(f64, f64)], column: f64) -> Vec<(f64, f64)> {
     let of = |point: &(f64, f64)| (point.0 / column).floor();
     points.chunk_by(|a, b| of(a) == of(b)).flat_map(extremes).collect()

@@ -1,8 +1,8 @@
 //! (a) An act starts on all of its robots or on none.
 //!
-//! A robot is excused only by a fault of its own link, process or clock that begins within the window that was stated at the
-//! decision of this very act. The robots that are left have to agree. If they do not, only two things excuse the whole act: the
-//! scheduler's own end or standstill between the commitment and the last start, and a stop after the point of no return.
+//! A robot is excused only by a fault of its own link, process or clock that begins within the window that was stated at the decision of
+//! this very act. The remaining robots must agree. If they do not, only two events excuse the whole act: the end or a stall of the
+//! scheduler between the commitment and the last start, and a stop after the point of no return.
 
 use std::collections::HashMap;
 
@@ -15,23 +15,23 @@ use crate::{DrawnRobot, Fault, Happened, Network};
 use downbeat_mission::ClockMode;
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// A robot lets a start be that comes later than this, and starts until then.
+/// A robot skips a start that is delayed by more than this.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
-/// So long an edge cannot know that its hardware has died without a word.
+/// Maximum time in which an edge cannot notice that its hardware has died silently.
 const HARDWARE_SILENT: Span = Span::from_millis(150);
 
-/// A report that is lost is awaited for this long, and by how much a script may last beyond it.
+/// How long a lost report is awaited, including the remaining duration of its script.
 const AWAITED: Span = Span::from_millis(2_500);
 
-/// When an act that was never sent counts as started without a decision.
+/// Nominal start of an act that was never sent, for the comparison with a start without a decision.
 const NEVER_SENT: Span = Span::from_millis(1_500);
 
-/// What a robot did about its start.
+/// The start of a robot.
 struct Started {
     robot: usize,
     began: bool,
-    /// A fault of its own that made it do so.
+    /// The robot's own fault that explains it.
     excuse: Option<Cause>,
 }
 
@@ -59,7 +59,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
                     let missed = started.iter().filter(|robot| !robot.began && robot.excuse.is_none());
                     let missed: Vec<String> = missed.map(|robot| format!("r{}", robot.robot)).collect();
                     let what = format!(
-                        "act {number} started on {began} of {} robots, and nothing excuses {}",
+                        "act {number} started on {began} of {} robots, and no fault excuses {}",
                         started.len(),
                         if missed.is_empty() { "those that did".to_owned() } else { missed.join(", ") }
                     );
@@ -70,8 +70,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A robot that knows `pending_until` begins no act before an inquiry has moved the limit beyond the start, whatever its link, its
-/// clock and the scheduler do. Only the commitment moves it.
+/// A robot with `pending_until` begins no act before an inquiry has moved the limit beyond the start, regardless of its link, its clock
+/// and the scheduler. Only the commitment moves the limit.
 fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], verdict: &mut Verdict) {
     let knows = |robot: &&Started| facts.drawn().robots[robot.robot].block.inquiry;
     for robot in
@@ -85,7 +85,7 @@ fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], ve
     }
 }
 
-/// Whether a question about a script of the act has reached the robot that moves its limit beyond its start, by its own clock.
+/// Whether an inquiry about a script of the act reached the robot and moved its limit beyond its start, by its own clock.
 fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let beyond = |inquiry: &urrcp::Inquiry| {
         let Some((until, named)) = inquiry.pending_until.zip(inquiry.requests.first()) else { return false };
@@ -98,7 +98,7 @@ fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     })
 }
 
-/// The first act of a mission that sent none: it started nowhere.
+/// The first act of a mission that sent none: no robot started it.
 fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
     let plan = &facts.drawn().choreography.acts.first()?.plan;
     let robots = plan.robots.iter().filter_map(|robot| facts.index_of(&robot.robot));
@@ -107,9 +107,8 @@ fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
     Some(ActStarts { number: 0, start, robots, starts: Starts::None })
 }
 
-/// Whether a robot has a part in the act at its start. One that was left out before has none, unless it moves all the same;
-/// one that was left out because it missed its start has. One that comes later in an act that was stopped on the way has
-/// not missed its start.
+/// Whether a robot has a part in the act at its start. A robot that was left out earlier has none, unless it moves nevertheless; one that
+/// was left out because it missed its start has one. A robot with a later start in an act that was stopped has not missed its start.
 fn counts(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let Some(first) = act.first_movement(robot).filter(|_| facts.honest(robot)) else { return false };
     let began = act.of(robot).any(SentScript::began);
@@ -129,7 +128,7 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<C
         started.iter().filter(|robot| robot.excuse.is_none()).map(|robot| robot.began).collect();
     let agree = left.windows(2).all(|two| two[0] == two[1]);
     if agree {
-        // Those that differ from robots that need no excuse; the others may have one that they do not need.
+        // Only robots that differ from those without an excuse need theirs.
         let common = left.first().copied();
         let differs = |robot: &&Started| common.is_none_or(|common| robot.began != common);
         return started.iter().filter(differs).filter_map(|robot| robot.excuse).min();
@@ -137,13 +136,13 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<C
     why_the_scheduler(facts, act).or_else(|| late_stop(facts, act))
 }
 
-/// When a robot has surely started, if it does.
+/// The latest instant at which a robot starts, if it does.
 fn latest_start(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
     let (_, late) = early_and_late(facts, robot);
     Some(act.first_movement(robot)? + late + START_LATE_MAX)
 }
 
-/// The first fault of a robot that begins between two instants, of those that count.
+/// The first relevant fault of a robot that begins between two instants.
 fn own_fault(
     facts: &Facts<'_>,
     robot: usize,
@@ -154,12 +153,12 @@ fn own_fault(
     facts.hits.iter().filter(begins).filter(|hit| counts(hit)).map(|hit| hit.cause).min()
 }
 
-/// A fault of the robot itself within the window of the act, for which it missed its start.
+/// The robot's own fault within the window of the act that made it miss its start.
 fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let window = (act.doubtful_from(), latest_start(facts, act, robot)?);
     let silent_hardware = (window.0 - HARDWARE_SILENT, window.1);
     let hardware = own_fault(facts, robot, silent_hardware, |hit| died_without_a_word(facts, hit));
-    // The lease of a script that comes later has to be kept until then.
+    // The lease of a script with a later start must be renewed until then.
     let with_the_others = act.first_start(robot) == Some(act.promise.start);
     let heard_in_time =
         with_the_others && heard_the_commitment(facts, act, robot) && heard_lately(facts, act, robot);
@@ -172,8 +171,8 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
     own.or(hardware).or_else(|| left_out_on_the_way(facts, act, robot))
 }
 
-/// Until when the end of a process whose system closes its connection and refuses the next one is known early enough to withdraw the
-/// act: three round trips before the point of no return, if its link and the scheduler have no other fault.
+/// The latest instant at which a robot's process may end early enough to withdraw the act: three round trips before the point of no
+/// return. Applies if its system closes its connection and refuses the next one, and its link and the scheduler have no other fault.
 fn known_to_be_gone(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
     let drawn = facts.drawn();
     let usual = drawn.network == Network::Stream && drawn.tail == 0.0;
@@ -190,8 +189,8 @@ fn known_to_be_gone(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Optio
     (usual && all_told && !facts.hits.iter().any(other)).then_some(by)
 }
 
-/// A robot whose turn comes later than the start of the act, as planned or by its clock that is behind, was left out in between, for a
-/// fault of its own that may have begun before: as a report that was lost, and is not awaited any longer.
+/// The excuse of a robot that starts later than the act, as planned or because its clock is slow, and was left out in between. Its own
+/// fault may have begun earlier, for example a lost report that is no longer awaited.
 fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let (_, late) = early_and_late(facts, robot);
     let first = act.first_movement(robot)? + late;
@@ -200,7 +199,7 @@ fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Op
     own_fault(facts, robot, before, |_| true).or_else(|| told_nobody(facts, robot, before))
 }
 
-/// It tells what it does only once, and the scheduler's process had ended when it did.
+/// The robot reports only once, and the scheduler's process was not running at that time.
 fn told_nobody(
     facts: &Facts<'_>,
     robot: usize,
@@ -211,7 +210,7 @@ fn told_nobody(
     found.map(|hit| hit.cause)
 }
 
-/// Hardware died, and its edge was not told.
+/// Whether hardware died without informing its edge.
 fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
     let untold =
         |fault: &Fault| matches!(fault, Fault::HardwareDies { robot, told: false, .. } if hit.is_of(*robot));
@@ -220,14 +219,14 @@ fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
         && at_once.into_iter().any(|(_, what)| matches!(what, Happened::Fault(fault) if untold(fault)))
 }
 
-/// A fault of the robot itself for which it started although the others did not: its clock was set, or a stop did not reach it
-/// before.
+/// The own fault of a robot that explains why it started although the others did not: its clock was set, or a stop did not reach it in
+/// time.
 fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let until = latest_start(facts, act, robot)?;
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot));
     if facts.drawn().robots[robot].block.inquiry && act.committed.is_none() {
-        // It acts on `pending_until`, and no inquiry has moved it: whatever its link and the processes do, it drops the script.
+        // It respects `pending_until`, and no inquiry has moved it: it drops the script, regardless of its link and the processes.
         return set;
     }
     let set = set
@@ -244,9 +243,8 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
 }
 
-/// A script of an act that was never decided came so late, because the robot's link carried nothing or its process stalled, that
-/// its lease reached over the start or that the script which it was to follow had been dropped; and the scheduler was not there to
-/// take it back.
+/// A script of an act that was never decided arrived late, because the robot's link carried nothing or its process stalled. Therefore its
+/// lease extended beyond the start, or the script before it had been dropped. The scheduler was not running to withdraw it.
 fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
     let lasts = |hit: &&Hit| hit.overlaps(act.at, until);
     let away = facts.hits.iter().filter(lasts).any(|hit| hit.robot.is_none());
@@ -256,9 +254,8 @@ fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestam
     hits.filter(lasts).filter(late).map(|hit| hit.cause).min()
 }
 
-/// A robot takes no inquiries, so no question says when its lease ends at the latest: one that was sent in time, but that its own link
-/// or process kept for too long, renewed it beyond the start of an act that was not committed, and the scheduler was not there to take
-/// the act back.
+/// A robot accepts no inquiries, so no inquiry limits its lease. A message that was sent in time, but delayed too long by its own link or
+/// process, renewed the lease beyond the start of an act that was not committed. The scheduler was not running to withdraw the act.
 fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let first = |script: &SentScript<'_>| {
         let entry = script.log.first()?;
@@ -271,7 +268,7 @@ fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ca
     if facts.drawn().robots[robot].block.inquiry || !uncommitted || !facts.hits.iter().any(away) {
         return None;
     }
-    // What comes later carries its lease over its start. It was sent by then, or it was sent too late.
+    // A later message carries its lease over its start. Either it was sent by this instant, or it was sent too late.
     let (early, _) = early_and_late(facts, robot);
     let latest = act.promise.start - early - act.promise.lease;
     let kept = |at: Timestamp<Server>, message: &Message| {
@@ -295,8 +292,8 @@ fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ca
 }
 
 /// A script waits under the running lease of the preceding script of its device. The link or process of a robot without inquiries delayed
-/// it until the robot had dropped the preceding script, whose pending lease had ended meanwhile: it begins alone, in an act that was not
-/// committed, and the scheduler was not there to take it back.
+/// it until the robot had dropped the preceding script, whose pending lease had ended. The script begins alone, in an act that was not
+/// committed, and the scheduler was not running to withdraw it.
 fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let begins = |script: &SentScript<'_>| {
         let entry = script.log.first()?;
@@ -329,8 +326,8 @@ fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Opt
     hits.filter(own).map(|hit| hit.cause).min()
 }
 
-/// Its clock was set so short a time before it started by it that no question showed it: the answer and a stop after it would
-/// have come too late.
+/// Its clock was set so shortly before it started by it that no inquiry could show that: the answer and a subsequent stop would have been
+/// too late.
 fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let first = act.of(robot).flat_map(|script| script.log.first()).map(|entry| entry.true_ns).min()?;
     let began = Timestamp::<Server>::from_nanos(first);
@@ -339,12 +336,12 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
     own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
 }
 
-/// The end of a pending lease, the instant at which the question that states it was sent, and the lease. An older question that this
-/// one has overtaken lifts nothing.
+/// The end of a pending lease, the send time of the inquiry that states it, and the lease. An older inquiry that arrives after it lifts
+/// nothing.
 type LeaseEnd = (Timestamp<Server>, Option<Timestamp<Server>>, Span);
 
-/// A message that lets the robot start arrived well before the end of its lease, and the lease, including its renewals by later messages,
-/// extended beyond the start: its link is no excuse.
+/// Whether a message that permits the robot to start arrived well before the end of its lease, and the lease, including its renewals by
+/// later messages, extended beyond the start. In that case its link is no excuse.
 fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let offset = facts.drawn().robots[robot].settings.clock_offset;
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
@@ -353,21 +350,22 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
         let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
         let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
         let until = inquiry.pending_until.map(|until| (until - offset).assume_clock::<Server>());
-        // A device that begins later has a lease that may end after the start of the act, and before its own.
+        // The lease of a device that begins later may end after the start of the act and before its own start.
         let script = act.of(robot).find(|script| script.promised.request_id == *named);
         let start = script.map_or(act.promise.start, |script| act.start_of(script));
         match until.filter(|until| *until < start) {
-            // A lease that has ended is not renewed any more.
+            // A lease that has ended is not renewed.
             Some(_) if leases.get(named).is_some_and(|(ends, ..)| at > ends) => {}
             Some(until) => {
                 let lease = inquiry.pending_lease.map_or(act.promise.lease, urrcp::Millis::span);
                 let ends = until.min(*at + lease) - DRIFT * 2;
                 leases.insert(named, (ends, inquiry.timestamp, lease));
             }
-            // A question without an instant leaves the leases unchanged.
+            // An inquiry without an instant leaves the leases unchanged.
             None if until.is_none() => {}
             None => {
-                // Devices that begin at several instants have a lease for each: it has lost what it held if one of them has ended.
+                // Devices that begin at different instants have separate leases: if one of them has ended, the robot has lost its
+                // scripts.
                 let lifts = |(ends, asked, _): &(_, _, _)| at < ends && inquiry.timestamp >= *asked;
                 if leases.contains_key(named) && leases.values().all(lifts) {
                     return last.is_some_and(|last| {
@@ -380,15 +378,15 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
     false
 }
 
-/// The lease under which it would play had not run out at its start either.
+/// Whether the running lease had not expired at its start either.
 fn heard_lately(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let running = act.of(robot).filter_map(|script| script.promised.running).map(urrcp::Millis::span).min();
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
     running.zip(last).is_none_or(|(lease, last)| last + lease > act.promise.start + START_LATE_MAX)
 }
 
-/// The scheduler ended or stalled after the commitment was written down and before every robot had started. Once all robots have
-/// answered the commitment, their leases last beyond the start of the act: robots that start with it no longer need the scheduler.
+/// The scheduler ended or stalled after the commitment was recorded and before every robot had started. Once all robots have answered the
+/// commitment, their leases extend beyond the start of the act: robots that start with it no longer need the scheduler.
 fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let committed = act.committed?;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
@@ -399,7 +397,7 @@ fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     facts.hits.iter().filter(own).map(|hit| hit.cause).min()
 }
 
-/// A stop that was sent after the point of no return may reach some before their start and others after it.
+/// A stop after the point of no return may reach some robots before their start and others after it.
 fn late_stop(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let no_return = act.decided?.no_return;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
@@ -407,8 +405,8 @@ fn late_stop(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     late.then_some(Cause::LateStop)
 }
 
-/// How much earlier and how much later than planned a robot starts at most, as its clock was drawn: off by its offset,
-/// or where the offset is measured by what the paths there and back may differ.
+/// How much earlier and later than planned a robot may start, according to its drawn clock: by its offset or, if the offset is measured,
+/// by half of the possible asymmetry of the paths.
 fn early_and_late(facts: &Facts<'_>, robot: usize) -> (Span, Span) {
     let DrawnRobot { clock, settings, slow, .. } = &facts.drawn().robots[robot];
     let paths = (facts.drawn().delay.1 + *slow) / 2;

@@ -1,5 +1,5 @@
-//! What went wrong, when, for how long, and what it concerns: a robot's own link, process or clock, the scheduler, or only the
-//! operator's stop. An excuse has to be one of these, of the robot that is excused.
+//! The faults with their times, durations and subjects: a robot's own link, process or clock, the scheduler, or only the operator's stop.
+//! Every excuse must be one of these, and concern the robot that is excused.
 
 use std::fmt;
 
@@ -7,39 +7,39 @@ use urrcp::{Server, Span, Timestamp};
 
 use crate::{Fault, Happened, Ran};
 
-/// Why something was excused.
+/// The reason for an excuse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Cause {
     /// The robot's own process ended.
     RobotCrash,
-    /// The robot's own process stood still.
+    /// The robot's own process stalled.
     RobotPause,
     /// The robot's own clock was set.
     ClockSet,
-    /// Another robot answered at the robot's own address, or another session asked for it.
+    /// Another robot answered at the robot's own address, or another session requested it.
     Stranger,
     /// The robot's own hardware died.
     Hardware,
-    /// Nothing passed on the robot's own link, at least one way, or next to nothing.
+    /// The robot's own link carried nothing in at least one direction, or next to nothing.
     Partition,
-    /// The robot's own link was down, or being made again.
+    /// The robot's own link was down, or being re-established.
     LinkDown,
-    /// A message on the robot's own link took longer than any should.
+    /// A message on the robot's own link took longer than the maximum.
     Slow,
     /// A message on the robot's own link was lost.
     Lost,
     /// The scheduler's process ended between the commitment and the last start.
     SchedulerCrash,
-    /// The scheduler's process stood still between the commitment and the last start.
+    /// The scheduler's process stalled between the commitment and the last start.
     SchedulerPause,
-    /// The scheduler's disk stood still between the commitment and the last start.
+    /// The scheduler's disk stalled between the commitment and the last start.
     Disk,
     /// A stop was sent after the point of no return.
     LateStop,
 }
 
 impl Cause {
-    /// All of them, in the order in which one is chosen where several apply.
+    /// All causes, in the order of precedence if several apply.
     pub const ALL: [Self; 13] = [
         Self::RobotCrash,
         Self::RobotPause,
@@ -57,7 +57,7 @@ impl Cause {
     ];
 
     /// The largest share of acts in which this cause may excuse a violation of an invariant: about a quarter more than in a million
-    /// seeds. A larger share means that an excuse has become wider, or that missions react to this fault in another way.
+    /// seeds. A larger share means that an excuse has become broader, or that missions react differently to this fault.
     #[must_use]
     pub const fn largest_share(self, invariant: char) -> f64 {
         let of_100_000 = match (invariant, self) {
@@ -81,7 +81,7 @@ impl Cause {
         of_100_000 / 100_000.0
     }
 
-    /// Of the robot's link.
+    /// Whether it concerns the robot's link.
     pub(super) const fn is_of_link(self) -> bool {
         matches!(self, Self::Partition | Self::LinkDown | Self::Slow | Self::Lost)
     }
@@ -91,32 +91,32 @@ impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::RobotCrash => "its process ended",
-            Self::RobotPause => "its process stood still",
+            Self::RobotPause => "its process stalled",
             Self::ClockSet => "its clock was set",
             Self::Stranger => "another robot at its address, or session",
-            Self::Hardware => "its hardware died",
+            Self::Hardware => "its hardware failed",
             Self::Partition => "its link carried nothing, or one way",
             Self::LinkDown => "its link was down",
             Self::Slow => "its link was slow",
             Self::Lost => "its link lost a message",
             Self::SchedulerCrash => "the scheduler ended",
-            Self::SchedulerPause => "the scheduler stood still",
-            Self::Disk => "the scheduler's disk stood still",
+            Self::SchedulerPause => "the scheduler stalled",
+            Self::Disk => "the scheduler's disk stalled",
             Self::LateStop => "stop after the point of no return",
         })
     }
 }
 
-/// Something that went wrong.
+/// A fault with its interval.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     pub(super) cause: Cause,
-    /// To which robot; `None`: to the scheduler.
+    /// The affected robot; `None`: the scheduler.
     pub(super) robot: Option<usize>,
     pub(super) from: Timestamp<Server>,
-    /// Until when it lasted.
+    /// End of the fault.
     pub(super) until: Timestamp<Server>,
-    /// By how much a clock was set.
+    /// The amount by which a clock was set.
     pub(super) by: Span,
 }
 
@@ -125,13 +125,13 @@ impl Hit {
         self.robot == Some(robot)
     }
 
-    /// It lasts into the time between two instants, both included.
+    /// Whether it overlaps the interval between two instants, both included.
     pub(super) fn overlaps(&self, from: Timestamp<Server>, until: Timestamp<Server>) -> bool {
         self.from <= until && self.until >= from
     }
 }
 
-/// Everything that went wrong in a run.
+/// All faults of a run.
 pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     let mut hits = Hits { all: Vec::new(), open: Vec::new() };
     for (at, happened) in &ran.history {
@@ -142,7 +142,7 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
             Happened::Fault(Fault::ClockStep { robot, by }) => {
                 hits.all.push(Hit { by: *by, ..hit(Cause::ClockSet, Some(*robot), Span::ZERO) });
             }
-            // It is not known what is left of the connections of a machine that is gone.
+            // The state of the connections of a machine that is gone is unknown.
             Happened::Fault(Fault::RobotCrash { robot, told: false, .. }) => {
                 hits.begin(hit(Cause::RobotCrash, Some(*robot), Span::ZERO), End::Back);
                 hits.begin(hit(Cause::Partition, Some(*robot), Span::ZERO), End::Linked(*at));
@@ -171,21 +171,21 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     hits.all
 }
 
-/// What went wrong so far, and what of it continues.
+/// The faults so far, and those that continue.
 struct Hits {
     all: Vec<Hit>,
-    /// What ends what continues, and where it stands.
+    /// The end conditions of continuing faults, with the indices of these.
     open: Vec<(End, usize)>,
 }
 
-/// What ends something that continues.
+/// The end condition of a continuing fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
-    /// Something is heard of the robot again.
+    /// The next message from the robot.
     Heard,
-    /// A connection with it stands that was made from then on.
+    /// An established connection that was made at or after this instant.
     Linked(Timestamp<Server>),
-    /// It is back.
+    /// The return of the robot.
     Back,
 }
 
@@ -221,7 +221,7 @@ impl Hits {
     }
 }
 
-/// What a fault affects, and for how long; `None` if it is the fault of no party.
+/// The affected party and the duration of a fault; `None` if it affects no party.
 const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
     Some(match *fault {
         Fault::RobotCrash { robot, .. } => (Cause::RobotCrash, Some(robot), Lasts::Until(End::Back)),
@@ -243,11 +243,11 @@ const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
             (Cause::SchedulerPause, None, Lasts::For(lasts))
         }
         Fault::DiskStalls { lasts } => (Cause::Disk, None, Lasts::For(lasts)),
-        // Each message that it delays is counted.
+        // Each delayed message is counted instead.
         Fault::Lag { .. } => return None,
-        // The next process alone has that clock, and its promises are counted by it.
+        // Only the next process has that clock, and its promises are measured by it.
         Fault::ServerClockStep { .. } | Fault::Stop | Fault::Home | Fault::StopByJournal => return None,
-        // Taken above, with what else there is to them.
+        // Handled above, with their additional effects.
         Fault::ClockStep { .. } | Fault::DeadLink { .. } | Fault::HalfOpen { .. } => return None,
     })
 }

@@ -1,4 +1,4 @@
-//! What happened in a run, ordered by act, robot and script, as the invariants look at it.
+//! The events of a run, ordered by act, robot and script, as the invariants need them.
 
 use std::collections::{HashMap, HashSet};
 
@@ -10,21 +10,21 @@ use super::cause::{Cause, Hit, hits_of};
 use crate::{Drawn, Fault, Happened, Names, Network, Ran};
 use downbeat_mission::{Progress, Promise, PromisedScript, Record, SkewBudget, promised_name};
 
-/// On a link that loses answers a clock that was set is seen a second later, at the next question.
+/// On a link that loses answers, a clock that was set is noticed a second later, with the next inquiry.
 const SEEN_AFTER: Span = Span::from_millis(1_100);
 
-/// A run as the invariants look at it.
+/// A run in the form that the invariants need.
 pub(super) struct Facts<'a> {
     pub(super) ran: &'a Ran,
     /// The acts that were sent, in order.
     pub(super) acts: Vec<SentAct<'a>>,
-    /// What went wrong, in order.
+    /// The faults in order.
     pub(super) hits: Vec<Hit>,
     /// When each robot was left out.
     pub(super) dropped: Vec<Option<Timestamp<Server>>>,
-    /// When everything was being stopped.
+    /// The times of stops of everything.
     pub(super) stopping: Vec<Timestamp<Server>>,
-    /// From when on the clock of the scheduler's process was ahead of the true time by how much.
+    /// How far the clock of the scheduler's process was ahead of the true time, and since when.
     ahead: Vec<(Timestamp<Server>, Span)>,
     planned: Vec<(Timestamp<Server>, &'a Choreography)>,
 }
@@ -36,45 +36,45 @@ pub(super) struct SentAct<'a> {
     pub(super) written: &'a Act,
     /// When it was promised.
     pub(super) at: Timestamp<Server>,
-    /// The clock by which it was promised minus the true time. The promise is by the true time.
+    /// The clock of the promise minus the true time. `promise` itself is in true time.
     pub(super) ahead: Span,
-    /// Another act was promised under its number by a process that took the mission up: it is forgotten.
+    /// Whether a process that resumed the mission promised another act under its number: the earlier one is forgotten.
     pub(super) superseded: bool,
     /// Whether it was withdrawn and prepared again under another number.
     pub(super) repeated: bool,
-    /// How far apart its robots may start, as the operator was told before anything was sent.
+    /// The skew budget that the operator received before anything was sent.
     pub(super) skew: Option<&'a SkewBudget>,
-    /// What the operator was told at the decision.
+    /// The message to the operator at the decision.
     pub(super) decided: Option<Decision>,
-    /// When the commitment was first written down.
+    /// When the commitment was first recorded.
     pub(super) committed: Option<Timestamp<Server>>,
-    /// When the mission reported to the operator that all robots had answered the commitment.
+    /// When the operator was informed that all robots had answered the commitment.
     pub(super) answered: Option<Timestamp<Server>>,
     pub(super) scripts: Vec<SentScript<'a>>,
 }
 
-/// What the operator was told at the decision.
+/// The message to the operator at the decision.
 #[derive(Clone, Copy)]
 pub(super) struct Decision {
-    /// A failure that is known by then is withdrawn.
+    /// The act is withdrawn after failures that are known at this instant.
     pub(super) no_return: Timestamp<Server>,
-    /// Silence that begins later than this long before the start may be noticed too late.
+    /// Silence that begins later than this before the start may be noticed too late.
     pub(super) doubt: Span,
 }
 
-/// A script of an act that was sent, and what the robot did of it.
+/// A script of an act that was sent, and the actions of its robot.
 pub(super) struct SentScript<'a> {
     pub(super) robot: usize,
     pub(super) promised: &'a PromisedScript,
-    /// What was added to its timestamp for its robot's clock, by the journal.
+    /// The shift of its timestamp for its robot's clock, according to the journal.
     pub(super) shift: Span,
-    /// The same by the request that first arrived, for a later script of a device whose robot's clock is measured.
+    /// The shift in the request that arrived first, for a later script of a device whose robot's clock is measured.
     pub(super) arrived_shift: Option<Span>,
-    /// `None` where the choreography has no such script.
+    /// `None` if the choreography has no such script.
     pub(super) written: Option<&'a DeviceScript>,
     /// Time from its start to its first movement: zero if its device moves linearly to the first value.
     pub(super) starts_after: Span,
-    /// What its robot logged of it, in order.
+    /// The log entries of its robot for it, in order.
     pub(super) log: Vec<&'a LogEntry>,
 }
 
@@ -207,7 +207,8 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// The offsets with which scripts first arrived, where they may differ from that of their act: of the later ones of a device.
+    /// Collects the shifts with which scripts first arrived, if they may differ from that of their act: for the later scripts of a
+    /// device.
     fn take_shifts(&mut self, logs: &HashMap<&str, Vec<&'a LogEntry>>) {
         let mut sent: HashMap<_, _> = HashMap::new();
         for (at, happened) in &self.ran.history {
@@ -219,7 +220,7 @@ impl<'a> Facts<'a> {
                         sent.entry(self.promised_name(*robot, id)).or_insert((*robot, timestamp));
                     }
                 }
-                // A robot that restarts forgets scripts that have not begun. They arrive for the first time again.
+                // A robot that restarts forgets scripts that have not begun, so their next arrival is the first again.
                 Happened::Back(back) => sent.retain(|id, (robot, _)| {
                     let began = |entry: &&LogEntry| entry.true_ns < at.as_nanos();
                     robot != back || logs.get(*id).is_some_and(|log| log.iter().any(began))
@@ -241,7 +242,7 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// What the operator was told of the acts, by the clock of the process that told it.
+    /// Collects the messages to the operator about the acts, by the clock of the process that sent them.
     fn take_words(&mut self) {
         for (at, happened) in &self.ran.history {
             let Happened::Told(progress) = happened else { continue };
@@ -253,7 +254,7 @@ impl<'a> Facts<'a> {
                     act.into_iter().for_each(|act| act.skew = skew.as_ref());
                 }
                 Progress::Decided { start, no_return, doubt, .. } => {
-                    // By the clock of the process that promised it, also if another one reports it.
+                    // By the clock of the process that promised it, even if another one reports it.
                     let act = acts.rfind(|act| act.promise.start + act.ahead == *start);
                     act.into_iter().for_each(|act| {
                         let no_return = *no_return - act.ahead;
@@ -269,8 +270,8 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// Whether a process that took the act up may not know the offset with which this script was sent. That is possible if the
-    /// robot's clock is measured and an earlier script of the act is for the same device.
+    /// Whether a process that resumed the act may not know the offset with which this script was sent. That is possible if the robot's
+    /// clock is measured and an earlier script of the act is for the same device.
     pub(super) fn offset_may_be_lost(&self, act: &SentAct<'_>, script: &SentScript<'_>) -> bool {
         let is_before = |other: &SentScript<'_>| {
             other.robot == script.robot
@@ -294,20 +295,20 @@ impl<'a> Facts<'a> {
         &self.ran.drawn
     }
 
-    /// It does not lie, and nobody answers for it.
+    /// Whether it does not lie and no other process answers for it.
     pub(super) fn honest(&self, robot: usize) -> bool {
         self.drawn().robots[robot].lie.is_none() && !self.has_twin(robot)
     }
 
-    /// Whether what it confirms of a stop has to hold for it: it does not lie, and if another process may have answered for it, the
-    /// mission learns from the answers to inquiries which scripts that process has lost.
+    /// Whether its confirmations of stops are reliable: it does not lie. If another process may have answered for it, the mission learns
+    /// from the answers to inquiries which scripts that process has lost.
     pub(super) fn rests_as_reported(&self, robot: usize) -> bool {
         let drawn = &self.drawn().robots[robot];
         let is_known = drawn.block.inquiry && drawn.names == Names::Echoed;
         drawn.lie.is_none() && (is_known || !self.has_twin(robot))
     }
 
-    /// Whether another process answered by its id.
+    /// Whether another process used its id.
     pub(super) fn has_twin(&self, robot: usize) -> bool {
         self.drawn()
             .faults
@@ -315,7 +316,7 @@ impl<'a> Facts<'a> {
             .any(|(_, fault)| matches!(fault, Fault::Twin { robot: of, .. } if *of == robot))
     }
 
-    /// It says how many steps of a script it has done, and how many of them were late.
+    /// Whether it reports how many steps of a script it has completed, and how many of them were late.
     pub(super) fn counts_steps(&self, robot: usize) -> bool {
         let drawn = &self.drawn().robots[robot];
         drawn.names == Names::Echoed || drawn.block.inquiry
@@ -334,17 +335,17 @@ impl<'a> Facts<'a> {
         &self.drawn().robots[robot].block.id
     }
 
-    /// Its clock was set within the run: what it does by its clock says nothing of true time.
+    /// Whether its clock was set during the run, so that its clock does not determine true times.
     pub(super) fn clock_was_set(&self, robot: usize) -> bool {
         self.hits.iter().any(|hit| hit.cause == Cause::ClockSet && hit.is_of(robot))
     }
 
-    /// Another process took the mission up.
+    /// Whether another process resumed the mission.
     pub(super) fn was_taken_up(&self) -> bool {
         self.taken_up().next().is_some()
     }
 
-    /// When other processes took the mission up, and how.
+    /// When other processes resumed the mission, and how.
     pub(super) fn taken_up(&self) -> impl DoubleEndedIterator<Item = (Timestamp<Server>, &'static str)> + '_ {
         self.ran.history.iter().filter_map(|(at, happened)| match happened {
             Happened::TakenUp(how) => Some((*at, *how)),
@@ -352,13 +353,13 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether another process took the mission up before this act had ended.
+    /// Whether another process resumed the mission before this act had ended.
     pub(super) fn was_resumed(&self, act: &SentAct<'_>) -> bool {
         let ended = self.ended(act);
         self.taken_up().any(|(at, _)| at >= act.at && ended.is_none_or(|ended| at < ended))
     }
 
-    /// When the act ended at last: a process whose disk had lost that ends it again.
+    /// When the act finally ended: a process whose disk had lost that record ends it again.
     pub(super) fn ended(&self, act: &SentAct<'_>) -> Option<Timestamp<Server>> {
         self.ran.records.iter().rev().find_map(|(at, record)| match record {
             Record::ActEnded { report, .. } if report.number == act.promise.number && *at >= act.at => {
@@ -368,7 +369,7 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether a control request that is meant reached a robot.
+    /// Whether a matching control request reached a robot.
     pub(super) fn reached(
         &self,
         robot: usize,
@@ -380,7 +381,7 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether a record written at an instant was certainly on the disk when its process ended, so that the next process knew it. A sync
+    /// Whether a record written at an instant was certainly on the disk when its process ended, so that the next process read it. A sync
     /// in progress ends first.
     pub(super) fn was_kept(&self, at: Timestamp<Server>) -> bool {
         let crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash && hit.from >= at);
@@ -391,7 +392,7 @@ impl<'a> Facts<'a> {
         disk.capacity.is_none() && !stalls && by < ended
     }
 
-    /// What happened between two instants, both included.
+    /// The events between two instants, both included.
     pub(super) fn between(
         &self,
         from: Timestamp<Server>,
@@ -403,12 +404,12 @@ impl<'a> Facts<'a> {
         &history[first..end.max(first)]
     }
 
-    /// Whether a robot was asked for its times since an instant, early enough for its answer to be there at another.
+    /// Whether a robot received an inquiry about its times since `since`, early enough for its answer to arrive before `by`.
     pub(super) fn was_asked(&self, robot: usize, since: Timestamp<Server>, by: Timestamp<Server>) -> bool {
         self.asked(robot, since, by).next().is_some()
     }
 
-    /// When these questions reached it.
+    /// When these inquiries reached it.
     pub(super) fn asked(
         &self,
         robot: usize,
@@ -428,8 +429,8 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether the scheduler died between the stops of two devices of a robot that takes no inquiries, before an act that it had
-    /// not committed: the first renewed the lease of the other, and nothing could shorten that ahead of it.
+    /// Whether the scheduler died between the stops of two devices of a robot that accepts no inquiries, before an act that it had not
+    /// committed. The first stop renewed the lease of the other device, and no inquiry could shorten that lease in advance.
     pub(super) fn was_stopped_in_part(&self, act: &SentAct<'_>, robot: usize) -> bool {
         let cancel = |message: &Message| match message {
             Message::ControlRequest(request) => {
@@ -448,8 +449,8 @@ impl<'a> Facts<'a> {
         act.committed.is_none() && !self.drawn().robots[robot].block.inquiry && crashes.any(was_on_its_way)
     }
 
-    /// When messages from the scheduler arrived at a robot that renew its leases. The question for its identity does not:
-    /// any server may ask it.
+    /// Arrival times of the scheduler's messages at a robot that renew its leases. The request for its description does not: any server
+    /// may send it.
     pub(super) fn heard(&self, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + '_ {
         self.ran.history.iter().filter_map(move |(at, happened)| match happened {
             Happened::AtRobot(_, Message::InitializationRequest(_)) => None,
@@ -459,7 +460,7 @@ impl<'a> Facts<'a> {
     }
 }
 
-/// A process begins with the clock of its machine, and keeps it.
+/// A process starts with the clock of its machine and keeps it.
 fn ahead_of(ran: &Ran) -> Vec<(Timestamp<Server>, Span)> {
     let mut of_machine = Span::ZERO;
     let mut ahead = Vec::new();
@@ -492,17 +493,17 @@ impl<'a> SentAct<'a> {
         robots
     }
 
-    /// When a robot is to start, if it has a script.
+    /// When a robot should start, if it has a script.
     pub(super) fn first_start(&self, robot: usize) -> Option<Timestamp<Server>> {
         self.of(robot).map(|script| self.start_of(script)).min()
     }
 
-    /// When a robot is to move for the first time: a device that does not move linearly waits for the first step of its script.
+    /// When a robot should first move: a device that does not move linearly waits for the first step of its script.
     pub(super) fn first_movement(&self, robot: usize) -> Option<Timestamp<Server>> {
         self.of(robot).map(|script| self.start_of(script) + script.starts_after).min()
     }
 
-    /// The script that comes before one on its device.
+    /// The previous script on the same device.
     pub(super) fn before(&self, script: &SentScript<'_>) -> Option<&SentScript<'a>> {
         let ahead = |other: &&SentScript<'_>| {
             other.promised.device == script.promised.device
@@ -513,27 +514,27 @@ impl<'a> SentAct<'a> {
             .max_by(|a, b| a.promised.start.get().total_cmp(&b.promised.start.get()))
     }
 
-    /// A robot did every step that it was sent.
+    /// Whether a robot completed all its steps.
     pub(super) fn is_whole_on(&self, robot: usize) -> bool {
         self.of(robot).all(|script| script.steps_set() == script.steps_written())
     }
 
-    /// From the start of the act to that of its last script.
+    /// Time from the start of the act to that of its last script.
     pub(super) fn starts_within(&self) -> Span {
         self.promise.scripts.iter().map(|script| script.start.span()).max().unwrap_or_default()
     }
 
-    /// Its planned start by the true time.
+    /// Its planned start in true time.
     pub(super) fn start_of(&self, script: &SentScript<'_>) -> Timestamp<Server> {
         self.promise.start + script.promised.start.span()
     }
 
-    /// The same by the clock of the process that promised it, as robots and reports have it.
+    /// Its planned start by the clock of the process that promised it, as robots and reports use it.
     pub(super) fn start_as_told(&self, script: &SentScript<'_>) -> Timestamp<Server> {
         self.start_of(script) + self.ahead
     }
 
-    /// From then on silence may be noticed too late, as was told at the decision; without one, for a pending lease.
+    /// The instant after which silence may be noticed too late, as reported at the decision; without a decision, for a pending lease.
     pub(super) fn doubtful_from(&self) -> Timestamp<Server> {
         self.promise.start - self.decided.map_or(self.promise.lease, |decided| decided.doubt)
     }
@@ -545,7 +546,7 @@ impl<'a> SentScript<'a> {
         self.log.iter().copied().filter(|entry| entry.is_set() && entry.step.is_some())
     }
 
-    /// How many of its steps were set.
+    /// Number of distinct steps that were set.
     pub(super) fn steps_set(&self) -> usize {
         let mut steps: Vec<_> = self.steps().filter_map(|entry| entry.step).collect();
         steps.sort_unstable();
@@ -557,7 +558,7 @@ impl<'a> SentScript<'a> {
         self.written.map_or(0, |written| written.script.steps().len())
     }
 
-    /// It moved its device.
+    /// Whether it moved its device.
     pub(super) fn began(&self) -> bool {
         !self.log.is_empty()
     }

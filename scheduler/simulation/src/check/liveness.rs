@@ -1,5 +1,5 @@
-//! (h) Nothing waits forever: silence is reported within its bound, a stop reaches every robot that can be reached, it ends
-//! within the operator's patience, and after a fault acts follow each other nearly as soon as without it.
+//! (h) Nothing waits forever: silence is reported within its bound, a stop reaches every reachable robot and ends within the operator's
+//! patience, and after a fault acts follow each other nearly as soon as without it.
 
 use std::iter;
 
@@ -13,24 +13,24 @@ use crate::world::PATIENCE;
 use crate::{Fault, Happened};
 use downbeat_mission::{Progress, Record};
 
-/// A robot without a running lease may owe an answer for this long.
+/// Maximum silence of a robot without a running lease.
 const SILENCE_MAX: Span = Span::from_millis(3_000);
-/// What the scheduler takes to act on what it has.
+/// Time in which the scheduler acts on received events.
 const AT_ONCE: Span = Span::from_millis(2);
-/// A lead or a gap may be so many times that of the same mission without faults, and `MORE` beyond it.
+/// Maximum ratio of a lead or a gap to that of the same mission without faults; `MORE` is added.
 const TIMES: i64 = 3;
 const MORE: Span = Span::from_millis(500);
-/// Where it is known when an act is to start, it is sent up to 2 s ahead, and with a lease that is longer by up to 2 s.
+/// If the start time of an act is known, it is sent up to 2 s ahead, and with a lease that is longer by up to 2 s.
 const AHEAD: Span = Span::from_millis(2_000 + 2_000);
-/// No lead is shorter: one margin, the least pending lease and another margin.
+/// The minimum lead: one margin, the minimum pending lease and another margin.
 pub(crate) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 50);
-/// So many of the round trips that its links keep to nearly always are in a lead, of which the longest counts as this one: three
-/// for the answers, six for the lease, and one and a half for the margin.
+/// The number of round trips in a lead, based on the longest round trip that its links nearly always achieve: three for the answers, six
+/// for the lease, and one and a half for the margin. `ROUND_TRIP_MAX` limits that round trip.
 const ROUND_TRIPS: i64 = 11;
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
 const HELD_UP_LEAST: Span = Span::from_millis(40);
-/// How long after its instant a report may arrive, in addition to two round trips: it is asked for then, and given up after as
-/// long again.
+/// Maximum delay of a report, in addition to two round trips. The scheduler requests a missing report after this time, and gives up after
+/// the same time again.
 const REPORT_GRACE: Span = Span::from_millis(500);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -47,8 +47,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     operator_is_heard(facts, verdict);
 }
 
-/// The instant after the sending of an act at which nothing more is expected of a robot: it has finished the act or failed, or everything
-/// is being stopped or has ended.
+/// The instant after the sending of an act from which nothing more is expected of a robot: it has finished the act or failed, or
+/// everything is being stopped or has ended.
 fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Server> {
     let name = facts.name(robot);
     let words =
@@ -69,26 +69,26 @@ fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Serv
     words.chain(facts.dropped[robot]).min().unwrap_or(Timestamp::from_nanos(i64::MAX))
 }
 
-/// The longest that a round trip of a robot took until an instant, or takes without faults. What is under way then tells nothing
-/// yet: a message that comes out of a partition at its end took as long as the silence that it ends.
+/// The longest round trip of a robot until an instant, or without faults. Messages still in transit do not count: a message that arrives
+/// at the end of a partition took as long as the silence that it ends.
 fn round_trip(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
     usual_round_trip(facts, robot) + slow_until(facts, robot, until)
 }
 
-/// The longest that it takes without faults.
+/// The longest round trip without faults.
 fn usual_round_trip(facts: &Facts<'_>, robot: usize) -> Span {
     let drawn = facts.drawn();
     drawn.delay.1 * 2 + drawn.robots[robot].slow + waited(facts, robot) * 2
 }
 
-/// What a fault added to it until an instant.
+/// The additional delay by faults until an instant.
 fn slow_until(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);
     let slow = slow.filter(|hit| hit.until <= until);
     slow.map(|hit| hit.until - hit.from).max().unwrap_or_default()
 }
 
-/// The longest that a message waited behind others on a link that carries little: a round trip as measured waits there and back.
+/// The longest queuing delay of a message on a link with low bandwidth: a measured round trip is queued in both directions.
 fn waited(facts: &Facts<'_>, robot: usize) -> Span {
     let waited = facts.ran.history.iter().filter_map(|(_, happened)| match happened {
         Happened::Queued(r, waited) if *r == robot => Some(*waited),
@@ -97,8 +97,8 @@ fn waited(facts: &Facts<'_>, robot: usize) -> Span {
     waited.max().unwrap_or_default()
 }
 
-/// While a robot plays, the scheduler hears of it at least once within its running lease and a round trip, or says that it has
-/// failed.
+/// While a robot plays, the scheduler receives a message from it at least once within its running lease plus a round trip, or reports
+/// that it has failed.
 fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Verdict) {
     if act.committed.is_none() {
         return;
@@ -118,7 +118,7 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
         if two[1] - two[0] <= bound {
             continue;
         }
-        // A link that is down is given up in its own time, and a scheduler that was away forgives what it missed.
+        // A link that is down is given up in its own time, and a scheduler that was not running forgives missed answers.
         let down = |hit: &Hit| hit.is_of(robot) && hit.cause == Cause::LinkDown;
         let otherwise = facts
             .hits
@@ -127,15 +127,15 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
         if settled > two[0] + bound && !otherwise {
             let silent = two[1] - two[0];
             let what = format!(
-                "r{robot} was silent for {silent} while it played, and {bound} after that nobody was told"
+                "r{robot} was silent for {silent} while it played, and the failure was not reported within {bound}"
             );
             return verdict.violated('h', what);
         }
     }
 }
 
-/// The longest running lease of a robot's scripts. Where none of them plays, what waits is lost only when its pending lease has run
-/// out as well.
+/// The longest running lease of a robot's scripts. If none of them plays, waiting scripts are lost only when their pending lease has
+/// expired as well.
 fn lease(act: &SentAct<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     let running = act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span));
     let running = running.map(|lease| lease.unwrap_or(SILENCE_MAX)).max().unwrap_or(SILENCE_MAX);
@@ -146,13 +146,13 @@ fn lease(act: &SentAct<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     if act.of(robot).any(plays) { running } else { running.max(act.promise.lease) }
 }
 
-/// The scheduler's own end or standstill between two instants.
+/// Whether the scheduler was ended or stalled at any time between two instants.
 fn scheduler_was_away(facts: &Facts<'_>, from: Timestamp<Server>, until: Timestamp<Server>) -> bool {
     facts.hits.iter().any(|hit| hit.robot.is_none() && hit.overlaps(from, until))
 }
 
-/// A stop ends, confirmed or not, when the operator's patience does. A later stop that brings robots to rest in another way
-/// has its own deadline. A repetition of the same stop does not extend the deadline.
+/// A stop ends, confirmed or not, when the operator's patience does. A later stop that brings robots to rest in another way has its own
+/// deadline. A repetition of the same stop does not extend the deadline.
 fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (stopping, record) in &facts.ran.records {
         let Record::Stopping { rest: first, .. } = record else { continue };
@@ -173,7 +173,7 @@ fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A robot that was sent something and can be reached hears of a stop within the longest delay of its link.
+/// A reachable robot that received scripts receives a stop within the maximum delay of its link.
 fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
     for stopping in &facts.stopping {
         for robot in 0..facts.drawn().robots.len() {
@@ -197,14 +197,14 @@ fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
             if sent && !out && !was_hit && !away && facts.honest(robot) && !stopped {
                 verdict.violated(
                     'h',
-                    format!("r{robot} can be reached, and did not hear of the stop at {stopping}"),
+                    format!("r{robot} is reachable but did not receive the stop at {stopping}"),
                 );
             }
         }
     }
 }
 
-/// A script of an act has reached a robot before an instant.
+/// Whether a script of an act reached a robot before an instant.
 fn was_sent(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, before: Timestamp<Server>) -> bool {
     facts.between(act.at, before - Span::from_nanos(1)).iter().any(|(_, happened)| match happened {
         Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
@@ -214,7 +214,7 @@ fn was_sent(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, before: Timestam
     })
 }
 
-/// How long a stop waited behind other messages for a link that carries little even without faults.
+/// The queuing delay of a stop on a link that has a low bandwidth even without faults.
 fn queued(facts: &Facts<'_>, robot: usize, stopping: Timestamp<Server>) -> Span {
     let of_stops =
         facts.between(stopping, stopping + AT_ONCE).iter().filter_map(|(_, happened)| match happened {
@@ -224,7 +224,7 @@ fn queued(facts: &Facts<'_>, robot: usize, stopping: Timestamp<Server>) -> Span 
     of_stops.max().unwrap_or_default()
 }
 
-/// An earlier stop has confirmed that nothing of an act moves a robot any more.
+/// Whether an earlier stop has confirmed that no part of an act moves the robot any longer.
 fn came_to_rest(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, by: Timestamp<Server>) -> bool {
     let name = facts.name(robot);
     facts.between(act.at, by).iter().any(|(_, happened)| match happened {
@@ -233,7 +233,7 @@ fn came_to_rest(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, by: Timestam
     })
 }
 
-/// An act that has not ended by then: its robots may still have something of it.
+/// Whether an act has not ended at this instant, so that its robots may still hold parts of it.
 fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool {
     let ended = facts.ran.records.iter().any(|(when, record)| match record {
         Record::ActEnded { report, .. } => *when < at && report.number == act.promise.number,
@@ -242,7 +242,7 @@ fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool 
     act.at <= at && !ended
 }
 
-/// When the operator says stop, everything is stopped at once, or nothing was under way any more.
+/// When the operator requests a stop, everything is stopped at once, or nothing was under way.
 fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         if !matches!(happened, Happened::Fault(Fault::Stop | Fault::Home | Fault::StopByJournal)) {
@@ -254,12 +254,12 @@ fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
         let crashed = |hit: &Hit| hit.cause == Cause::SchedulerCrash && hit.from <= *at;
         let away = facts.hits.iter().any(crashed) || scheduler_was_away(facts, *at, *at + AT_ONCE);
         if !over && !away {
-            verdict.violated('h', format!("the operator said stop at {at}, and nothing was stopped"));
+            verdict.violated('h', format!("the operator requested a stop at {at}, but nothing was stopped"));
         }
     }
 }
 
-/// Leads and gaps of acts that the same robots play in both missions.
+/// Compares leads and gaps of acts that the same robots play in both missions.
 pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut Verdict) {
     for act in facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act)) {
         let same = |other: &&SentAct<'_>| {
@@ -270,8 +270,8 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         let Some(other) = undisturbed.acts.iter().find(same) else { continue };
         let number = act.promise.number;
         let (with, without) = (lead(act), lead(other));
-        // Nothing waits for an act that is sent while the previous one still plays and that starts when it ends, by the clock of
-        // the process that sends it.
+        // No act is delayed if it is sent while the previous one still plays and starts when that ends, by the clock of the process that
+        // sends it.
         let ahead = before(facts, act).is_some_and(|before| {
             let clocks = (act.ahead - before.ahead).abs();
             gap(before, act) <= DRIFT + clocks
@@ -283,13 +283,13 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         }
         let (before, other_before) = (before(facts, act), before(undisturbed, other));
         let Some((before, other_before)) = before.zip(other_before) else { continue };
-        // A robot that has come only in one of them leaves its devices free for the next act in the other.
+        // A robot that joined in only one of the missions leaves its devices free for the next act in the other.
         if before.promise.act != other_before.promise.act || before.robots() != other_before.robots() {
             continue;
         }
         let (gap, other_gap) = (gap(before, act), gap(other_before, other));
-        // An act is sent as soon as its devices have room. What its lead is longer by, which is bounded above, it starts later.
-        // After a stop the whole lead comes after it and no longer overlaps the act before.
+        // An act is sent as soon as its devices have room. Its start is delayed by the excess of its lead, which is bounded above. After
+        // a stop, the whole lead follows the stop and no longer overlaps the previous act.
         let longer = if was_stopped(facts, before, act) || waited_for_room(facts, before, act) {
             with
         } else {
@@ -304,8 +304,8 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
     }
 }
 
-/// The number of the last act whose lead, or the gap before it, is longer than what is allowed whatever the mission without faults
-/// does: of later ones [`compare`] cannot find anything.
+/// The number of the last act whose lead, or the gap before it, exceeds the minimum permitted value. For later acts, [`compare`] cannot
+/// find anything.
 pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
     let compared = facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act));
     let long = compared.filter(|act| {
@@ -319,9 +319,9 @@ pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
     long.map(|act| act.promise.number).max()
 }
 
-/// How much a lead may exceed its share of a lead without faults. It contains twice the time that the disk took recently, for the
-/// promise and for the commitment, and the delays of links as slow as they were. No other fault is in it. Nobody waits for an act
-/// that starts at its own time: after a fault it is sent sooner than without, if those before it do not play, and no later.
+/// How much a lead may exceed the permitted multiple of a lead without faults. Includes twice the recent write time of the disk, for the
+/// promise and for the commitment, and the delays of links at their previous slowness. Includes no other fault. Nobody waits for an act
+/// that starts at its own time: after a fault, it is sent earlier than without if the previous acts do not play, and no later.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = (slow_again(facts, act) + held_up(facts, act)).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
     let ahead = if starts_at_its_time(act) { AHEAD } else { Span::ZERO };
@@ -338,32 +338,32 @@ fn held_up(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     (0..withdrawn).fold(Span::ZERO, |addition, _| first.max(addition * 2))
 }
 
-/// Its start is judged by that time alone: after a delay, it may be that of the next day.
+/// The start of such an act is judged only by that time: after a delay, it may be that of the next day.
 const fn waits_for_a_time_of_day(act: &SentAct<'_>) -> bool {
     matches!(act.written.wait, Wait::TimeOfDay(_))
 }
 
-/// It waits for an instant, and is not late for it.
+/// Whether it waits for an instant and is not late for it.
 fn starts_at_its_time(act: &SentAct<'_>) -> bool {
     matches!(act.written.wait, Wait::Instant(at) if act.promise.start + act.ahead <= at)
 }
 
-/// How much a gap may exceed its share of a gap without faults and the excess of the lead: an act is sent later by the amount by
-/// which a clock was set back.
+/// How much a gap may exceed the permitted multiple of a gap without faults plus the excess of the lead. An act is sent later by the
+/// amount by which a clock was set back.
 fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lasted = disk_stood_still(facts, act) * 2 + lasted(facts, before, act);
     let lasted = lasted + report_awaited(facts, before, act);
     MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
 }
 
-/// An act waits this long for a report of the one before it that may be lost, alone or with its connection.
+/// How long an act waits for a report of the previous act that may be lost, alone or with its connection.
 fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lost = |hit: &&Hit| {
         let may_lose = matches!(hit.cause, Cause::Lost | Cause::LinkDown);
         may_lose && hit.from >= before.promise.start && hit.from <= act.at
     };
     let robots = facts.hits.iter().filter(lost).filter_map(|hit| hit.robot);
-    // So is what a robot that lies never reports.
+    // The same applies to reports that a lying robot never sends.
     let liars = (0..facts.drawn().robots.len()).filter(|robot| !facts.honest(*robot));
     let robots = robots.chain(liars).filter(|robot| before.robots().contains(robot));
     robots
@@ -372,13 +372,13 @@ fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) ->
         .unwrap_or_default()
 }
 
-/// Everything was being stopped between two acts.
+/// Whether everything was being stopped between two acts.
 fn was_stopped(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
     facts.stopping.iter().any(|at| *at > before.at && *at <= act.at)
 }
 
-/// An act whose time had passed was sent only once the preceding act had ended, because a link of one of its robots had been slow: a
-/// script that follows the preceding act on its device might have arrived late.
+/// Whether an act whose time had passed was sent only after the end of the preceding act, because a link of one of its robots had been
+/// slow: a script that follows the preceding act on its device might have arrived late.
 fn waited_for_room(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
     let has_passed = matches!(act.written.wait, Wait::Instant(at) if at < act.promise.start + act.ahead);
     let slow = |hit: &Hit| {
@@ -388,13 +388,13 @@ fn waited_for_room(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -
     has_passed && gap(before, act) >= lead(act) - DRIFT && facts.hits.iter().any(slow)
 }
 
-/// The act that was sent before another.
+/// The act that was sent before another one.
 fn before<'f, 'a>(facts: &'f Facts<'a>, act: &SentAct<'_>) -> Option<&'f SentAct<'a>> {
     facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)
 }
 
-/// By how much the clocks of an act's robots by then, and of the process that sent it, were set. How early a robot may start by
-/// its clock is in the lead twice: within the last lease, and after it. How late it ends by its clock is in the gap after it.
+/// The amount by which the clocks of an act's robots until `by`, and that of the process that sent it, were set. A robot's early start by
+/// its clock enters the lead twice: within the last lease, and after it. Its late end by its clock enters the gap after it.
 fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Span {
     let robots = act.robots();
     let of_act = |hit: &&Hit| {
@@ -404,8 +404,8 @@ fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Sp
     of_robots + act.ahead.abs()
 }
 
-/// How long a link of an act's robots was slow the second time, if it was slow at two moments before the act was sent: one alone
-/// leaves the lead as it is, two are what its link is like.
+/// Duration of the second slow period of a link of an act's robots before the act was sent. A single slow period leaves the lead
+/// unchanged; two are considered typical of the link.
 fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let of_robot = |robot: usize| {
         let slow = |hit: &&Hit| {
@@ -413,7 +413,7 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
         };
         let slow: Vec<&Hit> = facts.hits.iter().filter(slow).collect();
         let lasts = |hit: &Hit| hit.until - hit.from;
-        // A question that is asked at the end of a moment meets the rest of what overlaps with it.
+        // An inquiry at the end of a slow period is affected by the rest of overlapping ones.
         let mut rests: Vec<Span> = Vec::new();
         let mut until = Timestamp::from_nanos(0);
         for hit in &slow {
@@ -421,13 +421,13 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
             until = until.max(hit.until);
         }
         rests.sort_unstable();
-        // On a link that carries little, each message overlaps with the one before. Two that do not overlap are two moments.
+        // On a link with low bandwidth, each message overlaps with the previous one. Two that do not overlap are separate periods.
         let apart = slow.iter().enumerate().flat_map(|(index, first)| {
             let others = slow[index + 1..].iter().filter(move |second| second.from >= first.until);
             others.map(move |second| lasts(first).min(lasts(second)))
         });
         let slow = apart.max().max(rests.into_iter().rev().nth(1));
-        // A link with long delays has them both ways, and a moment is the way of one message.
+        // A link with long delays has them in both directions, and a period covers one message.
         let lags = |(_, fault): &(Span, Fault)| matches!(fault, Fault::Lag { robot: of, .. } if *of == robot);
         slow.map(|slow| if facts.drawn().faults.iter().any(lags) { slow * 2 } else { slow })
     };
@@ -438,24 +438,24 @@ fn lead(act: &SentAct<'_>) -> Span {
     act.promise.start - act.promise.timestamp
 }
 
-/// The lead that the scenario asks for: it is kept where no act before it still plays.
+/// The lead that the scenario specifies: it is used if no previous act still plays.
 const fn asked_for(act: &SentAct<'_>) -> Option<Span> {
     act.written.plan.lead
 }
 
-/// For how long the disk stood still before an act was sent.
+/// Total duration of disk stalls before an act was sent.
 fn disk_stood_still(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let stalls = facts.hits.iter().filter(|hit| hit.cause == Cause::Disk && hit.from <= act.at);
     stalls.map(|hit| hit.until - hit.from).fold(Span::ZERO, |sum, lasts| sum + lasts)
 }
 
-/// From the planned end of the act before to the start of this one.
+/// Time from the planned end of the previous act to the start of this one.
 fn gap(before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
-    // As written: what a robot would have played that was left out leaves a gap of its own.
+    // As planned: a robot that was left out leaves a gap of its own.
     act.promise.start - (before.promise.start + before.written.plan.duration())
 }
 
-/// For how long something was wrong with the scheduler or a robot since the act before was sent: the later one waits for that.
+/// Total duration of faults of the scheduler or a robot since the previous act was sent: the later act waits for them.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);
@@ -465,7 +465,7 @@ fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
         }
         _ => None,
     };
-    // And the one whose sensor this one waits for, which may play in none.
+    // Includes the robot whose sensor this act waits for, which may not play in any act.
     let robots: Vec<usize> = so_far.flat_map(SentAct::robots).chain(waited_for).collect();
     let (begins, until) = (before.at, act.promise.start);
     let mut from = begins;

@@ -1,4 +1,4 @@
-//! The invariants, held against what the robots really set. A file for each; `docs/simulation.md` has them as sentences.
+//! The invariants, checked against the values that the robots really set. One file each; `docs/simulation.md` describes them.
 
 mod all_or_none;
 mod cause;
@@ -28,15 +28,15 @@ pub(super) use self::liveness::LEAD_LEAST;
 pub use self::situation::Situation;
 use super::Ran;
 
-/// What a drifting clock may add to a lease or a start within a mission.
+/// Maximum contribution of a drifting clock to a lease or a start within a mission.
 const DRIFT: Span = Span::from_millis(1);
 
-/// Something that must not happen.
+/// A violation of an invariant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
-    /// Which invariant: one of [`Verdict::INVARIANTS`].
+    /// The letter of the invariant: one of [`Verdict::INVARIANTS`].
     pub invariant: char,
-    /// What happened.
+    /// Description of the violation.
     pub what: String,
 }
 
@@ -46,31 +46,31 @@ impl fmt::Display for Violation {
     }
 }
 
-/// How an act's starts came out.
+/// The result of an act's starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Starts {
     /// Every robot started.
     All,
-    /// None did.
+    /// No robot started.
     None,
-    /// Some did, and others did not.
+    /// Some robots started, and others did not.
     Mixed,
 }
 
-/// An act that was sent, or the first one of a mission that sent none, and how its starts came out.
+/// An act that was sent, or the first one of a mission that sent none, and the result of its starts.
 #[derive(Clone, Debug)]
 pub struct ActStarts {
     /// Its number in the mission.
     pub number: u32,
-    /// When its first cue was to start.
+    /// The planned start of its first cue.
     pub start: Timestamp<Server>,
     /// The honest robots that had a part in it at its start.
     pub robots: Vec<usize>,
-    /// On how many of them it started.
+    /// The result of its starts.
     pub starts: Starts,
 }
 
-/// Something that would be a violation if a fault did not excuse it.
+/// A violation that a fault excuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Excuse {
     /// Letter of the invariant.
@@ -79,21 +79,21 @@ pub struct Excuse {
     pub cause: Cause,
 }
 
-/// What is found of a run.
+/// The findings of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Verdict {
-    /// What must not have happened.
+    /// The violations.
     pub violations: Vec<Violation>,
-    /// What was excused: one for each act whose starts were mixed, and one for each robot that is excused of another invariant.
+    /// The excused violations: one for each act with mixed starts, and one for each robot that is excused of another invariant.
     pub excuses: Vec<Excuse>,
-    /// Each act that was sent, or the first one if none was.
+    /// Each act that was sent, or the first one if none was sent.
     pub acts: Vec<ActStarts>,
-    /// The situations that the mission reached, each as often as it occurred.
+    /// The situations that the mission reached, repeated as often as they occurred.
     pub situations: Vec<Situation>,
 }
 
 impl Verdict {
-    /// What the invariants are called, and in short what they say.
+    /// The letters of the invariants, with short descriptions.
     pub const INVARIANTS: [(char, &str); 10] = [
         ('a', "all or none"),
         ('b', "nothing late, nothing twice"),
@@ -117,7 +117,7 @@ impl Verdict {
 }
 
 impl Ran {
-    /// Holds the invariants against what happened.
+    /// Checks all invariants.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         if let Some(broken) = &self.broken {
@@ -141,13 +141,13 @@ impl Ran {
         verdict
     }
 
-    /// The number of the last act of which a comparison with the same mission without its faults could find anything.
+    /// The number of the last act for which a comparison with the same mission without its faults could find anything.
     #[must_use]
     pub fn last_to_compare(&self) -> Option<u32> {
         liveness::last_to_compare(&Facts::of(self))
     }
 
-    /// Compares what became of a mission under faults with the same one without them.
+    /// Compares a mission under faults with the same one without them.
     #[must_use]
     pub fn compared_with(&self, undisturbed: &Self) -> Verdict {
         let mut verdict = Verdict::default();

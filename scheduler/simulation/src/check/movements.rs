@@ -19,7 +19,8 @@ const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
 }
 
-/// Whether the mission has to know that this is a jump: the robot states its positions, or a sensor shows this one closely enough.
+/// Whether the mission must recognize this as a jump: the robot states its positions, or a sensor shows this one with sufficient
+/// accuracy.
 fn has_to_be_seen(drawn: &DrawnRobot, jump: &JumpAfterStop<'_>) -> bool {
     if states_positions(drawn) {
         return true;
@@ -41,7 +42,7 @@ pub(super) fn jumps_from_the_beginning(drawn: &DrawnRobot, device: &DeviceId, fi
     is_known && (first - BEGINS_AT).abs() > JUMP
 }
 
-/// Checks that no device of a robot that states its positions jumps with its first movement, in whichever act.
+/// Checks that no device of a robot that states its positions jumps with its first movement, in any act.
 fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
         let drawn = &facts.drawn().robots[robot];
@@ -96,8 +97,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// The limits and the braking of a device that comes to rest. `None` for one whose hardware is back: it may not have received the last values, so that
-/// its speeds are set to zero once more.
+/// The limits and the braking of a device that comes to rest. `None` if its hardware has just returned: it may have missed the last
+/// values, so its speeds are set to zero again.
 fn resting<'a>(facts: &Facts<'a>, robot: usize, entry: &LogEntry) -> Option<Resting<'a>> {
     let is_back = |(at, fault): &(Span, Fault)| match fault {
         Fault::HardwareDies { robot: of, back_after: Some(after), .. } => {
@@ -111,7 +112,7 @@ fn resting<'a>(facts: &Facts<'a>, robot: usize, entry: &LogEntry) -> Option<Rest
     (!drawn.faults.iter().any(is_back)).then_some(Resting { device, braking })
 }
 
-/// Whether the way home had nothing to move here: a stop left the device at its default position, and the mission sent all robots
+/// Whether there was nothing to move on the way home: a stop left the device at its default position, and the mission sent all robots
 /// home before it promised the act in which the device jumps.
 fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> bool {
     let device = facts.drawn().robots[robot].block.device(jump.stop.device.as_str());
@@ -124,17 +125,16 @@ fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> 
     is_there && were_sent_home(facts, robot, Timestamp::from_nanos(jump.stop.true_ns), jump.entry)
 }
 
-/// Whether an earlier act with a part for the device of this entry was withdrawn before the device moved, and the mission sent all
-/// robots home afterwards.
+/// Whether an earlier act with a part for the device of this entry was withdrawn before the device moved, and the mission sent all robots
+/// home afterwards.
 fn was_sent_home(facts: &Facts<'_>, robot: usize, entry: &LogEntry) -> bool {
     let of_device = |script: &SentScript<'_>| script.promised.device == entry.device;
     let first = facts.acts.iter().find(|act| act.of(robot).any(of_device));
     first.is_some_and(|act| were_sent_home(facts, robot, act.at, entry))
 }
 
-/// Whether the mission sent all robots home between `since` and the promise of the act to which `entry` belongs. Such an act begins
-/// as the scenario says, just as after a way home that moves the device. An approach would have moved the device to the first
-/// position of the act.
+/// Whether the mission sent all robots home between `since` and the promise of the act of `entry`. Such an act begins as the scenario
+/// specifies, just as after a way home that moves the device. An approach would have moved the device to the first position of the act.
 fn were_sent_home(facts: &Facts<'_>, robot: usize, since: Timestamp<Server>, entry: &LogEntry) -> bool {
     let id = entry.request_id.as_deref();
     let is_it = |script: &SentScript<'_>| id == Some(script.promised.request_id.as_str());

@@ -7,7 +7,7 @@ use urrcp::Span;
 use super::Verdict;
 use super::facts::Facts;
 
-/// A robot that was delayed longer than this over a start drops the command.
+/// A robot drops a command whose start is delayed by more than this.
 const START_LATE_MAX: Span = Span::from_millis(51);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {

@@ -1,8 +1,8 @@
-//! What the scheduler promises to do and not to do on the way, held against what reached the robots: (a) nothing starts that
-//! was not committed, and nothing is committed that should have started; (c) only a stop cancels,
-//! and only the end of a lease ends what plays; (d) only the intended robots move; (f) nothing is sent whose skew
-//! budget is beyond the tolerance; (g) what was decided was accepted, what is said to have begun had hands to begin with, and
-//! what was on the disk is read again; (h) a robot that is reached again is spoken to at once.
+//! The scheduler's promises during a mission, compared with the messages that reached the robots. (a) Nothing starts that was not
+//! committed, and nothing is committed after its planned start. (c) Only a stop cancels, and only the end of a lease ends a playing
+//! script. (d) Only the intended robots move. (f) Nothing is sent whose skew budget exceeds the tolerance. (g) A decided act was
+//! accepted, a script that is reported as begun had working hardware, and data on the disk is read again. (h) A robot that is reachable
+//! again receives messages at once.
 
 use urrcp::{Command, Message, RequestId, Server, Span, Timestamp};
 
@@ -14,11 +14,11 @@ use crate::world::PATIENCE;
 use downbeat_mission::{FailureKind, Progress, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// What the scheduler and a robot take to continue where neither waits for anything.
+/// Time in which the scheduler and a robot continue if neither waits for anything.
 const AT_ONCE: Span = Span::from_millis(2);
-/// What clocks, and the way of a question that nothing was measured of, are taken to be before a lease of a process that took over.
+/// Assumed error of the clocks and travel time of an unmeasured inquiry, before a lease of a process that resumed the mission.
 const HUSHED_AHEAD: Span = Span::from_millis(30);
-/// A robot that is delayed for longer drops its start.
+/// A robot drops a start that is delayed by more than this.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -35,8 +35,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     commitments_are_in_time(facts, verdict);
 }
 
-/// The commitment is not written down any more when the act should have started, by the clock of the process that writes: another one
-/// would take robots for started that had lost what they held.
+/// The commitment is not recorded after the planned start of the act, by the clock of the process that records it: another process would
+/// consider robots as started that had lost their scripts.
 fn commitments_are_in_time(facts: &Facts<'_>, verdict: &mut Verdict) {
     for act in &facts.acts {
         let start = act.promise.start + act.ahead;
@@ -47,7 +47,7 @@ fn commitments_are_in_time(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// No robot starts an act unless the commitment was written down, but for one that what was sent before reached too late, or whose
+/// No robot starts an act without a recorded commitment. Exceptions are robots that earlier messages reached too late, and robots whose
 /// stop was cut off.
 fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
     for act in facts.acts.iter().filter(|act| act.committed.is_none()) {
@@ -67,9 +67,9 @@ fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// While robots are greeted, one that refuses connections may still be starting.
+/// During the greeting, a robot that refuses connections may still be starting.
 fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
-    /// For this long.
+    /// Minimum patience with such a robot.
     const STARTS_WITHIN: Span = Span::from_millis(500);
     let first_act = facts.acts.first().map(|act| act.at);
     let mut lost: Vec<Option<Timestamp<Server>>> = vec![None; facts.drawn().robots.len()];
@@ -82,7 +82,7 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
             Happened::Told(progress) => {
                 let Progress::Failed(failure) = &**progress else { continue };
                 let robot = facts.index_of(&failure.robot).filter(|_| first_act.is_none_or(|act| *at < act));
-                // Patience may end before.
+                // Patience may end earlier.
                 let robot = robot.filter(|_| *at < BEGIN + PATIENCE);
                 let Some((robot, since)) = robot.and_then(|robot| Some((robot, lost[robot]?))) else {
                     continue;
@@ -98,23 +98,23 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// An empty script comes to a robot only once it was left out or everything was being stopped.
+/// An empty script reaches a robot only after it was left out or during a stop of everything.
 fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::AtRobot(robot, Message::ControlRequest(request)) = happened else { continue };
         let cancels = matches!(&request.command, Command::Script(script) if script.is_empty());
         let dropped = facts.dropped[*robot].is_some_and(|dropped| dropped <= *at);
-        // A stop is sent first and written down afterwards, in the same instant, unless the process dies between the two.
+        // A stop is sent first and recorded afterwards, in the same instant, unless the process dies between the two.
         let stopped = facts.stopping.iter().any(|stopping| stopping <= at);
         let died = facts.hits.iter().any(|hit| hit.cause == Cause::SchedulerCrash && hit.from <= *at);
         if cancels && !dropped && !stopped && !died {
             return verdict
-                .violated('c', format!("r{robot} was sent a cancel at {at}, and nothing was being stopped"));
+                .violated('c', format!("r{robot} was sent a cancel at {at}, but nothing was being stopped"));
         }
     }
 }
 
-/// A robot says that the server was silent for longer than its lease only if nothing came to it for this long.
+/// A robot reports that the server was silent for longer than its lease only if nothing reached it for this long.
 fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::Told(progress) = happened else { continue };
@@ -127,7 +127,7 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
             continue;
         }
         let Some((from, lease)) = least_lease(facts, robot, *at) else { continue };
-        // It begins at some time in between, and a lease that has run out by then ends it at once.
+        // It begins at some time in between, and a lease that has already expired ends it at once.
         let planned = from - START_LATE_MAX;
         let last = facts.heard(robot).filter(|heard| *heard <= planned).last().unwrap_or(planned);
         let heard = facts.heard(robot).filter(|heard| *heard > planned && heard <= at);
@@ -135,15 +135,15 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
         let longest = instants.windows(2).map(|two| two[1] - two[0]).max().unwrap_or_default();
         if longest + DRIFT < lease {
             let what = format!(
-                "r{robot} says that it heard nothing for a lease of {lease}, and heard after {longest}"
+                "r{robot} reports that it received nothing for a lease of {lease}, but the longest gap was {longest}"
             );
             return verdict.violated('c', what);
         }
     }
 }
 
-/// Of a robot that has begun all that it was sent: since when, and the shortest lease under which it plays. `None` where it
-/// may have lost something that had not begun.
+/// For a robot that has begun all its scripts: since when, and the shortest lease under which it plays. `None` if it may have lost a
+/// script that had not begun.
 fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option<(Timestamp<Server>, Span)> {
     let mut acts = facts.acts.iter().filter(|act| act.at <= at && act.of(robot).next().is_some());
     let act = acts.next_back()?;
@@ -164,7 +164,7 @@ fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option
     (begun < at).then_some((begun, leases?.into_iter().min()?))
 }
 
-/// Another robot at the address of one that is meant gets nothing that moves it.
+/// Another robot at the address of the intended one receives nothing that moves it.
 fn strangers_rest(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (robot, log) in facts.ran.logs_of_strangers.iter().enumerate() {
         if let Some(entry) = log.iter().find(|entry| entry.request_id.is_some()) {
@@ -178,14 +178,14 @@ fn budgets_fit(facts: &Facts<'_>, verdict: &mut Verdict) {
         if let Some(skew) = act.skew.filter(|skew| skew.predicted > skew.tolerance) {
             let (number, predicted, tolerance) = (act.promise.number, skew.predicted, skew.tolerance);
             let what = format!(
-                "act {number} was sent, its starts may be {predicted} apart of {tolerance} tolerated"
+                "act {number} was sent, but its starts may be {predicted} apart, and {tolerance} is tolerated"
             );
             verdict.violated('f', what);
         }
     }
 }
 
-/// When an act is decided, the first script of each device has come to its robot.
+/// When an act is decided, the first script of each device has reached its robot.
 fn decisions_are_accepted(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, record) in &facts.ran.records {
         let Record::Decided { number, .. } = record else { continue };
@@ -204,16 +204,18 @@ fn decisions_are_accepted(facts: &Facts<'_>, verdict: &mut Verdict) {
             let out = facts.dropped[robot].is_some_and(|dropped| dropped <= *at);
             if !came && !out {
                 let (device, number) = (&script.promised.device, act.promise.number);
-                let what = format!("act {number} was decided, and `{device}` of r{robot} had not come to it");
+                let what = format!(
+                    "act {number} was decided, but the script of `{device}` had not reached r{robot}"
+                );
                 return verdict.violated('g', what);
             }
         }
     }
 }
 
-/// A script begins only if the hardware is not known to be dead, where there was time to ask.
+/// A script begins only if the hardware is not known to be dead, provided there was time for an inquiry.
 fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
-    /// A script that came so shortly before its start is begun unasked.
+    /// A script that arrives this shortly before its start begins without an inquiry.
     const NOTICE: Span = Span::from_millis(250);
     for (robot, names) in
         facts.ran.starts_of_dead.iter().enumerate().filter(|(robot, _)| facts.honest(*robot))
@@ -233,7 +235,7 @@ fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
                 let due = act.start_of(script);
                 if came.is_some_and(|came| due - came > NOTICE) && !facts.clock_was_set(robot) {
                     let device = &script.promised.device;
-                    verdict.violated('g', format!("r{robot} began `{device}` with dead hardware"));
+                    verdict.violated('g', format!("r{robot} began `{device}` with failed hardware"));
                 }
             }
         }
@@ -245,22 +247,22 @@ fn what_was_written_is_read(facts: &Facts<'_>, verdict: &mut Verdict) {
         if let Happened::Forgotten(bytes) = happened {
             verdict.violated(
                 'g',
-                format!("{bytes} bytes of records were on the disk at {at}, and are not read again"),
+                format!("{bytes} bytes of records were on the disk at {at}, but are no longer readable"),
             );
         }
     }
 }
 
-/// From the critical instant on nothing is sent until the commitment: a question would carry scripts over the start. It lies
-/// within the doubt that was told. A process that takes an act up knows no shorter lease than that with which it was sent, so
-/// it is silent from a lease before the start on. Clocks and the way are in that lease as well.
+/// From the critical instant, nothing is sent until the commitment, because an inquiry would carry scripts over the start. This instant
+/// lies within the announced doubt. A process that resumes an act assumes the lease with which the act was sent, so it is silent from one
+/// lease before the start. That lease also covers clocks and travel times.
 fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Timestamp<Server>) -> bool {
     let history = facts.between(act.at, at);
     let taken_up = history.iter().rfind(|(_, what)| matches!(what, Happened::TakenUp(_)));
     let hushed_from = act.promise.start - act.promise.lease - HUSHED_AHEAD;
     match taken_up {
         Some((taken_up, _)) => {
-            // A process that takes the act up before that leaves a commitment that was recorded ahead of time unsent.
+            // A process that resumes the act before that leaves a commitment unsent that was recorded ahead of time.
             let counts = |committed: Timestamp<Server>| {
                 committed <= by && (committed >= *taken_up || *taken_up >= hushed_from)
             };
@@ -270,7 +272,7 @@ fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Ti
     }
 }
 
-/// A robot that holds something and is reached again hears more than the question for its name as soon as that is answered.
+/// A reconnected robot with pending scripts receives more than the request for its description as soon as that is answered.
 fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
     let drawn = facts.drawn();
     for (at, happened) in &facts.ran.history {
@@ -287,8 +289,8 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
         let links = |hit: &Hit| hit.cause == Cause::LinkDown && hit.from < *at;
         let hit = facts.hits.iter().any(|hit| {
             let counts = hit.is_of(*robot) || hit.robot.is_none();
-            // What was wrong with the robot until this link stands no longer keeps anything from it. A process that has just taken
-            // the mission up may have to be silent.
+            // Faults of the robot that end with this link no longer block anything. A process that has just resumed the mission may have
+            // to be silent.
             let goes_on = hit.robot.is_none() || hit.until > *at || hit.from >= *at;
             counts && !links(hit) && goes_on && hit.overlaps(*at - Span::from_nanos(1), by)
         });
@@ -305,7 +307,7 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
         if holds && bounded && !done && !hit && !failed && !heard {
             return verdict.violated(
                 'h',
-                format!("r{robot} was reached again at {at}, and hears nothing of its scripts"),
+                format!("r{robot} was reachable again at {at}, but receives nothing about its scripts"),
             );
         }
     }

@@ -1,4 +1,4 @@
-//! (c) After a stop that was confirmed, and beyond the end of its leases, a robot does not move.
+//! (c) After a confirmed stop, and beyond the end of its leases, a robot does not move.
 
 use std::collections::HashMap;
 
@@ -39,13 +39,13 @@ fn moved_after_a_stop(facts: &Facts<'_>, verdict: &mut Verdict) {
             .into_iter()
             .find(|(entry, until)| Timestamp::<Server>::from_nanos(entry.true_ns) < *at && *until > *at);
         if let Some((entry, _)) = turns {
-            verdict.violated('c', format!("r{robot} has confirmed its stop, and turns: {entry:?}"));
+            verdict.violated('c', format!("r{robot} has confirmed its stop, but turns: {entry:?}"));
         }
     }
 }
 
-/// The intervals in which a speed or an acceleration was not zero, each with the entry that began it. A stop ends one as soon as it
-/// slows the device down.
+/// The intervals in which a speed or an acceleration was not zero, each with the entry that started it. A stop ends an interval as soon
+/// as it slows the device down.
 fn turning<'a>(facts: &Facts<'a>, robot: usize) -> Vec<(&'a LogEntry, Timestamp<Server>)> {
     let log = &facts.ran.logs[robot];
     let rate = |entry: &&LogEntry| !is_of(entry, ControlType::Position);
@@ -59,13 +59,13 @@ fn turning<'a>(facts: &Facts<'a>, robot: usize) -> Vec<(&'a LogEntry, Timestamp<
     intervals
 }
 
-/// A device that continues to turn although the robot has heard nothing for longer than the lease under which it does.
+/// Finds a device that continues to turn although the robot has received nothing for longer than the lease of that movement.
 fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     let scripts = || facts.acts.iter().flat_map(|act| act.of(robot));
     let heard: Vec<Timestamp<Server>> = facts.heard(robot).collect();
     for (entry, until) in turning(facts, robot) {
         let from = Timestamp::<Server>::from_nanos(entry.true_ns);
-        // Nobody knows what a process does that is gone or stalls, or what its hardware does.
+        // The behaviour of a process that is gone or stalls, and of its hardware, is unknown.
         let known = |hit: &Hit| !hit.is_of(robot) || hit.cause.is_of_link() || !hit.overlaps(from, until);
         if !facts.hits.iter().all(known) {
             continue;
@@ -91,8 +91,8 @@ fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     None
 }
 
-/// A movement at which the robot had heard nothing for longer than the lease that held then. A script starts only if neither of
-/// its leases has run out: not the one under which it waits, nor the one under which it would play.
+/// Finds a movement before which the robot had received nothing for longer than the current lease. A script starts only if neither of its
+/// leases has expired: the one under which it waits, and the one under which it would play.
 fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     if facts.clock_was_set(robot) {
         return None;
@@ -104,7 +104,7 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
         .flat_map(|act| act.of(robot).map(move |script| (act, script)))
         .map(|(act, script)| {
             let running = script.promised.running.map(urrcp::Millis::span);
-            // One that follows another of its device waits under the lease under which that one plays, if that is longer.
+            // A script that follows another one of its device waits under the running lease of that one, if that is longer.
             let pending = match act.before(script) {
                 Some(before) => before.promised.running.map(|lease| lease.span().max(act.promise.lease)),
                 None => Some(act.promise.lease),
@@ -114,13 +114,13 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
             (script.promised.request_id.as_str(), (pending, running, first))
         })
         .collect();
-    // A process that stood still may have been due for its lease's end meanwhile; it acts on it first when it continues.
+    // The end of a lease may have become due while a process was stalled; the process handles it first when it continues.
     for entry in facts.ran.logs[robot].iter().filter(|entry| entry.is_set()) {
         let name = entry.request_id.as_deref().map(|id| facts.promised_name(robot, id));
         let Some((pending, running, first)) = name.and_then(|name| leases.get(name)) else { continue };
         let due = entry.true_ns - (entry.set_at - entry.due).as_nanos();
         let at = Timestamp::<Server>::from_nanos(due);
-        // If the first step comes later than its script starts, the script already plays in between.
+        // If the first step comes later than the script's start, the script already plays in between.
         let started = (entry.step == Some(0)).then_some((at - *first, *pending));
         for (at, lease) in started.into_iter().chain([(at, *running)]) {
             let last = heard.partition_point(|heard| *heard <= at).checked_sub(1).map(|last| heard[last]);
@@ -129,7 +129,7 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
             {
                 let silent = at - last;
                 return Some(format!(
-                    "r{robot} moved {silent} after it was last heard of, its lease was {lease}"
+                    "r{robot} moved {silent} after its last message, its lease was {lease}"
                 ));
             }
         }

@@ -1,4 +1,4 @@
-//! (c) A robot that was seized does nothing more of the mission that had it. (g) The report says by whom it was taken.
+//! (c) A seized robot performs no further action of its previous mission. (g) The report names the operator that seized it.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Span, Timestamp};
@@ -10,7 +10,7 @@ use crate::world::SEIZED_BY;
 use crate::{Happened, Names};
 use downbeat_mission::Record;
 
-/// By then the mission knows that it has lost a robot, unless there is another fault.
+/// Time within which the mission knows that it has lost a robot, unless there is another fault.
 const KNOWN_WITHIN: Span = Span::from_millis(1_000);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -21,7 +21,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, robot) in seized.filter(|(_, robot)| facts.honest(*robot)) {
         plays_on(facts, at, robot, verdict);
         if was_cut_short(facts, at, robot) && has_to_be_known(facts, at, robot) && !is_known(facts, robot) {
-            let what = format!("r{robot} was taken by {SEIZED_BY} at {at}, and the report does not say so");
+            let what =
+                format!("r{robot} was taken over by {SEIZED_BY} at {at}, but the report does not contain it");
             verdict.violated('g', what);
         }
     }
@@ -38,11 +39,11 @@ fn plays_on(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize, verdict: &mu
         after && entry.request_id.as_deref().is_some_and(|id| promised(facts.promised_name(robot, id)))
     });
     if let Some(entry) = moves {
-        verdict.violated('c', format!("r{robot} was seized at {at}, and played on: {entry:?}"));
+        verdict.violated('c', format!("r{robot} was seized at {at}, but continued to play: {entry:?}"));
     }
 }
 
-/// Whether a script had begun by then and never came to its end.
+/// Whether a script had begun at that time and never ended.
 fn was_cut_short(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool {
     let scripts = facts.acts.iter().flat_map(|act| act.of(robot));
     let began =
@@ -50,7 +51,7 @@ fn was_cut_short(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool
     scripts.into_iter().any(|script| began(script) && script.steps_set() < script.steps_written())
 }
 
-/// Whether the robot can tell, and nothing keeps the mission from hearing it while the mission still plays.
+/// Whether the robot can report it, and no other fault keeps the mission from receiving that report while it plays.
 fn has_to_be_known(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool {
     let drawn = &facts.drawn().robots[robot];
     let tells = drawn.names == Names::Echoed && drawn.block.reports;

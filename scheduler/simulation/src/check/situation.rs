@@ -23,7 +23,7 @@ pub enum Situation {
     SpeedStops,
     /// A position slows down within the acceleration of its device.
     PositionSlows,
-    /// A position slows down harder, so as not to pass its limit.
+    /// A position slows down harder to stay within its limit.
     SlowsAtLimit,
     /// A stop reaches a device that slows down.
     StoppedAgain,
@@ -35,22 +35,22 @@ pub enum Situation {
     AtItsTime,
     /// An act starts at a time of day that the clocks show twice.
     AtTimeShownTwice,
-    /// An act starts when the clocks skip its time of day.
+    /// An act starts at the instant at which the clocks skip its time of day.
     AtSkippedTime,
     /// An act waits for a time of another day.
     WaitsForAnotherDay,
     /// The clock of a robot drifts by more than the tolerance while it plays.
     DriftsApart,
-    /// A sensor shows that a device would jump, which moved before.
+    /// A sensor shows that a device that moved before would jump.
     RefusedBySensor,
-    /// Sensors show where the devices of a robot are that leaves out the names of requests, and it plays.
+    /// Sensors show the positions of a robot's devices, the robot omits the names of requests, and it plays.
     ReadWithoutNames,
-    /// A stop reaches a process that answers in the place of a robot, and the robot moves afterwards.
+    /// A stop reaches a process that answers in place of a robot, and the robot moves afterwards.
     MovesBehindTwin,
 }
 
 impl Situation {
-    /// All of them.
+    /// All situations.
     pub const ALL: [Self; 15] = [
         Self::SpeedSlows,
         Self::SpeedStops,
@@ -92,7 +92,7 @@ impl fmt::Display for Situation {
     }
 }
 
-/// The situations of a mission, each as often as it occurred.
+/// The situations of a mission, repeated as often as they occurred.
 pub(super) fn reached(facts: &Facts<'_>) -> Vec<Situation> {
     let mut met = Vec::new();
     for robot in 0..facts.drawn().robots.len() {
@@ -159,7 +159,7 @@ fn twins_stopped<'a>(facts: &'a Facts<'_>) -> impl Iterator<Item = usize> + 'a {
     })
 }
 
-/// How far the last step of a robot was off the plan of an act, by the true time. `None` if the robot did not come to its end, lies,
+/// How far the last step of a robot deviated from the plan of an act, by the true time. `None` if the robot did not finish the act, lies,
 /// follows NTP, or had its clock set.
 pub(super) fn off_its_plan(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Span> {
     let measured = facts.drawn().robots[robot].clock == ClockMode::Measured;
@@ -209,7 +209,7 @@ fn brakings(ran: &Ran, robot: usize, met: &mut Vec<Situation>) {
     }
 }
 
-/// What becomes of a device whose script has set a speed that is not zero.
+/// Notes the situations of a device whose script has set a nonzero speed.
 fn after_script(facts: &Facts<'_>, script: &SentScript<'_>, met: &mut Vec<Situation>) {
     let is_speed = |entry: &&LogEntry| is_of(entry, ControlType::Speed);
     let last = script.steps().filter(is_speed).last();

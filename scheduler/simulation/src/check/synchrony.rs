@@ -1,9 +1,9 @@
-//! (f) Robots start when the operator was told that they would: relative to the plan and to each other within the skew budget
-//! that was printed before anything was sent.
+//! (f) Robots start at the announced times: relative to the plan and to each other, within the skew budget that was printed before
+//! anything was sent.
 //!
-//! The true start counts, by the one clock of the simulated world, not what a robot says of itself. A clock that is set, or a
-//! process that stands still, excuses its own robot alone. A clock that was set before the act became doubtful has to be noticed:
-//! then the start is still within the scenario's tolerance, or there is none.
+//! The true start is used, by the clock of the simulated world, not the robot's own report. A clock that is set, or a process that
+//! stalls, excuses only its own robot. A clock that was set before the act became doubtful must be noticed: then the start is still
+//! within the scenario's tolerance, or the robot does not start.
 
 use urrcp::{Message, RequestId, Server, Span, Timestamp};
 
@@ -13,16 +13,16 @@ use super::facts::{Facts, SentAct, SentScript};
 use crate::Happened;
 use downbeat_mission::RobotSkew;
 
-/// The simulated world counts in nanoseconds, and clocks are read by dividing.
+/// The simulated world has a resolution of nanoseconds, and clocks are read by division.
 const GRAIN: Span = Span::from_micros(1);
-/// A robot that was delayed for longer drops its start.
+/// A robot drops a start that is delayed by more than this.
 const START_LATE_MAX: Span = Span::from_millis(50);
-/// How far a robot's own instant may be from the one that follows from what was told of its clock.
+/// Maximum difference between a robot's own instant and the one that follows from the reported clock data.
 const CLOCKS: Span = Span::from_millis(1);
-/// What a clock may drift that was good when the act began, as a fraction: the bound that the clock estimate works with.
+/// Maximum drift of a clock that was good when the act began, as a fraction: the bound of the clock estimate.
 const DRIFT_BOUND: f64 = downbeat_mission::clock::DRIFT_BOUND;
 
-/// A start, and how far it was from its plan.
+/// A start with its deviation from the plan.
 struct Start {
     robot: usize,
     error: Span,
@@ -54,7 +54,7 @@ fn within(told: &RobotSkew, error: Span, grain: Span) -> bool {
     error >= earliest - grain && error <= latest + grain
 }
 
-/// How far from the plan a robot may start, as was told.
+/// The announced range of a robot's deviation from the plan.
 fn range(told: &RobotSkew) -> (Span, Span) {
     (Span::ZERO - told.offset - told.uncertainty, told.uncertainty + told.wake_up - told.offset)
 }
@@ -66,11 +66,11 @@ fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span
             "r{robot} started {error} from the plan of act {number}, its clock was told to be ahead by {} +- {}",
             told.offset, told.uncertainty
         ),
-        None => format!("r{robot} started act {number}, and nothing was told of its clock"),
+        None => format!("r{robot} started act {number}, but nothing was reported about its clock"),
     }
 }
 
-/// Robots that are within their own budget are within that of the fleet.
+/// Robots that are within their own budgets are also within that of the fleet.
 fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdict) {
     let least = starts.iter().min_by_key(|start| start.error);
     let Some((least, most)) = least.zip(starts.iter().max_by_key(|start| start.error)) else { return };
@@ -79,19 +79,19 @@ fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdic
         let (apart, number) = (most.error - least.error, act.promise.number);
         let what =
             format!("act {number} started {apart} apart, between r{} and r{}", least.robot, most.robot);
-        verdict.violated('f', format!("{what}, and {budget} was told"));
+        verdict.violated('f', format!("{what}, but {budget} was reported"));
     }
 }
 
-/// True start minus plan; `None` where it did not start.
+/// True start minus plan; `None` if it did not start.
 fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
     let first = script.log.first()?;
     let planned = act.start_of(script) + script.starts_after;
     Some(Timestamp::<Server>::from_nanos(first.true_ns) - planned)
 }
 
-/// A fault of the robot's own clock since it was measured, or of its own process at the start. A clock that was set by less than
-/// an exchange takes is not shown by that to be another one than before.
+/// A fault of the robot's own clock since it was measured, or of its own process at the start. An exchange does not reveal a clock change
+/// that is smaller than its own duration.
 fn excuse(
     facts: &Facts<'_>,
     act: &SentAct<'_>,
@@ -105,7 +105,7 @@ fn excuse(
         Cause::ClockSet => {
             let shows = |at| hit.by.abs() > hidden + held_up(facts, script.robot, at);
             let seen = facts.asked(script.robot, hit.from, act.at).any(shows);
-            // A script that comes after its start begins all the same by a clock that was set back meanwhile.
+            // A script that arrives after its start still begins if the clock was set back in the meantime.
             !seen && hit.from <= (due + START_LATE_MAX).max(arrived(facts, script))
         }
         Cause::RobotPause => told.is_some_and(|told| {
@@ -130,7 +130,7 @@ fn arrived(facts: &Facts<'_>, script: &SentScript<'_>) -> Timestamp<Server> {
     first.map_or(Timestamp::from_nanos(0), |(at, _)| *at)
 }
 
-/// For how long messages of an exchange were under way whose question reached a robot at an instant, if that was longer than usual.
+/// Additional travel time of the messages of an exchange whose question reached a robot at this instant; zero if it was usual.
 fn held_up(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     let answered = at + facts.drawn().robots[robot].slow;
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);

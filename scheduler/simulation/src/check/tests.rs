@@ -1,4 +1,4 @@
-//! Each invariant can fail: histories and reports of sound missions are made wrong by hand.
+//! Each invariant can fail: histories and reports of valid missions are falsified by hand.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{ControlType, Message, Span};
@@ -11,7 +11,7 @@ use downbeat_mission::report::StopState;
 use downbeat_mission::{Outcome, Progress, Record, Standing};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// The first seed of missions like this.
+/// The first run that matches.
 #[track_caller]
 fn first(like: impl Fn(&Drawn) -> bool, sound: impl Fn(&Ran) -> bool) -> Ran {
     let found = (0..3_000).filter(|seed| like(&draw(*seed))).map(run).find(|ran| sound(ran));
@@ -20,7 +20,7 @@ fn first(like: impl Fn(&Drawn) -> bool, sound: impl Fn(&Ran) -> bool) -> Ran {
     ran
 }
 
-/// Two robots or more play one act to its end, and nothing goes wrong.
+/// Two or more robots play one act to its end without faults.
 fn calm(drawn: &Drawn) -> bool {
     let sound = |robot: &crate::DrawnRobot| {
         robot.lie.is_none() && robot.names == Names::Echoed && robot.block.reports && robot.block.inquiry
@@ -43,7 +43,7 @@ fn played() -> Ran {
     first(calm, done)
 }
 
-/// Which invariants are violated.
+/// The letters of the violated invariants.
 fn violated(ran: &Ran) -> String {
     let mut all: Vec<char> = ran.verdict().violations.iter().map(|violation| violation.invariant).collect();
     all.dedup();
@@ -71,12 +71,12 @@ fn member(ran: &Ran) -> usize {
     ran.drawn.robots.iter().position(|drawn| drawn.block.id == *robot).unwrap()
 }
 
-/// What is said of the first script of the first robot.
+/// The reported data of the first script of the first robot.
 fn said(ran: &mut Ran) -> &mut downbeat_mission::DeviceReport {
     &mut ran.report.as_mut().unwrap().acts[0].robots[0].devices[0]
 }
 
-/// A fault of a robot, just before the start.
+/// Inserts a fault of a robot just before the start.
 fn hit(ran: &mut Ran, before_start: Span, fault: Fault) {
     let at = promised(ran).start - before_start;
     let place = ran.history.partition_point(|(when, _)| *when <= at);
@@ -87,7 +87,7 @@ fn crash(robot: usize) -> Fault {
     Fault::RobotCrash { robot, back_after: None, told: true }
 }
 
-/// A robot of the act sets nothing, and the report knows.
+/// A robot of the act sets nothing, and the report states that.
 fn one_misses(ran: &mut Ran) -> usize {
     let robot = member(ran);
     ran.logs[robot].clear();
@@ -160,7 +160,7 @@ fn the_end_of_a_process_is_no_excuse_if_it_was_known_before_the_point_of_no_retu
     }
 }
 
-/// A robot without inquiries starts alone, and whether that is excused: the last question to it was sent so much later than its lease
+/// Whether it is excused that a robot without inquiries starts alone. The last question to it was sent `sent_late` later than its lease
 /// before the start, arrived 120 ms after that, and was slow on the link of a robot.
 fn is_carried_over(sent_late: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let as_with_inquiries = |drawn: &Drawn| {
@@ -209,8 +209,8 @@ fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_whil
     assert!(!is_carried_over(1, |robot, _| robot, true), "it was sent too late");
 }
 
-/// A script of a robot without inquiries begins without the preceding script. Whether that is excused: the script came after a silence
-/// with this number of interruptions, and was slow on the link of a robot.
+/// Whether it is excused that a script of a robot without inquiries begins without the preceding script. The script arrived after a
+/// silence with this number of interruptions, and was slow on the link of a robot.
 fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let undisturbed = |drawn: &Drawn| {
         let sound = |robot: &crate::DrawnRobot| robot.lie.is_none() && robot.names == Names::Echoed;
@@ -289,7 +289,7 @@ fn a_commitment_that_is_written_down_after_the_start_is_found() {
     });
 }
 
-/// A robot of the act misses its start, shortly after its link carried nothing for a moment.
+/// A robot of the act misses its start shortly after a brief interruption of its link.
 fn missing_behind_a_link() -> (Ran, usize) {
     let mut ran = played();
     let missing = one_misses(&mut ran);
@@ -302,7 +302,7 @@ fn missing_behind_a_link() -> (Ran, usize) {
 fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
     let (mut ran, missing) = missing_behind_a_link();
     assert!(violated(&ran).contains('a'));
-    // As if the commitment had not come.
+    // As if the commitment had not arrived.
     ran.history.retain(|(_, happened)| match happened {
         Happened::AtRobot(robot, Message::Inquiry(inquiry)) => {
             *robot != missing || inquiry.pending_lease.is_some()
@@ -427,7 +427,7 @@ fn a_movement_after_a_stop_or_beyond_the_shorter_lease_is_found() {
     let mut ran = first(leased, done);
     let robot = member(&ran);
     let promise = promised(&ran);
-    // Nothing is heard for longer than the pending lease, and for less than the running one.
+    // Nothing arrives for longer than the pending lease, and for less than the running one.
     let silent_from = promise.start - promise.lease - Span::from_millis(20);
     ran.history.retain(
         |(at, happened)| !matches!(happened, Happened::AtRobot(r, _) if *r == robot && *at >= silent_from),
@@ -537,7 +537,7 @@ fn a_robot_that_is_blamed_for_nothing_and_one_that_is_left_out_without_a_reason_
     });
 }
 
-/// Nothing is heard of any robot while it plays, longer than its lease, and nobody is told.
+/// No message arrives from any robot while it plays, for longer than its lease, and nobody is informed.
 fn silent() -> Ran {
     let long = |drawn: &Drawn| {
         let plan = &drawn.choreography.acts[0].plan;
@@ -612,7 +612,7 @@ fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found()
     assert!(found.iter().all(|violation| violation.invariant == 'h') && found.len() == 1, "{found:?}");
 }
 
-/// Whether a jump is found that follows a stop at this position. In between, the mission sends robots home and approaches the act.
+/// Whether a jump after a stop at this position is found. In between, the mission may send robots home and approach the act.
 fn jumps_after_a_stop_at(position: f64, home: bool, approaches: bool) -> bool {
     let states = |drawn: &Drawn| {
         let at_home = |device: &urrcp::Device| device.default_value.is_some();
@@ -647,7 +647,7 @@ fn a_jump_after_a_stop_is_found_unless_it_begins_at_home() {
     assert!(jumps_after_a_stop_at(0.0, true, true), "it stayed on the approach");
 }
 
-/// A mission whose lead is so much longer than allowed, and what is found of it.
+/// The number of findings for a mission whose lead exceeds the permitted one by `by`.
 fn with_a_lead_beyond(by: i64, wrong: impl Fn(&mut Ran, &downbeat_mission::Promise)) -> usize {
     let ran = played();
     let mut slow = played();
@@ -700,7 +700,7 @@ fn a_robot_that_lies_is_held_to_its_limits_and_believed_nothing_else() {
     assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
 }
 
-/// The first mission with devices that are driven by their speed, or have a limited acceleration, in which such a thing occurs.
+/// The first mission with devices that are driven by their speed, or have a limited acceleration, in which this occurs.
 #[track_caller]
 fn with_rates(occurs: impl Fn(&Ran, &Verdict) -> bool) -> Ran {
     let such = (RATES..20_000).step_by(FAMILIES as usize).map(run).find(|ran| {
@@ -790,7 +790,7 @@ fn a_report_that_does_not_say_by_whom_a_robot_was_taken_is_found() {
     let mut ran = crate::play(Drawn { faults: vec![(at, fault)], ..ran.drawn });
     assert_eq!(ran.verdict().violations, []);
     ran.report.as_mut().unwrap().failures.clear();
-    let found = |violation: &Violation| violation.what.contains("was taken by");
+    let found = |violation: &Violation| violation.what.contains("was taken over by");
     assert!(ran.verdict().violations.iter().any(found));
 }
 

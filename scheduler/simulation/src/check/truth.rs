@@ -1,8 +1,7 @@
-//! (e) Every mission ends in a report. (g) What it says is true.
+//! (e) Every mission ends in a report. (g) The report is true.
 //!
-//! Each number of the report is compared with what the robots logged themselves, robot by robot and script by script; sums with
-//! what they sum up; what was said before with what is said at the end. Times are equal within [`GRAIN`], counts exactly. What
-//! could not be known has to be called unknown.
+//! Each number of the report is compared with the robots' own logs, per robot and script. Sums are compared with their terms, and earlier
+//! messages with the report. Times are equal within [`GRAIN`], counts exactly. Unknowable values must be reported as unknown.
 
 mod acts;
 mod blame;
@@ -18,7 +17,7 @@ use crate::Happened;
 use downbeat_mission::report::Report;
 use downbeat_mission::{Progress, Record};
 
-/// How exactly times have to agree.
+/// Maximum difference of equal times.
 const GRAIN: Span = Span::from_micros(1);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -44,18 +43,18 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     wrong.into_iter().for_each(|what| verdict.violated('g', what));
 }
 
-/// What a report says, and what happened.
+/// A report and the facts.
 struct Said<'a> {
     facts: &'a Facts<'a>,
     report: &'a Report,
-    /// When the process that reports took the mission up, if another one had begun it.
+    /// When the reporting process resumed the mission, if another one had begun it.
     resumed_at: Option<Timestamp<Server>>,
-    /// Whether that process has only withdrawn the mission: it knows nothing of the earlier part.
+    /// Whether that process has only withdrawn the mission: it knows nothing about the earlier part.
     is_withdrawn: bool,
 }
 
 impl Said<'_> {
-    /// The robot failed by a claim that cannot be true, as one does whose clock is set: nothing more of it was believed.
+    /// Whether the robot failed by an impossible claim, for example because its clock was set: the mission believes nothing more from it.
     fn is_discredited(&self, robot: usize) -> bool {
         let name = self.facts.name(robot);
         let claim = |happened: &Happened| match happened {

@@ -1,4 +1,4 @@
-//! What is played: acts with chains of scripts, what they wait for, and what a failure does.
+//! The choreography: acts with chains of scripts, their waits, and the consequences of failures.
 
 use downbeat_fleet::sensor_range::SensorRange;
 use downbeat_plan::{
@@ -12,7 +12,7 @@ use super::fleet::{DrawnRobot, Show};
 use super::{millis, one_in};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// What reads this or more is what acts wait for.
+/// Reading from which a sensor satisfies a waiting act.
 pub(crate) const BRIGHT: f64 = 50.0;
 
 pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show) -> Choreography {
@@ -34,7 +34,7 @@ pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show
         _ => Span::from_millis(60),
     };
     let lead = one_in(rng, 12).then(|| millis(rng, 600, 3_000));
-    // Chains come in fleets: a device that plays them does so in every act.
+    // Either all devices with chains play them in every act, or none does.
     let longest = if rng.bool() { 1 } else { rng.usize(2..=6) };
     let acts = (0..count).map(|index| {
         let robots: Vec<RobotPlan> = robots
@@ -51,7 +51,7 @@ pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show
     Choreography { scenario: "soak".to_owned(), acts: acts.collect(), requirements: Requirements::default() }
 }
 
-/// Changes the first script of each device that moves linearly so that it begins at the initial position of simulated robots.
+/// Changes the first script of each linearly moving device so that it starts at the initial position of simulated robots.
 pub(super) fn begin_where_devices_are(choreography: &mut Choreography, robots: &[DrawnRobot]) {
     for first in choreography.first_uses(0) {
         let planned = &mut choreography.acts[first.act].plan.robots[first.robot];
@@ -96,7 +96,7 @@ fn draw_act(rng: &mut Rng, robots: &[DrawnRobot], plan: Plan, index: usize, coun
     act
 }
 
-/// What it waits for. What may never come has a timeout.
+/// Draws the wait of an act. A wait that may never end has a timeout.
 fn draw_wait(rng: &mut Rng, robots: &[DrawnRobot], act: &mut Act, index: usize, count: usize) {
     let kind = rng.u8(0..if index == 0 { 40 } else { 10 });
     act.wait = match kind {
@@ -132,7 +132,7 @@ fn draw_robot_plan(
     RobotPlan { robot: robot.block.id.clone(), scripts: scripts.collect() }
 }
 
-/// A chain of scripts. A device that holds one at a time has a pause before the next.
+/// A chain of scripts. A device that holds only one script at a time pauses before the next.
 fn draw_scripts(
     rng: &mut Rng,
     device: &Device,
@@ -141,7 +141,7 @@ fn draw_scripts(
 ) -> Vec<DeviceScript> {
     let mut scripts = Vec::new();
     let mut start = if one_in(rng, 4) { f64::from(rng.u32(0..600)) } else { 0.0 };
-    // The scripts of long chains are short, or the chains would play forever.
+    // The scripts of long chains are short, so that the chains do not last too long.
     let longest = if count > 2 { 160 } else { 400 };
     for _ in 0..count {
         let mut offset = 0.0;
@@ -178,7 +178,7 @@ fn draw_scripts(
     scripts
 }
 
-/// For how long the movement continues after its last step: some, by the value of that step.
+/// How long the movement continues after its last step: depends on the value of that step, and is often zero.
 fn draw_rest(script: &Script) -> Span {
     let last = script.steps().last().map_or(0.0, |step| step.setpoint.value);
     if last % 5.0 == 0.0 { Span::from_millis_f64(last * 6.0) } else { Span::ZERO }

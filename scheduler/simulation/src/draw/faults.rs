@@ -1,4 +1,4 @@
-//! What goes wrong, and when: a part of it anywhere, a part around the starts, where it matters most.
+//! The faults and their times: partly anywhere, partly around the starts, where they matter most.
 
 use fastrand::Rng;
 use urrcp::Span;
@@ -7,137 +7,137 @@ use super::kind::FaultKind;
 use super::{Drawn, millis, one_in};
 use downbeat_rehearsal::world::Direction;
 
-/// Something that goes wrong at an instant, counted from the beginning.
+/// A fault at an instant that is relative to the beginning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// A robot's process ends, and starts again after a while or never. Its system may close its connections.
+    /// A robot's process ends, and restarts after a while or never. Its system may close its connections.
     RobotCrash {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// After how long it is back.
+        /// Time until it restarts; `None`: never.
         back_after: Option<Span>,
-        /// Its connections are closed by its system.
+        /// Whether its system closes its connections.
         told: bool,
     },
-    /// A robot's process stands still for a while.
+    /// A robot's process stalls for a while.
     RobotPause {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
     /// Another robot answers at a robot's address for a while.
     AnotherRobot {
         /// Index of the robot whose address it takes over.
         robot: usize,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
-    /// Another process that uses the id of a robot answers at its address for a while. The robot continues, out of reach.
+    /// Another process that uses the id of a robot answers at its address for a while. The robot continues, but is unreachable.
     Twin {
         /// Index of the robot whose address it takes over.
         robot: usize,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
     /// The hardware behind an edge dies.
     HardwareDies {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// After how long it is back.
+        /// Time until it returns; `None`: never.
         back_after: Option<Span>,
-        /// Whether its connection ends at once; otherwise it only stops to answer.
+        /// Whether its connection ends at once; otherwise it only stops answering.
         told: bool,
     },
     /// Another session claims a robot and sends it its own script.
     ForeignSession {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Until its connection ends.
+        /// Time until its connection ends.
         lasts: Span,
     },
-    /// An operator with the role takes a robot from the session to which it belongs, and sends it a script.
+    /// An operator with the role seizes a robot from its session, and sends it a script.
     Seize {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Until the connection of that operator ends.
+        /// Time until the connection of that operator ends.
         lasts: Span,
     },
     /// Nothing passes between the scheduler and a robot for a while.
     Partition {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// For how long.
+        /// Duration.
         lasts: Span,
-        /// The connection is found broken at its end.
+        /// Whether the connection is broken at its end.
         breaks: bool,
     },
-    /// Nothing passes one way for a while.
+    /// No message passes in one direction for a while.
     OneWay {
-        /// Which robot's link.
+        /// Index of the robot in the fleet.
         robot: usize,
-        /// Which way.
+        /// The blocked direction.
         way: Direction,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
-    /// Connections stand and can be made, and carry nothing any more; those that are made after a while do again.
+    /// Connections exist and can be made, but carry no messages; connections that are made after `lasts` work again.
     DeadLink {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
-    /// Each message takes this much longer, either way, for a while.
+    /// Each message takes longer by `by` in both directions for a while.
     Lag {
         /// Index of the robot in the fleet.
         robot: usize,
         /// The additional delay of each message.
         by: Span,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
-    /// The robot's side of the connection is gone, and the scheduler's side does not know.
+    /// The robot's side of the connection is gone, but the scheduler's side remains open.
     HalfOpen {
         /// Index of the robot in the fleet.
         robot: usize,
     },
-    /// A link carries little for a while.
+    /// The bandwidth of a link is reduced for a while.
     SlowLink {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Bytes a second, each way.
+        /// Bytes per second in each direction.
         bandwidth: u32,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
     /// A robot's clock is set.
     ClockStep {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// By how much.
+        /// The change of the clock.
         by: Span,
     },
-    /// The clock of the scheduler's machine is set. A process keeps its own clock; the next one begins with this one.
+    /// The clock of the scheduler's machine is set. A running process keeps its own clock; the next process starts with the new one.
     ServerClockStep {
-        /// By how much.
+        /// The change of the clock.
         by: Span,
     },
-    /// The scheduler's process ends, and is resumed by its journal after a while or never.
+    /// The scheduler's process ends, and the mission is resumed from its journal after a while or never.
     SchedulerCrash {
-        /// After how long the operator says `resume`.
+        /// Time until the operator runs `resume`; `None`: never.
         resumed_after: Option<Span>,
     },
     /// The scheduler's process ends while it acts: after this many more actions.
     SchedulerCrashAmid {
         /// The number of actions: messages, connections, records.
         actions: u32,
-        /// After how long the operator says `resume`.
+        /// Time until the operator runs `resume`; `None`: never.
         resumed_after: Option<Span>,
     },
-    /// The scheduler's process stands still for a while.
+    /// The scheduler's process stalls for a while.
     SchedulerPause {
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
     /// The scheduler's process stalls after this many more actions. It performs the remaining actions of that instant
@@ -145,23 +145,23 @@ pub enum Fault {
     SchedulerPauseAmid {
         /// The number of actions: messages, connections, records.
         actions: u32,
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
-    /// The disk does nothing for a while.
+    /// The disk stalls for a while.
     DiskStalls {
-        /// For how long.
+        /// Duration.
         lasts: Span,
     },
-    /// The operator says stop.
+    /// The operator requests a stop.
     Stop,
-    /// The operator says that all robots go to their default state.
+    /// The operator sends all robots to their default state.
     Home,
-    /// `downbeat stop` is called in another terminal: a mission that is cut off is withdrawn by its journal.
+    /// `downbeat stop` is called in another terminal: a mission that was cut off is withdrawn by its journal.
     StopByJournal,
 }
 
-/// Earliest and latest distance from a start at which faults around it happen.
+/// Earliest and latest distance in milliseconds from a start for faults around it.
 const AROUND: (i64, i64) = (-450, 200);
 
 pub(super) fn draw_faults(rng: &mut Rng, drawn: &Drawn) -> Vec<(Span, Fault)> {
@@ -183,7 +183,7 @@ pub(super) fn draw_faults(rng: &mut Rng, drawn: &Drawn) -> Vec<(Span, Fault)> {
     faults
 }
 
-/// About when each act starts if nothing goes wrong.
+/// Approximate start of each act without faults.
 fn expected_starts(drawn: &Drawn) -> Vec<Span> {
     let slow = drawn.robots.iter().map(|robot| robot.slow).max().unwrap_or_default();
     let round_trip = drawn.delay.1 * 2 + slow;
@@ -242,27 +242,27 @@ fn draw_kind(rng: &mut Rng) -> FaultKind {
 pub(super) fn draw_resumption(rng: &mut Rng) -> Option<Span> {
     match rng.u8(0..4) {
         0 => None,
-        // As by a supervisor: in time for the start.
+        // Like a supervisor: in time for the start.
         1 => Some(millis(rng, 1, 60)),
         _ => Some(millis(rng, 50, 2_000)),
     }
 }
 
-/// What often comes with a fault.
+/// Draws frequent consequences of a fault.
 fn draw_consequence(rng: &mut Rng, at: Span, fault: Fault) -> Vec<(Span, Fault)> {
     match fault {
-        // It comes back with another clock.
+        // The robot restarts with a different clock.
         Fault::RobotCrash { robot, back_after: Some(after), .. } if one_in(rng, 5) => {
             vec![(at + after / 2, Fault::ClockStep { robot, by: millis(rng, -500, 500) })]
         }
         Fault::SchedulerCrash { resumed_after: Some(after) }
         | Fault::SchedulerCrashAmid { resumed_after: Some(after), .. } => match rng.u8(0..10) {
-            // One operator says stop at about the same time as another says resume.
+            // One operator runs `stop` at about the same time as another runs `resume`.
             0..=1 => {
                 let around = (at + after + millis(rng, -30, 60)).max(Span::ZERO);
                 vec![(around, Fault::StopByJournal)]
             }
-            // The process that takes it up dies as well.
+            // The process that resumes the mission dies as well.
             2..=4 => {
                 let later = at + after + millis(rng, 0, 600);
                 let actions = rng.u32(0..40);

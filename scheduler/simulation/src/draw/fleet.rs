@@ -1,4 +1,4 @@
-//! The robots of a seed: what they are, how well they follow the protocol, how they are reached.
+//! The robots of a seed: their devices, how well they follow the protocol, and their links.
 
 use downbeat_robot::simulated::Settings;
 use fastrand::Rng;
@@ -7,74 +7,74 @@ use urrcp::{InitializationBlock, RobotId, Span};
 use super::{millis, one_in};
 use downbeat_mission::ClockMode;
 
-/// A robot that does not do what it says.
+/// How a robot misreports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lie {
     /// It accepts, reports starts and ends, and does not move.
     NeverMoves,
-    /// It states times that are off by this.
+    /// It reports times with this error.
     WrongTime(Span),
-    /// It accepts and forgets at once.
+    /// It accepts a script and forgets it at once.
     Forgets,
-    /// It echoes the hash of something else.
+    /// It echoes a wrong hash.
     WrongHash,
-    /// It says that it has done more steps than any script has.
+    /// It reports more completed steps than any script has.
     TooManySteps,
 }
 
-/// Whether a robot says in its answers which request they are for.
+/// Whether a robot's answers name the request that they belong to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Names {
-    /// It does.
+    /// They do.
     Echoed,
-    /// It leaves them out.
+    /// They do not.
     LeftOut,
 }
 
-/// How many connections a robot serves at a time.
+/// How many connections a robot serves at the same time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Connections {
-    /// The newest one; an older one is closed.
+    /// Only the newest one; an older one is closed.
     Newest,
-    /// The oldest one: another is taken, and nothing on it is read until that one is seen to end.
+    /// Only the oldest one: another one is accepted, but not read until the oldest has ended.
     One,
 }
 
-/// What moves.
+/// The moving part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hands {
     /// The robot itself.
     Own,
-    /// Hardware behind an edge, which may die on its own.
+    /// Hardware behind an edge, which may fail independently.
     Hardware,
 }
 
 /// One robot.
 #[derive(Clone, Debug)]
 pub struct DrawnRobot {
-    /// How it describes itself.
+    /// Its description.
     pub block: InitializationBlock,
     /// Its clock.
     pub settings: Settings,
-    /// How its time is brought to agree.
+    /// How its time is reconciled with the server's.
     pub clock: ClockMode,
-    /// What it lies about.
+    /// How it misreports, if it does.
     pub lie: Option<Lie>,
-    /// How long it takes for every answer in addition to the network.
+    /// Processing time of every answer, in addition to the network.
     pub slow: Span,
     /// Whether it names requests in its answers.
     pub names: Names,
     /// How many connections it serves.
     pub connections: Connections,
-    /// What moves.
+    /// The moving part.
     pub hands: Hands,
-    /// Bytes a second that its link carries each way; `None`: no limit.
+    /// Bandwidth of its link in each direction, in bytes per second; `None`: unlimited.
     pub bandwidth: Option<u32>,
-    /// Its process begins this long after the mission.
+    /// Its process starts this long after the mission.
     pub there_from: Span,
 }
 
-/// Which devices it has, for the scripts.
+/// The type of devices, according to the length of scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Show {
     /// Scripts of a few steps.
@@ -87,7 +87,7 @@ pub(super) fn draw_robot(rng: &mut Rng, index: usize, show: Show) -> DrawnRobot 
     let measured = one_in(rng, 5);
     let inquires = !one_in(rng, 5);
     let lie = one_in(rng, 12).then(|| draw_lie(rng));
-    // One that leaves out what it did cannot lie about that.
+    // A robot that omits its results cannot lie about them.
     let leaves_out = !inquires && rng.bool() && lie != Some(Lie::TooManySteps);
     let names = if leaves_out { Names::LeftOut } else { Names::Echoed };
     DrawnRobot {
@@ -106,13 +106,13 @@ pub(super) fn draw_robot(rng: &mut Rng, index: usize, show: Show) -> DrawnRobot 
 
 fn draw_bandwidth(rng: &mut Rng, show: Show) -> Option<u32> {
     match show {
-        // What any link is trusted to carry.
+        // The minimum bandwidth that any link is assumed to have.
         Show::Large => Some(rng.u32(10_000_000..=40_000_000)),
         Show::Small => one_in(rng, 8).then(|| rng.u32(100_000..=2_000_000)),
     }
 }
 
-/// Clocks that are right, off by some milliseconds, or without NTP.
+/// Clocks that are right, off by some milliseconds, or not controlled by NTP.
 fn draw_settings(rng: &mut Rng, measured: bool) -> Settings {
     let (offset, drift) = match measured {
         true => (millis(rng, -2_000, 2_000), 100.0),
@@ -164,7 +164,7 @@ fn draw_block(rng: &mut Rng, index: usize, inquiry: bool, show: Show) -> Initial
           "devices": [{}]}}"#,
         devices.join(",")
     );
-    // Written above: it is one.
+    // The JSON above is valid.
     serde_json::from_str(&json).unwrap_or_else(|_| unreachable_block())
 }
 

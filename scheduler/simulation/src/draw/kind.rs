@@ -73,7 +73,7 @@ impl FaultKind {
                 Fault::RobotCrash { robot, back_after, told: !one_in(rng, 3) }
             }
             Self::RobotPause => {
-                // Also so short that a start is late and not left out.
+                // Some pauses are short enough to delay a start without preventing it.
                 let longest = if rng.bool() { 70 } else { 1_500 };
                 Fault::RobotPause { robot, lasts: millis(rng, 1, longest) }
             }

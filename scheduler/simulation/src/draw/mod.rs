@@ -1,4 +1,4 @@
-//! What a seed stands for: a fleet, a choreography, what happens around it, and what goes wrong when.
+//! The mission of a seed: a fleet, a choreography, the environment, and the faults with their times.
 
 mod choreography;
 mod faults;
@@ -31,42 +31,42 @@ pub(crate) use sensors::shows_within;
 pub use times::ClockChange;
 pub(crate) use times::zone;
 
-/// Everything that a seed stands for.
+/// The mission of a seed.
 #[derive(Clone, Debug)]
 pub struct Drawn {
     /// The seed from which everything here is drawn.
     pub seed: u64,
-    /// How messages travel.
+    /// The transport of messages.
     pub network: Network,
-    /// Least and largest delay one way.
+    /// Smallest and largest one-way delay.
     pub delay: (Span, Span),
     /// The probability of a delay up to twenty times as long.
     pub tail: f64,
     /// Each robot's description, behaviour and clock.
     pub robots: Vec<DrawnRobot>,
-    /// What is played.
+    /// The choreography that is played.
     pub choreography: Choreography,
-    /// For each act how long after it was said to wait for it the operator says go, or its sensor reads what it waits for;
+    /// For each act, the delay from the announcement of its wait until the operator gives the go or its sensor has the awaited reading;
     /// `None`: never.
     pub comes_after: Vec<Option<Span>>,
-    /// What becomes of a robot that is not there at first.
+    /// How the mission treats a robot that is absent at first.
     pub join: Join,
     /// Whether the mission can plan acts after a stop. Otherwise each robot goes home on its own.
     pub plans_transfers: bool,
     /// The number of acts after which no further act begins.
     pub acts_max: Option<u32>,
-    /// What goes wrong, in order.
+    /// The faults, in order of time.
     pub faults: Vec<(Span, Fault)>,
-    /// Where the scheduler keeps its journal.
+    /// The disk with the scheduler's journal.
     pub disk: DrawnDisk,
-    /// When clocks change where the scheduler is, as an index of the table of changes. `None`: they show UTC.
+    /// The clock change at the scheduler's location, as an index into the table of changes. `None`: the clocks show UTC.
     pub clock_change: Option<usize>,
-    /// When the operator stops a mission that has not ended by then.
+    /// When the operator stops a mission that has not ended.
     pub ends_at: Option<Span>,
 }
 
 impl Drawn {
-    /// The longest that the mission takes if each act begins and ends once: all that acts play and wait for.
+    /// The maximum duration of the mission if each act begins and ends once: the sum of all acts and waits.
     #[must_use]
     pub fn lasts(&self) -> Span {
         let acts = self.choreography.acts.iter();
@@ -77,7 +77,7 @@ impl Drawn {
         acts.map(waits).fold(Span::ZERO, |sum, act| sum + act)
     }
 
-    /// The same mission if nothing goes wrong at an instant of its own; its network and its liars stay.
+    /// The same mission without timed faults; its network and its lying robots stay.
     #[must_use]
     pub fn without_faults(mut self) -> Self {
         self.faults.clear();
@@ -86,34 +86,34 @@ impl Drawn {
     }
 }
 
-/// If the remainder of a seed divided by this is one of the following constants, its mission belongs to that family.
+/// If a seed modulo this equals one of the following constants, its mission belongs to that family.
 pub(crate) const FAMILIES: u64 = 50;
-/// Several events coincide that would rarely coincide by chance.
+/// Several events coincide that rarely coincide by chance.
 const TOGETHER: u64 = 12;
 /// The operator sends the robots home.
 const SENT_HOME: u64 = 37;
 /// Acts, movements and robots have unusual shapes.
 const UNUSUAL: u64 = 32;
-/// A fault of a certain kind meets a certain stage.
+/// A fault of a certain kind occurs at a certain stage.
 const STAGED: u64 = 38;
 /// Devices are driven by their speed, or have a limited acceleration.
 pub(crate) const RATES: u64 = 40;
 
-/// Acts wait for a time of day at which clocks change.
+/// Acts wait for a time of day around a clock change.
 pub(crate) const TIMES: u64 = 30;
 
-/// Missions last for hours. In one of ten of these: each takes the time of hundreds of others.
+/// Missions last for hours. Only one in ten of these seeds: each takes as long as hundreds of others.
 const HOURS: u64 = 29;
 const HOURS_ONE_IN: u64 = 10;
 
-/// Sensors show where devices are that follow their commands with a lag.
+/// Sensors show the positions of devices that follow their commands with a lag.
 pub(crate) const SENSORS: u64 = 21;
 
-/// Another process answers in the place of a robot, by its id. If the remainder of a seed divided by `TWINS_EVERY` is this.
+/// Another process answers in place of a robot, with its id. Applies if a seed modulo `TWINS_EVERY` equals this.
 pub(crate) const TWINS: u64 = 33;
 pub(crate) const TWINS_EVERY: u64 = 100;
 
-/// In one of this many missions, devices may begin at a position other than that of the first act.
+/// In one out of this many missions, devices may start at a position other than that of the first act.
 const MISPLACED_ONE_IN: u64 = 40;
 
 fn millis(rng: &mut Rng, least: i64, largest: i64) -> Span {
@@ -124,7 +124,7 @@ fn one_in(rng: &mut Rng, count: u8) -> bool {
     rng.u8(0..count) == 0
 }
 
-/// The world of a seed.
+/// Draws the mission of a seed.
 #[must_use]
 pub fn draw(seed: u64) -> Drawn {
     let rng = &mut Rng::with_seed(seed);
@@ -143,7 +143,7 @@ pub fn draw(seed: u64) -> Drawn {
     }
 }
 
-/// An ordinary mission, drawn by chance alone.
+/// An ordinary mission, drawn only by chance.
 fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     let network = network::draw_network(rng);
     let (delay, tail) = network::draw_delay(rng);
@@ -151,12 +151,12 @@ fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     let count = rng.usize(2..=5);
     let mut robots: Vec<DrawnRobot> = (0..count).map(|index| fleet::draw_robot(rng, index, show)).collect();
     if network != Network::Stream {
-        // Whose answers nothing tells apart is only ever reached on a stream.
+        // Robots whose answers are ambiguous are only reached by streams.
         robots.iter_mut().for_each(|robot| robot.names = Names::Echoed);
     }
     let join = if one_in(rng, 12) { Join::NextAct } else { Join::Refuse };
     if join == Join::NextAct {
-        // Not all of them, or no robot could begin.
+        // Not all robots, or no robot could begin.
         robots[count - 1].there_from = millis(rng, 500, 6_000);
     }
     let mut choreography = choreography::draw_choreography(rng, &robots, show);
@@ -203,7 +203,7 @@ fn send_home(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     drawn
 }
 
-/// In time, too late, or never.
+/// The delay of the awaited events: in time, too late, or never.
 fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Span>> {
     let comes = choreography.acts.iter().map(|act| {
         let waits = matches!(act.wait, Wait::Operator | Wait::Sensor { .. });
@@ -217,7 +217,7 @@ fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Spa
     comes.collect()
 }
 
-/// Plays one seed in `every`, none of which may violate anything, and counts the situations that their missions reach.
+/// Plays every `every`-th seed, none of which may violate anything, and counts the situations that the missions reach.
 #[cfg(test)]
 fn reached((first, below): (u64, u64), every: u64) -> std::collections::BTreeMap<crate::Situation, usize> {
     let mut reached = std::collections::BTreeMap::new();

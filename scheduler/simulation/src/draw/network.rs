@@ -1,16 +1,16 @@
-//! How messages travel, and the disk of the scheduler's machine.
+//! The transport of messages, and the disk of the scheduler's machine.
 
 use fastrand::Rng;
 use urrcp::Span;
 
 use super::{millis, one_in};
 
-/// How messages travel.
+/// The transport of messages.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Network {
-    /// As by TCP: in order, nothing is lost as long as the connection stands.
+    /// As with TCP: in order, and lossless while the connection persists.
     Stream,
-    /// As by datagrams: lost, doubled and overtaken with these probabilities.
+    /// As with datagrams: messages are lost, duplicated and reordered with these probabilities.
     Datagram {
         /// Probability that a message is lost.
         loss: f64,
@@ -22,11 +22,11 @@ pub enum Network {
 /// The disk of the scheduler's machine.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnDisk {
-    /// How long it takes until what was written survives a loss of power.
+    /// Time until written data survives a power failure.
     pub sync: Span,
-    /// The journal cannot grow beyond this many bytes.
+    /// Maximum size of the journal in bytes.
     pub capacity: Option<usize>,
-    /// When the scheduler's process ends, it is because its machine loses power.
+    /// Whether the scheduler's process ends because its machine loses power.
     pub loses_power: bool,
 }
 
@@ -37,7 +37,7 @@ pub(super) fn draw_network(rng: &mut Rng) -> Network {
     }
 }
 
-/// Least and largest delay one way, and the probability of one that is much longer.
+/// Smallest and largest one-way delay, and the probability of a much longer one.
 pub(super) fn draw_delay(rng: &mut Rng) -> ((Span, Span), f64) {
     let least = millis(rng, 0, 5);
     let delay = (least, least + millis(rng, 0, 20));

@@ -9,10 +9,10 @@ use super::staged::instant;
 use super::{Drawn, Fault, FaultKind, Hands, MISPLACED_ONE_IN, choreography, millis, one_in};
 use crate::{Stage, play};
 
-/// The value of a position that becomes a speed of zero.
+/// The position that is converted to a speed of zero.
 const MIDDLE: f64 = 45.0;
 
-/// Replaces devices, changes their scripts, and in most missions lets something happen while they move.
+/// Replaces devices, changes their scripts, and adds faults during movements to most missions.
 pub(super) fn drive_by_rates(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for robot in &mut drawn.robots {
         for device in robot.block.devices.iter_mut() {
@@ -45,7 +45,7 @@ fn is_wheel(device: &Device) -> bool {
     device.primary_control_type() == Some(ControlType::Speed)
 }
 
-/// The same device, driven by its speed. Half of them declare how fast they change it.
+/// The same device, driven by its speed. Half of them declare their acceleration.
 fn wheel(rng: &mut Rng, device: &Device) -> Option<Device> {
     let acceleration = if rng.bool() { rate(rng, 10.0, 200.0) } else { String::new() };
     let default = device.default_value.map(|_| if one_in(rng, 4) { 10.0 } else { 0.0 });
@@ -67,7 +67,7 @@ fn with_acceleration(rng: &mut Rng, device: &Device) -> Option<Device> {
     )
 }
 
-/// A largest acceleration from `least` to `times` as much, evenly on a logarithmic scale.
+/// A maximum acceleration from `least` to `least * times`, evenly distributed on a logarithmic scale.
 fn rate(rng: &mut Rng, least: f64, times: f64) -> String {
     let largest = (least * times.powf(rng.f64())).round();
     format!(r#", "acceleration": {{"min_value": -{largest}, "max_value": {largest}, "granularity": 1}}"#)
@@ -91,7 +91,7 @@ fn described(
     serde_json::from_str(&json).ok()
 }
 
-/// Makes speeds of the positions in the scripts of a device. Most scripts end at zero; after the others, the device continues to turn.
+/// Converts the positions in the scripts of a device to speeds. Most scripts end at zero; after the others, the device continues to turn.
 fn turn(rng: &mut Rng, choreography: &mut Choreography, robot: &RobotId, device: &Device) {
     let plans = choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots);
     let scripts = plans.filter(|plan| plan.robot == *robot).flat_map(|plan| &mut plan.scripts);
@@ -109,7 +109,7 @@ fn turn(rng: &mut Rng, choreography: &mut Choreography, robot: &RobotId, device:
     }
 }
 
-/// Replaces the faults by one that ends what robots do while they play, and often by a second one soon afterwards.
+/// Replaces the faults by one that interrupts playing robots, often followed soon by a second one.
 fn strike_while_it_plays(rng: &mut Rng, drawn: &mut Drawn) {
     use FaultKind::{DeadLink, HardwareDies, Home, Partition, RobotPause, SchedulerCrash, Stop};
     let robot = rng.usize(0..drawn.robots.len());

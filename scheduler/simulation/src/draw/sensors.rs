@@ -1,5 +1,6 @@
-//! Missions with sensors that show where devices are: with noise, after a delay, and of bodies that follow their commands with a lag.
-//! Many of their robots take no inquiries, so that the mission knows positions by sensors alone. One seed in fifty is such a mission.
+//! Missions with sensors that show the positions of devices: with noise, after a delay, and with bodies that follow their commands with a
+//! lag. Many of their robots accept no inquiries, so that the mission knows positions only from sensors. One seed in fifty is such a
+//! mission.
 
 use downbeat_plan::OnFailure;
 use downbeat_robot::simulated::Moves;
@@ -10,7 +11,7 @@ use super::staged::instant;
 use super::{Drawn, Fault, millis, one_in};
 use crate::{Stage, play};
 
-/// The noise of a sensor is this part of the error that its device declares.
+/// The noise of a sensor, as a fraction of the declared error of its device.
 const NOISE: f64 = 0.125;
 
 /// Gives most devices sensors and bodies, and stops most missions before another act.
@@ -68,7 +69,7 @@ fn with_sensor(device: &Device, error: f64) -> Option<Device> {
     serde_json::from_str(&json).ok()
 }
 
-/// How far a sensor may be from the position of its device at rest, as often as matters here.
+/// The maximum distance between a sensor's reading and the position of its device at rest, with sufficient probability.
 pub(crate) fn shows_within(device: &Device) -> Option<f64> {
     device.available_control_types.sensor()?;
     let error = device.available_control_types.limits(ControlType::Position)?.max_error?;

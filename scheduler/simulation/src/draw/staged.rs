@@ -1,8 +1,8 @@
-//! Missions in which a fault of each kind meets each stage. Chance alone puts more than half of the faults before anything is sent
-//! or after the end, and hardly any into the short stages.
+//! Missions in which a fault of each kind occurs at each stage. By chance, more than half of the faults occur before anything is sent or
+//! after the end, and hardly any in the short stages.
 //!
-//! The kind and the stage follow from the seed. When the stage is, is read from the same mission with the faults that bring it about,
-//! if it needs any: a stop, or the end of the scheduler. One seed in fifty is such a mission.
+//! The seed determines the kind and the stage. The time of the stage is taken from the same mission with only the faults that lead to it,
+//! if any: a stop, or the end of the scheduler. One seed in fifty is such a mission.
 
 use downbeat_plan::Wait;
 use fastrand::Rng;
@@ -13,22 +13,22 @@ use crate::stage::{faults_met, intervals};
 use crate::{Ran, Stage, play};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// The maximum number of missions that are drawn for one seed until the fault meets its stage.
+/// The maximum number of missions that are drawn for one seed until the fault occurs at its stage.
 pub(super) const ATTEMPTS: usize = 16;
 
-/// The kinds of faults with the stages that they can meet.
+/// The kinds of faults with the stages at which they can occur.
 fn cells() -> Vec<(FaultKind, Stage)> {
     let cells = Stage::ALL.into_iter().flat_map(|stage| kinds().map(move |kind| (kind, stage)));
     cells.filter(|(kind, stage)| stage.meets(*kind)).collect()
 }
 
-/// The kinds that are drawn here. Twins have missions of their own.
+/// The kinds that are drawn here. Twins have their own missions.
 fn kinds() -> impl Iterator<Item = FaultKind> {
     FaultKind::ALL.into_iter().filter(|kind| *kind != FaultKind::Twin)
 }
 
-/// Replaces the faults of a mission by one of the kind and at the stage that this seed determines; half of the time, adds another
-/// fault at any stage. `index`: the number of this mission among those with such faults.
+/// Replaces the faults of a mission by one of the kind and at the stage that this seed determines; half of the time, adds another fault
+/// at any stage. `index`: the number of this mission among those with such faults.
 pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn {
     let cells = cells();
     let (kind, stage) = cells[usize::try_from(index).unwrap_or(0) % cells.len()];
@@ -41,7 +41,7 @@ pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn
     drawn
 }
 
-/// A mission in which a fault of a kind meets a stage; `None` if the mission does not reach that stage.
+/// A mission in which a fault of a kind occurs at a stage; `None` if the mission does not reach that stage.
 pub(super) fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage: Stage) -> Option<Drawn> {
     let robot = rng.usize(0..drawn.robots.len());
     if kind == FaultKind::HardwareDies {
@@ -54,7 +54,7 @@ pub(super) fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage
     let mut drawn = bring_about(rng, drawn, stage)?;
     let at = instant(rng, &play(drawn.clone()), stage)?;
     let fault = match kind.draw(rng, robot) {
-        // The stage may be over soon.
+        // The stage may end soon.
         Fault::SchedulerCrashAmid { resumed_after, .. } => {
             Fault::SchedulerCrashAmid { actions: rng.u32(0..3), resumed_after }
         }
@@ -83,7 +83,7 @@ fn insert(drawn: &mut Drawn, at: Span, fault: Fault) {
     drawn.faults.sort_by_key(|(at, _)| *at);
 }
 
-/// Adds what a stage needs: an act that waits, or an earlier fault while an act is under way.
+/// Adds the prerequisite of a stage: an act that waits, or an earlier fault while an act is under way.
 fn bring_about(rng: &mut Rng, mut drawn: Drawn, stage: Stage) -> Option<Drawn> {
     let fault = match stage {
         Stage::Waits => {
@@ -126,7 +126,7 @@ fn state_positions(drawn: &mut Drawn) {
     }
 }
 
-/// An instant within a stage, counted from the beginning.
+/// An instant within a stage, relative to the beginning.
 pub(super) fn instant(rng: &mut Rng, ran: &Ran, stage: Stage) -> Option<Span> {
     let intervals: Vec<(Timestamp<Server>, Timestamp<Server>)> = intervals(ran, stage);
     let (from, until) = rng.choice(intervals)?;
@@ -149,7 +149,7 @@ mod tests {
             let cell = cells()[(seed / FAMILIES) as usize % cells().len()];
             met += usize::from(faults_met(&ran).contains(&cell));
         }
-        // `soak` checks that each fault meets each stage.
+        // `soak` checks that each fault occurs at each stage.
         let of = cells().len();
         assert!(met * 10 > of * 9, "{met} of {of}");
     }

@@ -1,5 +1,5 @@
-//! Missions in which acts wait for times of day while the clocks change: times that the clocks skip, that they show twice, and that
-//! are on another day. One seed in fifty is such a mission.
+//! Missions in which acts wait for times of day around a clock change: times that the clocks skip, times that they show twice, and times
+//! on another day. One seed in fifty is such a mission.
 
 use chrono::{FixedOffset, Offset, Utc};
 use downbeat_mission::zone::Zone;
@@ -12,25 +12,25 @@ use super::{Drawn, millis, one_in};
 
 /// A day.
 const DAY: Span = Span::from_millis(24 * 3_600_000);
-/// An act may wait for a time of the next day. At this time after the beginning, the operator stops it.
+/// When the operator stops the mission: an act may wait for a time of the next day.
 const ENDS_AT: Span = Span::from_millis(15_000);
-/// The distance from a change of the clocks within which times are drawn that they skip or show twice.
+/// The maximum distance in milliseconds from a clock change for times that the clocks skip or show twice.
 const AROUND_MAX: i64 = 3_000;
 
-/// A change of the clocks.
+/// A clock change.
 #[derive(Clone, Copy, Debug)]
 pub struct ClockChange {
-    /// When, counted from the beginning.
+    /// Time of the change, relative to the beginning.
     pub after: Span,
-    /// The UTC offset until then, in seconds.
+    /// The UTC offset before the change, in seconds.
     pub before_s: i32,
-    /// The UTC offset afterwards, in seconds.
+    /// The UTC offset after the change, in seconds.
     pub after_s: i32,
 }
 
 impl ClockChange {
-    /// All of them. Most are shorter than real ones, so that a mission reaches the times on both sides. The mission begins at midnight
-    /// in UTC, so that some of them change the date as well.
+    /// All changes. Most are smaller than real ones, so that a mission reaches the times on both sides. The mission begins at midnight
+    /// UTC, so that some of them also change the date.
     pub const ALL: [Self; 8] = [
         Self::new(1_500, 3_600, 7_200),
         Self::new(3_000, 7_200, 3_600),
@@ -46,13 +46,13 @@ impl ClockChange {
         Self { after: Span::from_millis(after_ms), before_s, after_s }
     }
 
-    /// When the clocks change.
+    /// When the change happens.
     #[must_use]
     pub fn at(self) -> Timestamp<Server> {
         BEGIN + self.after
     }
 
-    /// What the clocks show at an instant, since the midnight before.
+    /// The local time at an instant, since midnight.
     #[must_use]
     pub fn time_of_day(self, at: Timestamp<Server>) -> Span {
         let offset = if at < self.at() { self.before_s } else { self.after_s };
@@ -60,14 +60,14 @@ impl ClockChange {
         Span::from_nanos(shown.as_nanos().rem_euclid(DAY.as_nanos()))
     }
 
-    /// By how much the clocks are set forward.
+    /// The amount by which the clocks are set forward.
     #[must_use]
     pub fn forward(self) -> Span {
         Span::from_millis(i64::from(self.after_s - self.before_s) * 1_000)
     }
 }
 
-/// The time zone of a mission. A zone is a function without data, so that each change has its own.
+/// The time zone of a mission. A zone is a function without data, so each change has its own one.
 pub(crate) fn zone(change: Option<usize>) -> Zone {
     const fn of<const INDEX: usize>() -> Zone {
         Zone::new(|at| {
@@ -81,7 +81,7 @@ pub(crate) fn zone(change: Option<usize>) -> Zone {
     change.map_or(Zone::UTC, |change| ZONES[change])
 }
 
-/// Lets one act or all acts wait for times of day around a change of the clocks.
+/// Makes one act or all acts wait for times of day around a clock change.
 pub(super) fn wait_for_times(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     let index = rng.usize(0..ClockChange::ALL.len());
     let change = ClockChange::ALL[index];
@@ -90,7 +90,7 @@ pub(super) fn wait_for_times(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for act in (0..acts).filter(|act| all || *act == only) {
         let forward = change.forward();
         let time = if one_in(rng, 3) {
-            // It is skipped, or shown twice.
+            // The time is skipped or shown twice.
             let largest = forward.abs().as_nanos().min(AROUND_MAX * 1_000_000);
             let off = Span::from_nanos(rng.i64(0..largest));
             let last = change.time_of_day(change.at() - Span::from_nanos(1)) + Span::from_nanos(1);

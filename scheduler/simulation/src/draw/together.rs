@@ -1,9 +1,8 @@
-//! Missions in which several things come together that chance alone hardly ever brings together, each within a narrow time: a
-//! process that dies between the decision and the commitment, and is taken up before the start while a robot cannot be reached;
-//! a link that breaks in the middle of a long script, and stands again well before the lease is over.
+//! Missions with coincidences that chance alone rarely produces, each within a narrow time. In one kind, a process dies between the
+//! decision and the commitment, and the mission is resumed before the start while a robot is unreachable. In the other kind, a link
+//! breaks in the middle of a long script, and is re-established well before the lease expires.
 //!
-//! When that is, is read from the same mission without its faults. One seed in fifty is such a mission; the others are drawn as
-//! if there were none.
+//! The times are taken from the same mission without its faults. One seed in fifty is such a mission; the others are unaffected.
 
 use downbeat_plan::{Choreography, DeviceScript, Way};
 use fastrand::Rng;
@@ -15,18 +14,18 @@ use downbeat_mission::{Progress, Promise, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::Direction;
 
-/// Makes such a mission of what was drawn. One that never comes to its first decision stays as it is.
+/// Changes a drawn mission into such a mission, unless it never reaches its first decision.
 pub(super) fn bring_together(rng: &mut Rng, drawn: Drawn) -> Drawn {
     if rng.bool() { taken_up_before_the_start(rng, drawn) } else { back_before_the_lease_is_over(rng, drawn) }
 }
 
-/// What becomes of the first act that is decided, counted from the beginning.
+/// The course of the first act that is decided, relative to the beginning.
 struct Decision {
     promise: Promise,
     decided: Span,
     committed: Span,
     start: Span,
-    /// Silence that begins later may be noticed too late.
+    /// A silence that starts later may be noticed too late.
     doubtful_from: Span,
 }
 
@@ -57,8 +56,8 @@ fn between(rng: &mut Rng, from: Span, until: Span) -> Span {
     from + Span::from_nanos(rng.i64(0..=(until - from).as_nanos().max(0)))
 }
 
-/// The scheduler dies between the decision and the commitment, and a robot cannot be reached any more from about then until after
-/// the start. Another process takes the mission up when there is hardly time for the start, or none.
+/// The scheduler dies between the decision and the commitment, and a robot is unreachable from about then until after the start. Another
+/// process resumes the mission when there is little or no time left before the start.
 fn taken_up_before_the_start(rng: &mut Rng, drawn: Drawn) -> Drawn {
     let Some(decision) = first_decision(&drawn) else { return drawn };
     let robots: Vec<usize> = (0..drawn.robots.len())
@@ -68,7 +67,7 @@ fn taken_up_before_the_start(rng: &mut Rng, drawn: Drawn) -> Drawn {
         })
         .collect();
     let Some(robot) = rng.choice(robots) else { return drawn };
-    // Without the decision on its disk, the process that takes over withdraws.
+    // Without the decision on its disk, the process that takes over would withdraw the act.
     let written = decision.decided + drawn.disk.sync;
     let lost = between(rng, written, decision.doubtful_from);
     let dies = (lost + millis(rng, -20, 20)).max(written).min(decision.committed);
@@ -91,7 +90,7 @@ fn out_of_reach(rng: &mut Rng, robot: usize, lasts: Span) -> Fault {
     }
 }
 
-/// A link breaks while its robot plays a long script under a lease, and stands again well before the lease is over.
+/// A link breaks while its robot plays a long script under a lease, and is re-established well before the lease expires.
 fn back_before_the_lease_is_over(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     let lease = millis(rng, 600, 2_500);
     let Some((robot, begins, lasts)) = with_a_long_script(rng, &mut drawn.choreography, lease) else {
@@ -113,7 +112,8 @@ fn back_before_the_lease_is_over(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     with_faults(drawn, faults)
 }
 
-/// Makes the last script of a robot in the first act longer than its lease. Which robot, when it begins in the act, how long it is.
+/// Makes the last script of a robot in the first act longer than its lease. Returns the robot, the start within the act, and the
+/// duration.
 fn with_a_long_script(
     rng: &mut Rng,
     choreography: &mut Choreography,
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
     use crate::{judge, run};
 
-    /// Some of them, as they are played.
+    /// Some of these missions, played.
     fn such() -> impl Iterator<Item = Ran> {
         (0..10_000).filter(|seed| seed % super::super::FAMILIES == super::super::TOGETHER).map(run)
     }

@@ -1,5 +1,5 @@
-//! Missions in which another process uses the id of a robot and answers in its place, while the robot plays on. One seed in a hundred
-//! is such a mission. The seed determines the stage at which that happens.
+//! Missions in which another process uses the id of a robot and answers in its place, while the robot continues to play. One seed in a
+//! hundred is such a mission. The seed determines the stage at which that happens.
 
 use fastrand::Rng;
 
@@ -25,7 +25,7 @@ pub(super) fn answer_by_twins(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Dr
     drawn
 }
 
-/// A robot and its twin answer inquiries, so that the mission can learn which scripts the process has that answers.
+/// A robot and its twin answer inquiries, so that the mission can learn which scripts the answering process has.
 pub(super) fn tell_what_they_know(robot: &mut DrawnRobot) {
     (robot.names, robot.lie) = (Names::Echoed, None);
     (robot.block.inquiry, robot.block.pending_until) = (true, true);

@@ -1,5 +1,5 @@
-//! Missions of shapes that chance alone does not draw: acts that are repeated, first steps that come later than their scripts start,
-//! a robot that never comes, and movements that last for minutes while clocks drift. One seed in fifty is such a mission.
+//! Missions with shapes that chance alone does not draw: repeated acts, first steps later than the starts of their scripts, a robot that
+//! never joins, and movements that last for minutes while clocks drift. One seed in fifty is such a mission.
 
 use std::collections::HashMap;
 
@@ -15,7 +15,7 @@ const NEVER: Span = Span::from_millis(3_600_000);
 /// The maximum total duration of all acts.
 const LAST_MAX: f64 = 120_000.0;
 
-/// Gives a mission one of these shapes, and draws its faults again.
+/// Gives a mission one of these shapes, and redraws its faults.
 pub(super) fn reshape(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     match rng.u8(0..4) {
         0 => repeat_acts(rng, &mut drawn),
@@ -37,7 +37,7 @@ fn repeat_acts(rng: &mut Rng, drawn: &mut Drawn) {
     drawn.acts_max = Some(rng.u32(2..=6));
 }
 
-/// The first steps of some scripts come later than their starts, and so does everything after them on the same device.
+/// Moves the first steps of some scripts after their starts, and with them everything after them on the same device.
 fn begin_later(rng: &mut Rng, choreography: &mut Choreography) {
     for robot in choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots) {
         let mut shifts = HashMap::new();

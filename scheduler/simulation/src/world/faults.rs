@@ -1,4 +1,4 @@
-//! What goes wrong.
+//! The effects of faults.
 
 use super::scheduler::Burnt;
 use super::{Item, Machine, World};
@@ -49,7 +49,7 @@ impl World {
             }
             Fault::SchedulerPause { lasts } => {
                 self.scheduler.paused_until = now + lasts;
-                // On a real machine, either may come first.
+                // On a real machine, either order is possible.
                 self.scheduler.timers_first = self.drawn.seed.is_multiple_of(2);
             }
             Fault::DiskStalls { lasts } => self.scheduler.disk_stands_still_until = now + lasts,

@@ -1,6 +1,6 @@
-//! The virtual world of one seed: what is due next, and which side does it. What becomes of messages is in `network`, what
-//! goes wrong in `faults`; `scheduler` is the process that runs the loop of every mission, `robots` are the others, and
-//! `operator` is the person at the terminal.
+//! The virtual world of one seed: the next event, and the side that performs it. `network` transports messages, `faults` applies faults,
+//! `scheduler` is the process with the main loop of every mission, `robots` are the other processes, and `operator` is the person at the
+//! terminal.
 
 mod faults;
 mod network;
@@ -29,20 +29,20 @@ use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::{Kernel, Virtual};
 
-/// A mission that lasts longer than this and twice what it plays and waits for hangs.
+/// A mission hangs if it lasts longer than this and longer than twice the duration of its acts and waits.
 const LASTS_MAX: Span = Span::from_millis(180_000);
-/// Rounds at one instant, at most: far more than there can be events.
+/// Maximum number of rounds at one instant: far more than possible events.
 const ROUNDS_MAX: u32 = 20_000;
-/// Things that happen in a mission, at most, and for each robot and second of what it plays and waits for: one in which more and more
-/// happens does not end before the memory does.
+/// Maximum number of events in a mission, in total, and per robot and second of its acts and waits. Without it, a mission with ever more
+/// events would exhaust the memory.
 const HAPPENS_MAX: usize = 200_000;
 const HAPPENS_A_SECOND: usize = 12;
-/// After this long an attempt to connect fails.
+/// Time after which an attempt to connect fails.
 const CONNECT_FAILS: Span = Span::from_millis(300);
-/// After the mission's end robots are watched for this long: whatever they still do is seen.
+/// Duration of the observation of robots after the mission's end.
 const AFTERMATH: Span = Span::from_millis(8_000);
 
-/// How long the operator waits for links, greetings and stop confirmations.
+/// Timeout of the operator for links, greetings and stop confirmations.
 pub(super) const PATIENCE: Span = Span::from_millis(2_000);
 
 enum Item {
@@ -74,7 +74,7 @@ enum Item {
         robot: usize,
         link: LinkId,
     },
-    /// What this act waits for comes.
+    /// The event occurs that this act waits for.
     Comes(usize),
     Resume,
     Answer {
@@ -82,18 +82,18 @@ enum Item {
         link: LinkId,
         message: Box<Message>,
     },
-    /// The disk has done what it was asked for in this life of the scheduler.
+    /// The disk has completed the write that this life of the scheduler requested.
     Synced {
         life: u32,
     },
 }
 
-/// What the machine does on which a robot's process ran.
+/// State of the machine on which a robot's process ran.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Machine {
-    /// It closes connections and refuses new ones for a process that is gone.
+    /// The machine closes connections and refuses new ones on behalf of the ended process.
     Up,
-    /// It is gone itself.
+    /// The machine itself is gone.
     Down,
 }
 
@@ -102,23 +102,23 @@ struct World {
     rng: Rng,
     kernel: Kernel<Item>,
     robots: Vec<RobotSide>,
-    /// What a robot has just said; empty in between, and kept for its memory.
+    /// The latest messages of a robot; empty in between, and kept to reuse its allocation.
     said: Vec<Outgoing>,
     scheduler: Scheduler,
-    /// At this instant this many things were done.
+    /// Number of rounds at this instant.
     rounds: u32,
-    /// The mission never comes to an end.
+    /// Whether the mission never ends.
     hung: bool,
-    /// What becomes of the mission once the act of this number is promised, nobody wants to know.
+    /// Stop the run once this act is promised.
     last_act: Option<u32>,
-    /// It is.
+    /// Whether `last_act` is promised.
     is_promised: bool,
     records: Vec<(Timestamp<Server>, Record)>,
     history: Vec<(Timestamp<Server>, Happened)>,
-    /// After this, the mission hangs.
+    /// The mission hangs if it lasts longer.
     lasts_until: Timestamp<Server>,
     happens_max: usize,
-    /// Keep every message: only for a trace.
+    /// Whether to keep every message, for a trace.
     verbose: bool,
 }
 
@@ -155,7 +155,7 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
     play_world(World::new(drawn, verbose))
 }
 
-/// Plays a world until the act of this number is promised, and no further.
+/// Plays a world until the act of this number is promised.
 pub(super) fn play_up_to(drawn: Drawn, act: u32) -> Ran {
     play_world(World { last_act: Some(act), ..World::new(drawn, false) })
 }
@@ -167,7 +167,7 @@ fn play_world(mut world: World) -> Ran {
     let mut next = mission;
     let mut broken = None;
     while let Some(mut mission) = next.take() {
-        // After a statement that does not hold, the mission is not used again.
+        // After a failed assertion, the mission is not used again.
         let driven = catch_unwind(AssertUnwindSafe(|| at_once(drive(&mut mission, &mut world))));
         match driven {
             Ok(reported) => report = reported,
@@ -226,7 +226,7 @@ impl World {
         let machines = drawn.robots.iter().map(|robot| {
             (robot.there_from == Span::ZERO).then(|| robots::machine(robot, robot.block.clone(), BEGIN))
         });
-        // A robot whose twin answers has a place of its own, behind those of all robots.
+        // A robot whose twin answers has its own place after the places of all robots.
         let machines = machines.chain(drawn.robots.iter().map(|_| None));
         let mut world = Self {
             robots: drawn.robots.iter().map(side).collect(),
@@ -265,7 +265,7 @@ impl World {
         self.hung |= self.history.len() > self.happens_max;
     }
 
-    /// The scheduler is gone for good: what the robots still do.
+    /// Observes the robots after the final end of the scheduler.
     fn aftermath(&mut self) {
         self.scheduler.process = Process::Gone;
         let until = self.kernel.now + AFTERMATH;
@@ -313,7 +313,7 @@ impl Virtual for World {
         self.scheduler.wakes()
     }
 
-    /// Where too much happens at one instant, something is due and is never done.
+    /// If there are too many rounds at one instant, something is due and never performed.
     fn pass(&mut self, at: Timestamp<Server>) {
         let now = &mut self.kernel.now;
         self.rounds = if at > *now { 0 } else { self.rounds + 1 };

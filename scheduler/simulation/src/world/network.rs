@@ -1,4 +1,4 @@
-//! What becomes of messages on their way, and of links.
+//! The transport of messages, and the state of links.
 
 use downbeat_robot::{Input, LinkId};
 use fastrand::Rng;
@@ -10,7 +10,7 @@ use downbeat_fleet::world::{Between, Delay, LinkWorld};
 use downbeat_mission::{Event, Loss};
 use downbeat_rehearsal::world::{Conditions, Path, Transport, Travel};
 
-/// The network to a robot. Partitions and other faults come on top.
+/// The network to a robot, without partitions and other faults.
 pub(super) fn path(drawn: &Drawn, robot: &DrawnRobot, rng: &mut Rng) -> Path {
     let (least, largest) = drawn.delay;
     let transport = match drawn.network {
@@ -23,7 +23,7 @@ pub(super) fn path(drawn: &Drawn, robot: &DrawnRobot, rng: &mut Rng) -> Path {
 }
 
 impl World {
-    /// When a message arrives, or that it is lost.
+    /// When a message arrives; `None` if it is lost.
     fn travel(&mut self, robot: usize, way: Direction, message: &Message) -> Option<Timestamp<Server>> {
         let path = &mut self.robots[robot].path;
         let Some(travel) = path.travel(&mut self.rng, self.kernel.now, way, Some(message)) else {
@@ -44,7 +44,7 @@ impl World {
         Some(arrives)
     }
 
-    /// A message and when it arrives; a datagram may arrive twice.
+    /// A message and its arrival; a datagram may arrive twice.
     fn arrivals(
         &mut self,
         robot: usize,
@@ -58,7 +58,7 @@ impl World {
         twin.into_iter().chain(arrives.map(|at| (at, message)))
     }
 
-    /// A message reaches the robot's machine, if that reads this connection.
+    /// Delivers a message to the robot's machine, if that reads this connection.
     pub(super) fn arrive_at_robot(&mut self, robot: usize, link: LinkId, message: Message) {
         let side = &mut self.robots[robot];
         if let Some((_, unread)) = side.waiting.as_mut().filter(|(waiting, _)| *waiting == link) {
@@ -79,13 +79,13 @@ impl World {
         self.receive(robot, link, Input::Message(message));
     }
 
-    /// The robot's machine takes an input, if its process runs.
+    /// Passes an input to the robot's machine, if its process runs.
     pub(super) fn receive(&mut self, robot: usize, link: LinkId, input: Input) {
         let now = self.kernel.now.assume_clock();
         self.kernel.robots.change(robot, |machine| machine.receive(now, link, input));
     }
 
-    /// A system answers what comes on a connection that it does not know, as after a restart, by resetting it.
+    /// Resets a connection that a system does not know, as after a restart, when a message arrives on it.
     fn refuse_stray(&mut self, robot: usize, link: LinkId) {
         let side = &self.robots[robot];
         if side.runs_on == Machine::Up && side.link != Some(link) && self.drawn.network == Network::Stream {
@@ -115,7 +115,7 @@ impl World {
         }
     }
 
-    /// Whether a connection carries nothing any more.
+    /// Whether a connection no longer carries messages.
     fn is_dead(&mut self, robot: usize, link: LinkId) -> bool {
         let dead = self.robots[robot].dead.contains(&link);
         if dead {
@@ -124,7 +124,7 @@ impl World {
         dead
     }
 
-    /// The scheduler finds that a connection has ended, as soon as word of it can come through.
+    /// Informs the scheduler that a connection has ended, as soon as that information can arrive.
     pub(super) fn link_breaks(
         &mut self,
         robot: usize,
@@ -140,7 +140,7 @@ impl World {
         self.kernel.put(at + self.drawn.delay.1, Item::ToScheduler { robot, link, event });
     }
 
-    /// Connections that carry nothing are found broken.
+    /// Breaks the connections that carry no messages.
     pub(super) fn dead_links_end(&mut self, robot: usize) {
         if self.kernel.now < self.robots[robot].dead_until {
             return;
@@ -179,7 +179,7 @@ impl World {
         self.tell_on_link(robot, link, Event::LinkUp { robot });
     }
 
-    /// The robot reads this connection from now on; an older one is closed.
+    /// Makes the robot read this connection; an older one is closed.
     fn robot_reads(&mut self, robot: usize, link: LinkId) {
         let side = &mut self.robots[robot];
         side.path.begin(self.kernel.now);
@@ -188,7 +188,7 @@ impl World {
         }
     }
 
-    /// The robot sees that a connection has ended. It turns to one that waits.
+    /// Informs the robot that a connection has ended. It turns to one that waits.
     pub(super) fn robot_link_down(&mut self, robot: usize, link: LinkId) {
         let side = &mut self.robots[robot];
         side.waiting.take_if(|(waiting, _)| *waiting == link);
@@ -212,7 +212,7 @@ fn is_stop(message: &Message) -> bool {
     matches!(&request.command, Command::Script(script) if script.is_empty())
 }
 
-/// As much of a message as the checks need.
+/// The part of a message that the checks need.
 fn brief(message: &Message) -> Message {
     match message {
         Message::ControlRequest(request) => {
@@ -233,7 +233,7 @@ fn brief(message: &Message) -> Message {
         }
         Message::Inquiry(inquiry) => {
             let Inquiry { timestamp, pending_lease, pending_until, .. } = *inquiry;
-            // Whether it names any is what counts: only such a one lifts the end of a lease.
+            // Only whether it names requests is relevant: only then does it lift the end of a lease.
             let requests = inquiry.requests.iter().take(1).cloned().collect();
             let brief = Inquiry { timestamp, requests, pending_lease, pending_until, ..Inquiry::default() };
             Message::Inquiry(brief)

@@ -1,4 +1,4 @@
-//! Who sits before the mission, and what it waits for: the word "go", a reading, a stop from another terminal.
+//! The operator of the mission, and the events that it waits for: the go, a reading, a stop from another terminal.
 
 use downbeat_plan::Wait;
 
@@ -7,7 +7,7 @@ use crate::draw::BRIGHT;
 use downbeat_mission::{Event, Progress};
 
 impl World {
-    /// What an act waits for comes this long after that was told, if ever.
+    /// Schedules the event that an act waits for, if it ever occurs, at a delay after its announcement.
     pub(super) fn hears(&mut self, progress: &Progress) {
         let Progress::Waiting { act, .. } = progress else { return };
         let acts = &self.drawn.choreography.acts;

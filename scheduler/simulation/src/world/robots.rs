@@ -1,4 +1,4 @@
-//! The robots' processes in a simulated world, what they say, and the hardware behind them.
+//! The robots' processes in a simulated world, their messages, and the hardware behind them.
 
 use std::collections::BTreeSet;
 
@@ -17,25 +17,25 @@ use crate::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 use downbeat_mission::Loss;
 use downbeat_rehearsal::world::Path;
 
-/// Hardware that only stops to answer is given up by its driver after this long.
+/// Time after which a driver gives up hardware that only stops answering.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
-/// Before that, no edge can know that its hardware has died without closing its connection.
+/// Minimum time in which an edge can notice that its hardware has died without closing its connection.
 const DEATH_KNOWN: Span = Span::from_millis(200);
-/// Links of other sessions, far from the scheduler's.
+/// Ids of links of other sessions, far from the scheduler's.
 const FOREIGN: u64 = 1 << 63;
-/// Links of operators who seize a robot.
+/// Ids of links of operators that seize a robot.
 const SEIZES: u64 = 1 << 62;
-/// The name of such an operator.
+/// Name of such an operator.
 pub(crate) const SEIZED_BY: &str = "eva";
-/// Another session's script starts this long after it was sent.
+/// Time from sending another session's script to its start, in milliseconds.
 const FOREIGN_AHEAD: f64 = 80.0;
 
-/// Who answers at a robot's address.
+/// The process that answers at a robot's address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Who {
     Itself,
     Stranger,
-    /// It has the robot's id.
+    /// A process with the robot's id.
     Twin,
 }
 
@@ -44,23 +44,23 @@ pub(super) struct RobotSide {
     pub(super) runs_on: Machine,
     /// The connection with the scheduler that the robot reads.
     pub(super) link: Option<LinkId>,
-    /// A connection that it will read once that one has ended, and what has come on it.
+    /// A connection that it will read once the current one has ended, with the messages received on it.
     pub(super) waiting: Option<(LinkId, Vec<Message>)>,
     pub(super) path: Path,
-    /// Until then connections stand and carry nothing.
+    /// Until when connections persist without carrying messages.
     pub(super) dead_until: Timestamp<Server>,
-    /// Connections that carry nothing any more.
+    /// Connections that no longer carry messages.
     pub(super) dead: BTreeSet<LinkId>,
     pub(super) log: Vec<LogEntry>,
     /// How its devices came to rest.
     pub(super) brakings: Vec<Braking>,
-    /// What another robot at its address did.
+    /// The actions of another robot at its address.
     pub(super) log_of_stranger: Vec<LogEntry>,
     pub(super) clock_steps: Span,
-    /// What its sensor reads from now on.
+    /// The current reading of its sensor.
     pub(super) reading: Option<f64>,
     hardware_dead_since: Option<Timestamp<Server>>,
-    /// Scripts that it began although its hardware was dead, by their names.
+    /// Names of scripts that it began although its hardware was dead.
     pub(super) starts_of_dead: Vec<String>,
 }
 
@@ -107,7 +107,7 @@ impl RobotSide {
 }
 
 impl RobotSide {
-    /// What its hardware cannot have begun, since it was dead.
+    /// Notes scripts that its hardware cannot have begun, because it was dead.
     fn note_starts_of_dead(&mut self, from: usize) {
         let Some(since) = self.hardware_dead_since else { return };
         let known = (since + DEATH_KNOWN).as_nanos();
@@ -117,7 +117,7 @@ impl RobotSide {
     }
 }
 
-/// How devices come to rest by the last of these entries.
+/// How devices came to rest, according to the last entry of each.
 fn brakings(machine: &SimulatedRobot, log: &[LogEntry]) -> Vec<Braking> {
     let slow = |(_, entry): &(usize, &LogEntry)| entry.motion == MotionKind::Slow;
     let is_last = |(index, entry): &(usize, &LogEntry)| {
@@ -146,7 +146,7 @@ pub(super) fn machine(
 }
 
 impl World {
-    /// Takes what a robot has set.
+    /// Collects the values that a robot has set.
     pub(super) fn collect(&mut self, robot: usize) {
         let hidden = self.hidden(robot);
         let side = &mut self.robots[robot];
@@ -155,7 +155,7 @@ impl World {
         self.kernel.robots.change(robot, |machine| side.collect(machine, who));
     }
 
-    /// The process that answers at a robot's address ends. `false`: there was none.
+    /// Ends the process that answers at a robot's address. Returns `false` if there was none.
     pub(super) fn robot_dies(&mut self, robot: usize, runs_on: Machine) -> bool {
         self.collect(robot);
         if self.kernel.robots.end(robot).is_none() {
@@ -177,12 +177,12 @@ impl World {
         true
     }
 
-    /// A process begins at a robot's address.
+    /// Starts a process at a robot's address.
     pub(super) fn robot_begins(&mut self, robot: usize, block: InitializationBlock) {
         let drawn = &self.drawn.robots[robot];
         let who = if block.id == drawn.block.id { Who::Itself } else { Who::Stranger };
         let mut machine = machine(drawn, block, self.kernel.now);
-        // A new process looks for its hardware first; here it is there.
+        // A new process searches for its hardware first; here it is present.
         self.robots[robot].hardware_dead_since = None;
         self.collect(robot);
         let side = &mut self.robots[robot];
@@ -199,7 +199,7 @@ impl World {
         self.robots.len() + robot
     }
 
-    /// Another process with the id of a robot begins at its address. The robot continues, out of reach.
+    /// Starts another process with the id of a robot at its address. The robot continues, but is unreachable.
     pub(super) fn twin_begins(&mut self, robot: usize) {
         if self.robots[robot].who != Who::Itself {
             return;
@@ -218,7 +218,7 @@ impl World {
         self.robots[robot].who = Who::Twin;
     }
 
-    /// Nobody hears a robot whose twin answers.
+    /// Advances a robot whose twin answers. Its messages are discarded.
     pub(super) fn advance_hidden(&mut self, robot: usize) {
         let now = self.kernel.now.assume_clock();
         self.kernel.robots.change(self.hidden(robot), |machine| machine.advance(now, &mut Vec::new()));
@@ -261,13 +261,13 @@ impl World {
         self.said = said;
     }
 
-    /// What a robot makes of its answer: it may lie, or leave out what it does not know.
+    /// Modifies a robot's answer: the robot may lie, or omit fields that it does not know.
     fn as_said(&mut self, robot: usize, mut message: Message) -> Message {
         let drawn = &self.drawn.robots[robot];
         match &mut message {
             Message::InitializationBlock(block) => block.inquiry = drawn.block.inquiry,
             Message::ControlResponse(response) if drawn.names == Names::LeftOut => {
-                // It knows no extension at all.
+                // It supports no extension at all.
                 let ControlResponse { request_id, content_hash, event_timestamp, .. } = response;
                 (*request_id, *content_hash, *event_timestamp) = (None, None, None);
                 (response.steps_done, response.late_steps, response.late_ms_max) = (None, None, None);
@@ -340,12 +340,12 @@ impl World {
         self.kernel.robots.change(robot, |machine| machine.hardware_found(now));
     }
 
-    /// Another session claims a robot and sends it a script, as far as the robot lets it.
+    /// Another session claims a robot and sends it a script, as far as the robot permits.
     pub(super) fn foreign_session(&mut self, robot: usize, lasts: Span) {
         self.asks_for(robot, LinkId(FOREIGN + robot as u64), lasts);
     }
 
-    /// An operator with the role takes a robot, and sends it a script.
+    /// An operator with the role seizes a robot and sends it a script.
     pub(super) fn seize(&mut self, robot: usize, lasts: Span) {
         let link = LinkId(FOREIGN + SEIZES + robot as u64);
         if let Ok(name) = SEIZED_BY.parse() {
@@ -371,7 +371,7 @@ impl World {
         self.kernel.put(now + lasts, Item::ForeignEnd { robot, link });
     }
 
-    /// What an act waits for has come: the sensor reads it.
+    /// Sets the sensor reading that an act waits for.
     pub(super) fn reads(&mut self, robot: usize, reading: f64) {
         self.robots[robot].reading = Some(reading);
         if let Ok(eye) = "eye".parse() {
@@ -380,7 +380,7 @@ impl World {
     }
 }
 
-/// Whether the robot answers that it belongs to the session that asks.
+/// Whether the robot answers that it belongs to the requesting session.
 fn is_taken(message: &Message) -> bool {
     matches!(message, Message::AvailabilityResponse(response) if response.status == Status::Ok)
 }
@@ -393,7 +393,7 @@ fn foreign_script(
     let device = block.devices.first()?;
     let setpoint = match device.primary_control_type()? {
         ControlType::Position => Setpoint::new(ControlType::Position, 1.0),
-        // Nothing continues after the script.
+        // No movement continues after the script.
         rate => Setpoint::new(rate, 0.0),
     };
     let step = Step { offset: Millis::ZERO, setpoint, stop_condition: None };

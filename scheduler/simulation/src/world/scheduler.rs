@@ -1,5 +1,5 @@
-//! The scheduler's process in a simulated world: the loop of every mission meets what goes wrong here. Its journal is the real
-//! one, on a disk that is slow, runs full, and loses power.
+//! The scheduler's process in a simulated world, with the main loop of every mission under faults. Its journal is the real one, on a disk
+//! that is slow, fills up, and loses power.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -18,16 +18,16 @@ use downbeat_runtime::journal::{
     Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all,
 };
 
-/// Whether the process is there.
+/// State of the process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Process {
     Running,
     Gone,
-    /// Another one is about to resume what it left.
+    /// Another process is about to resume the mission.
     TakenUp(Intention),
 }
 
-/// The command of an operator who finds that a mission was cut off.
+/// The command of an operator for a mission that was cut off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intention {
     /// `downbeat resume`.
@@ -36,14 +36,14 @@ pub(super) enum Intention {
     Stop,
 }
 
-/// When something happens to a process while it acts.
+/// A fault that occurs while a process acts.
 #[derive(Clone, Copy, Debug)]
 struct Fuse {
     actions: u32,
     burnt: Burnt,
 }
 
-/// What happens to a process while it acts.
+/// The kind of a fault that occurs while a process acts.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Burnt {
     Dies { resumed_after: Option<Span> },
@@ -52,31 +52,31 @@ pub(super) enum Burnt {
 
 pub(super) struct Scheduler {
     pub(super) process: Process,
-    /// Counts the lives of the process: what was under way for an earlier one is lost.
+    /// Number of lives of the process: pending items of an earlier life are lost.
     life: u32,
     pub(super) paused_until: Timestamp<Server>,
-    /// After its pause, the process serves a timer that has expired before it takes what has arrived.
+    /// Whether the process, after its pause, serves an expired timer before it takes received events.
     pub(super) timers_first: bool,
-    /// What has arrived and is not taken yet.
+    /// Events that have arrived and are not taken yet.
     arrived: VecDeque<drive::Happened>,
     /// The links as the process sees them.
     links: Vec<Option<LinkId>>,
     /// The newest attempt to reach each robot; it replaces earlier ones.
     attempts: Vec<Option<LinkId>>,
-    /// `None` only while it changes hands.
+    /// `None` only during a handover.
     journal: Option<Journal<SimulatedDisk>>,
     /// Records that wait for the disk.
     unwritten: VecDeque<(Timestamp<Server>, Record)>,
     /// Messages of the instant at which the process stalled while it acted; it sends them when it continues.
     unsent: Vec<(usize, LinkId, Message)>,
-    /// It stalls, and has to continue with what it did at that instant.
+    /// Whether it stalls and has to continue with its actions of that instant.
     stalls_in_act: bool,
     disk: DiskState,
     pub(super) disk_stands_still_until: Timestamp<Server>,
     fuse: Option<Fuse>,
     /// The clock of the machine minus the true time.
     pub(super) clock_of_machine: Span,
-    /// The process's own clock minus the true time: it began with that of the machine.
+    /// The process's own clock minus the true time: it started with that of the machine.
     pub(super) ahead: Span,
 }
 
@@ -84,9 +84,9 @@ pub(super) struct Scheduler {
 enum DiskState {
     Idle,
     Syncing,
-    /// The mission has been told.
+    /// The mission has been informed.
     Lost,
-    /// Nothing is written before the mission is over: a stop waits for no disk.
+    /// Nothing is written before the mission ends: a stop waits for no disk.
     Unused,
 }
 
@@ -137,14 +137,14 @@ impl Scheduler {
         }
     }
 
-    /// This happens to it after `actions` more actions.
+    /// Schedules a fault after `actions` more actions.
     pub(super) fn light_fuse(&mut self, actions: u32, burnt: Burnt) {
         if self.is_running() {
             self.fuse.get_or_insert(Fuse { actions, burnt });
         }
     }
 
-    /// When it takes what has arrived, if it could not do so at once.
+    /// When it takes the received events, if it could not do so at once.
     pub(super) fn wakes(&self) -> Option<Timestamp<Server>> {
         let has_work = !self.arrived.is_empty() || self.stalls_in_act;
         (has_work && self.process == Process::Running).then_some(self.paused_until)
@@ -154,18 +154,18 @@ impl Scheduler {
         self.process == Process::Running
     }
 
-    /// The link as robots know it: no two lives of the process share one.
+    /// The link id for robots: different lives of the process share no link.
     fn id_of(&self, link: LinkNumber) -> LinkId {
         LinkId((u64::from(self.life) << 32) | link.0)
     }
 
-    /// The number of a link that this life of the process has made.
+    /// The number of a link, if this life of the process made it.
     fn number_of(&self, link: LinkId) -> Option<LinkNumber> {
         (link.0 >> 32 == u64::from(self.life)).then_some(LinkNumber(link.0 & 0xffff_ffff))
     }
 }
 
-/// The journal on a simulated disk, which takes every cut.
+/// The journal on a simulated disk, which supports every truncation.
 fn on(disk: SimulatedDisk) -> Option<Journal<SimulatedDisk>> {
     Journal::on(disk, "journal".into()).ok()
 }
@@ -176,8 +176,8 @@ fn unreachable_session() -> SessionId {
 }
 
 impl World {
-    /// The process dies. What its journal's thread had not handed to the system is lost; where the power fails, what was not
-    /// synced may be torn as well.
+    /// Ends the process. Data that its journal's thread had not passed to the system is lost. If the power fails, data that was not
+    /// synced may also be torn.
     pub(super) fn kill_scheduler(&mut self) {
         if !self.scheduler.is_running() {
             return;
@@ -212,7 +212,7 @@ impl World {
         }
     }
 
-    /// The process dies, and an operator may find that and say `resume`.
+    /// Ends the process; an operator may notice that and run `resume`.
     pub(super) fn crash_scheduler(&mut self, fault: Fault, resumed_after: Option<Span>) {
         if !self.scheduler.is_running() {
             return;
@@ -226,7 +226,7 @@ impl World {
         }
     }
 
-    /// Whether the process lives to do one thing more.
+    /// Whether the process lives to perform one more action.
     fn acts(&mut self) -> bool {
         match &mut self.scheduler.fuse {
             Some(Fuse { actions: 0, burnt: Burnt::Dies { resumed_after } }) => {
@@ -243,7 +243,7 @@ impl World {
         self.scheduler.is_running()
     }
 
-    /// The process stalls between two actions of one instant.
+    /// Stalls the process between two actions of one instant.
     fn stall_in_act(&mut self, lasts: Span) {
         self.note(Happened::Fault(Fault::SchedulerPauseAmid { actions: 0, lasts }));
         let side = &mut self.scheduler;
@@ -252,7 +252,7 @@ impl World {
         side.timers_first = self.drawn.seed.is_multiple_of(2);
     }
 
-    /// The process continues with the actions at which it stalled.
+    /// Continues with the actions at which the process stalled.
     fn finish_acting(&mut self) {
         if std::mem::take(&mut self.scheduler.stalls_in_act) {
             for (robot, link, message) in std::mem::take(&mut self.scheduler.unsent) {
@@ -262,7 +262,7 @@ impl World {
         }
     }
 
-    /// Waits until another process takes the mission up, if one will, and returns what it makes of the journal.
+    /// Waits until another process resumes the mission, if one will, and returns the mission that it reads from the journal.
     pub(super) fn taken_up(&mut self) -> Option<Mission> {
         let takes_up = |item: &Item| matches!(item, Item::Resume | Item::Fault(Fault::StopByJournal));
         while self.kernel.agenda.items().any(takes_up) {
@@ -297,7 +297,7 @@ impl World {
         }
     }
 
-    /// What `downbeat resume` and `downbeat stop` do.
+    /// Does what `downbeat resume` and `downbeat stop` do.
     fn mission_by_journal(&mut self, intention: Intention) -> Mission {
         let side = &mut self.scheduler;
         side.ahead = side.clock_of_machine;
@@ -328,7 +328,7 @@ impl World {
         })
     }
 
-    /// Something for the scheduler, which takes it when it can.
+    /// Queues an event for the scheduler, which takes it when it can.
     pub(super) fn tell(&mut self, event: Event) {
         let at = self.kernel.now + self.scheduler.ahead;
         self.scheduler.arrived.push_back(drive::Happened::Event { at, event: Box::new(event) });
@@ -345,14 +345,14 @@ impl World {
         }
     }
 
-    /// Hands the disk all that waits for it.
+    /// Passes all waiting records to the disk.
     fn begin_writing(&mut self) {
         let side = &mut self.scheduler;
         let Some(journal) = &mut side.journal else { return };
         if side.disk != DiskState::Idle || side.unwritten.is_empty() || side.stalls_in_act {
             return;
         }
-        // A failure is found again by the sync.
+        // The sync reports a failure again.
         let _broken = append_all(journal, side.unwritten.drain(..));
         side.disk = DiskState::Syncing;
         let (at, life) = (self.kernel.now + self.drawn.disk.sync, side.life);
@@ -378,7 +378,7 @@ impl World {
         self.begin_writing();
     }
 
-    /// Keeps what the trace and the checks want to know of.
+    /// Records the events that the trace and the checks need.
     fn note_taken(&mut self, happened: &drive::Happened) {
         let (drive::Happened::OnLink { event, .. } | drive::Happened::Event { event, .. }) = happened else {
             return;
@@ -386,7 +386,7 @@ impl World {
         if let drive::Happened::OnLink { robot, link, .. } = happened
             && self.scheduler.links[*robot].is_some_and(|current| current != self.scheduler.id_of(*link))
         {
-            // The end of a connection that was replaced: nobody uses it any more.
+            // The end of a connection that was replaced and is no longer used.
             return;
         }
         match &**event {
@@ -434,7 +434,7 @@ impl drive::World for World {
                     self.pass(until);
                     return None;
                 }
-                // Nothing will ever happen again, and the mission has not ended.
+                // No further event will ever occur, and the mission has not ended.
                 (_, None) => self.hung = true,
             }
             self.hung |= self.kernel.now > self.lasts_until;
@@ -509,7 +509,7 @@ impl drive::World for World {
     }
 }
 
-/// What a process promises by its own clock, as it is by the true time.
+/// Converts a promise from the clock of its process to the true time.
 fn by_true_time(record: Record, ahead: Span) -> Record {
     match record {
         Record::Prepared(promise) => Record::Prepared(Promise {
@@ -522,7 +522,7 @@ fn by_true_time(record: Record, ahead: Span) -> Record {
 }
 
 impl World {
-    /// The process sees this link from now on; an older one is forgotten.
+    /// Makes the process use this link; an older one is forgotten.
     pub(super) fn links_to(&mut self, robot: usize, link: LinkId) -> bool {
         let is_newest = self.scheduler.attempts[robot] == Some(link);
         let lives = self.scheduler.is_running() && self.scheduler.number_of(link).is_some() && is_newest;

@@ -1,4 +1,4 @@
-//! `downbeat import urdf`: a robot's description becomes its initialization block.
+//! `downbeat import urdf`: converts a robot's description into its initialization block.
 
 use downbeat_import::{UrdfOutcome, urdf};
 use downbeat_scripts::{Source, counted};
@@ -44,7 +44,7 @@ pub(super) fn describe(args: &ImportArgs, format: Format) -> Exit {
 fn show(devices: usize, told: &Told<'_>) {
     told.show();
     if told.text.is_some() {
-        console::note("note: the limits of speeds stand in the fleet file: --output DIR writes it too");
+        console::note("note: the speed limits belong in the fleet file, which --output DIR also writes");
     }
     if told.findings.is_empty() {
         console::note(&counted(devices, "device"));

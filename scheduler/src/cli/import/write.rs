@@ -1,4 +1,4 @@
-//! Writing what was imported: whole files or none, and nothing that is there already is lost unasked.
+//! Writes imported files: all or none. Existing files are not overwritten unless this is requested.
 
 use std::fs;
 use std::io::Write;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use downbeat_import::FilePart;
 use downbeat_scripts::{Attempt, Code, Finding, Refusal, Severity};
 
-/// Writes every file next to its place first, then moves it there.
+/// Writes every file next to its final path first, then moves it there.
 pub(in super::super) fn write_all(
     folder: &Path,
     files: &[FilePart],
@@ -47,7 +47,7 @@ impl Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if let Some(path) = &self.0 {
-            // It may be gone already; there is no more to do about it.
+            // If it is already gone, nothing remains to be done.
             let _gone = fs::remove_file(path);
         }
     }
@@ -66,8 +66,8 @@ fn write_beside(path: &Path, text: &str) -> std::io::Result<Temporary> {
 }
 
 fn already_there(path: &Path) -> Finding {
-    let hint = "name another --output, or replace it with --force";
-    about(Code::FileExists, path, "the file exists already".into(), "a path without a file", Some(hint))
+    let hint = "choose another --output, or add --force to replace the file";
+    about(Code::FileExists, path, "the file already exists".into(), "a path that does not exist", Some(hint))
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> Finding {

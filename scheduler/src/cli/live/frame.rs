@@ -1,4 +1,4 @@
-//! A frame of the display: what a model looks like at an instant, in so many columns and rows.
+//! A frame of the display: the text of a model at an instant, for a number of columns and rows.
 
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Act, PlannedCue, Wait, Way};
@@ -19,24 +19,24 @@ const YELLOW: Style = Style::new().fg(Color::Yellow);
 const GREEN: Style = Style::new().fg(Color::Green);
 const CYAN: Style = Style::new().fg(Color::Cyan);
 
-/// Whether the keys are explained.
+/// Whether the help for the keys is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Help {
     Hidden,
     Shown,
 }
 
-/// What is drawn at one instant.
+/// The contents of the display at one instant.
 pub(super) struct Frame {
     head: Vec<Line<'static>>,
     rows: Vec<Row>,
-    /// How long the act has played; `None`: it does not.
+    /// How long the act has played. `None` if it does not play.
     played: Option<Span>,
     foot: Vec<Line<'static>>,
 }
 
 impl Frame {
-    /// Of at most so many rows; `columns` as wide as the terminal.
+    /// Creates a frame with at most `rows` rows, as wide as the terminal's `columns`.
     pub(super) fn of(model: &Model, now: Timestamp<Server>, help: Help, columns: u16, rows: u16) -> Self {
         let mut head = vec![title(model, now, usize::from(columns))];
         head.extend(act_lines(model, now, usize::from(columns)));
@@ -75,9 +75,9 @@ impl Frame {
     }
 
     fn table(&self, columns: u16) -> Table<'_> {
-        let header = ["robot", "state", "steps", "clock", "last word"];
+        let header = ["robot", "state", "steps", "clock", "latest report"];
         let longest = self.rows.iter().map(|row| Line::from(row.robot.as_str()).width()).max().unwrap_or(0);
-        // As wide as the longest name, within a quarter of the terminal.
+        // As wide as the longest name, but at most a quarter of the terminal.
         let name = u16::try_from(longest.max(5)).unwrap_or(u16::MAX).min((columns / 4).max(8));
         let widths = [name, 10, 9, 11].map(Constraint::Length).into_iter().chain([Constraint::Fill(1)]);
         let rows = self.rows.iter().map(|row| robot_row(row, self.played));
@@ -95,7 +95,7 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
     };
     let steps = match (row.steps_planned, played) {
         (0, _) => "-".to_owned(),
-        // Robots report steps with the end of a script: until then it is the plan that says so.
+        // Robots report steps at the end of a script. Until then, the count comes from the plan.
         (planned, Some(played)) if row.state == RobotState::Playing => {
             format!("~{}/{planned}", row.steps_by(played))
         }
@@ -111,7 +111,7 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
     ])
 }
 
-/// As many rows as there is room for, and what the others do. Where some are left out, the worst stand first.
+/// Returns the rows that fit, and a summary of the rest. If some are left out, the rows with the worst state come first.
 fn folded(rows: &[Row], room: usize) -> (Vec<Row>, Option<Line<'static>>) {
     if rows.len() <= room {
         return (rows.to_vec(), None);
@@ -131,7 +131,7 @@ fn folded(rows: &[Row], room: usize) -> (Vec<Row>, Option<Line<'static>>) {
     (first.iter().map(|row| (*row).clone()).collect(), Some(Line::styled(text, DIM)))
 }
 
-/// `1.4 s`, `1:05 min`, `2:01:05 h`.
+/// Formats a duration: `1.4 s`, `1:05 min`, `2:01:05 h`.
 fn length(span: Span) -> String {
     let seconds = span.as_millis_f64().max(0.0) / 1_000.0;
     let whole = seconds as u64;
@@ -142,7 +142,7 @@ fn length(span: Span) -> String {
     }
 }
 
-/// The mission, the act and what it does; at the right, if there is room, the time and how long the mission has taken.
+/// Returns the mission, the act and its state. If there is room, adds the time and the elapsed time of the mission at the right.
 fn title(model: &Model, now: Timestamp<Server>, columns: usize) -> Line<'static> {
     let mut pieces = vec![Piece::styled(shown(&model.choreography.scenario).into_owned(), BOLD)];
     let front = model.acts.first();
@@ -184,11 +184,11 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
         let failed = |row: &&Row| row.state == RobotState::Failed && row.stop == Confirmed::NotYet;
         let left = model.rows.iter().filter(|row| row.state == RobotState::Stopping || failed(row)).count();
         let text = match (left, model.rows.iter().find(failed)) {
-            (0, _) => "every robot that was moving has confirmed".to_owned(),
+            (0, _) => "every robot that was moving has confirmed the stop".to_owned(),
             (1, Some(row)) => {
-                format!("{} has failed and has confirmed nothing: it may still move", row.robot)
+                format!("{} has failed without confirming the stop: it may still move", row.robot)
             }
-            (left, _) => format!("{} without a confirmation yet", downbeat_scripts::counted(left, "robot")),
+            (left, _) => format!("{} not confirmed yet", downbeat_scripts::counted(left, "robot")),
         };
         lines.push(Line::from(vec![Piece::styled("stop    ", DIM), Piece::raw(text)]));
         return lines;
@@ -212,7 +212,7 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
     lines
 }
 
-/// What a following act is about to do.
+/// Describes the state of a following act.
 fn outlook(act: &ShownAct, now: Timestamp<Server>) -> String {
     match &act.stage {
         Stage::Waiting { awaits, until: Some(until), .. } => {
@@ -220,7 +220,7 @@ fn outlook(act: &ShownAct, now: Timestamp<Server>) -> String {
         }
         Stage::Waiting { awaits, .. } => format!("waits for {awaits}"),
         Stage::Preparing { start } => format!("is being sent, starts in {}", length(*start - now)),
-        Stage::Decided(decided) => format!("is decided, starts in {}", length(decided.start - now)),
+        Stage::Decided(decided) => format!("is accepted, starts in {}", length(decided.start - now)),
     }
 }
 
@@ -231,7 +231,7 @@ fn waiting(
     now: Timestamp<Server>,
 ) -> Vec<Line<'static>> {
     let Stage::Waiting { awaits, until, since, reading } = &shown_act.stage else { return Vec::new() };
-    // For how long it waits stands in the next line.
+    // The remaining time is in the next line.
     let what = awaits.split(", for ").next().unwrap_or_default();
     let what = Piece::styled(format!("for {what}"), YELLOW);
     let mut lines = vec![Line::from(vec![Piece::styled("waits   ", DIM), what])];
@@ -243,8 +243,8 @@ fn waiting(
     let sensor = act.is_some_and(|act| matches!(act.wait, Wait::Sensor { .. }));
     let mut state = Vec::new();
     match reading {
-        Some(Some(value)) => state.push(format!("it reads {value}")),
-        Some(None) => state.push("it reads nothing".to_owned()),
+        Some(Some(value)) => state.push(format!("reading {value}")),
+        Some(None) => state.push("no reading".to_owned()),
         None if sensor => state.push("not read yet".to_owned()),
         None => {}
     }
@@ -252,8 +252,8 @@ fn waiting(
         (since, act.and_then(|act| Some((act.timeout?, act.on_timeout))))
     {
         let then = match way {
-            Way::End => "then the end".to_owned(),
-            Way::Fail => "then the mission has failed".to_owned(),
+            Way::End => "then the mission ends".to_owned(),
+            Way::Fail => "then the mission fails".to_owned(),
             Way::Act(other) => {
                 let name = model.choreography.acts.get(other).map_or("", |act| act.name.as_str());
                 format!("then `{}`", shown(name))
@@ -280,12 +280,12 @@ fn decided_lines(
         lines.push(Line::from(vec![Piece::styled("start   ", DIM), Piece::styled(text, BOLD)]));
         let point = match (committed, now < no_return) {
             (_, true) => format!(
-                "decided; a failure still withdraws it for {}, until {}",
+                "if a robot fails in the next {}, until {}, no robot will start",
                 length(no_return - now),
                 time_as_of(no_return, now)
             ),
-            (true, false) => "committed, past the point of no return: it starts".to_owned(),
-            (false, false) => "past the point of no return: only a stop ends it".to_owned(),
+            (true, false) => "past the point of no return: the robots start".to_owned(),
+            (false, false) => "past the point of no return: only a stop can end it".to_owned(),
         };
         lines.push(Line::from(vec![Piece::styled("decided ", DIM), Piece::raw(point)]));
     } else {
@@ -295,7 +295,7 @@ fn decided_lines(
     lines
 }
 
-/// How far the act has come by the clock.
+/// Shows the progress of the act by the clock.
 fn bar(played: Span, duration: Span, columns: usize) -> Line<'static> {
     let part = (played.as_millis_f64() / duration.as_millis_f64().max(1.0)).clamp(0.0, 1.0);
     let times = format!(
@@ -314,7 +314,7 @@ fn bar(played: Span, duration: Span, columns: usize) -> Line<'static> {
     ])
 }
 
-/// The cues under way with the time that each has left, and the next one.
+/// Returns the current cues with their remaining times, and the next cue.
 fn cue_line(cues: &[PlannedCue], played: Span) -> Line<'static> {
     let under_way: Vec<_> = cues
         .iter()
@@ -338,11 +338,11 @@ fn cue_line(cues: &[PlannedCue], played: Span) -> Line<'static> {
 fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
     if help == Help::Shown {
         return vec![
-            Line::raw("g or Enter  go: the act begins that waits for the operator"),
+            Line::raw("g or Enter  go: starts the act that waits for the operator"),
             Line::raw("s or Ctrl-C stop: every robot slows down and stays where it is"),
             Line::raw("H           home: all robots stop, then move to their default positions"),
-            Line::raw("Ctrl-C      twice: leave at once, confirmed or not"),
-            Line::raw("~3/5        steps by the plan; 3/5 as reported, 3+ at least"),
+            Line::raw("Ctrl-C      twice: exit at once, confirmed or not"),
+            Line::raw("~3/5        steps according to the plan; 3/5: as reported; 3+: at least 3"),
             Line::raw("?           hide this help"),
         ];
     }
@@ -357,7 +357,7 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
     match model.phase {
         Phase::Stopping(_) => {
             key("H", "home", Style::new());
-            key("Ctrl-C twice", "leave at once", Style::new());
+            key("Ctrl-C twice", "exit at once", Style::new());
         }
         _ if model.goes_home() => key("s", "stop", Style::new()),
         _ => {

@@ -16,10 +16,10 @@ use crate::cli::console;
 use crate::mission::Rest;
 use crate::stop_lane::{Operator, StopLane, Voice};
 
-/// For so long Ctrl-Z waits for the display to leave the screen.
+/// How long Ctrl-Z waits for the display to leave the screen.
 const LIFT_MAX: Duration = Duration::from_millis(200);
 
-/// What a key means.
+/// The meaning of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Key {
     Go,
@@ -40,22 +40,22 @@ impl Key {
     }
 }
 
-/// Says what keys mean to the mission, by the lane that hears a stop whatever else stands still.
+/// Sends key commands to the mission through the stop lane, which receives a stop even if everything else is blocked.
 pub(in crate::cli) struct Speaker {
     voice: Voice,
     lane: Handle,
-    /// Waits for the answer to the last go.
+    /// The thread that waits for the answer to the last go.
     asking: Option<JoinHandle<()>>,
 }
 
 impl Speaker {
-    /// Speaks by this lane.
+    /// Creates a speaker for this lane.
     pub(in crate::cli) fn of(lane: &StopLane) -> Self {
         Self { voice: lane.voice(), lane: lane.runtime().clone(), asking: None }
     }
 
-    /// Says go, and shows why it does not count, if so. The answer is awaited elsewhere: a mission that stands still gives none,
-    /// and the next key may be a stop.
+    /// Sends a go, and prints the reason if it is refused. Another thread waits for the answer: a blocked mission does not answer, and
+    /// the next key may be a stop.
     fn go(&mut self) {
         if self.asking.as_ref().is_some_and(|asking| !asking.is_finished()) {
             return;
@@ -72,7 +72,7 @@ impl Speaker {
 }
 
 impl Speaker {
-    /// Stops all robots. The lane has the first such word at once; a mission that stands still takes it later.
+    /// Stops all robots. The lane receives the command at once; a blocked mission receives it later.
     fn stop(&self, rest: Rest) {
         let (voice, lane) = (self.voice.clone(), self.lane.clone());
         let stop = Operator::Stop { rest, by: None };
@@ -80,7 +80,7 @@ impl Speaker {
     }
 }
 
-/// Single keys under the display. The thread ends with the process.
+/// Handles single keys below the display. The thread ends with the process.
 pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     if !terminal::has_keys() {
         return;
@@ -89,14 +89,14 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     std::thread::spawn(move || {
         let mut last = None;
         while let Some(bytes) = terminal::next_keys() {
-            // Arrow keys and the like are sequences, which mean nothing here.
+            // Arrow keys and similar keys are sequences, which have no meaning here.
             if bytes.first() == Some(&0x1b) {
                 continue;
             }
             for key in bytes.into_iter().filter_map(Key::of) {
                 match key {
                     Key::Go => speaker.go(),
-                    // A second Ctrl-C would leave at once, so only the first word is said as one.
+                    // A second Ctrl-C would leave at once, so repetitions of the same key are ignored.
                     Key::Stop | Key::Home if last == Some(key) => {}
                     Key::Stop if last.is_none() => stop(),
                     Key::Stop => speaker.stop(Rest::InPlace),
@@ -111,7 +111,7 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     });
 }
 
-/// Lines where there is no display: an empty one is the operator's go. The thread ends with the process.
+/// Handles lines if there is no display: an empty line is the operator's go. The thread ends with the process.
 pub(super) fn listen_to_lines(mut speaker: Speaker) {
     if !terminal::has_keys() {
         return;
@@ -125,16 +125,16 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
                     "s" | "stop" => speaker.stop(Rest::InPlace),
                     "home" => speaker.stop(Rest::Home),
                     "?" | "help" => console::note(LINES),
-                    other => console::note(&format!("`{}` is not a command; {LINES}", shown(other))),
+                    other => console::note(&format!("unknown command `{}`; {LINES}", shown(other))),
                 }
             }
         }
     });
 }
 
-const LINES: &str = "Enter or go begins the act that waits, stop stops all robots where they are, home stops them and then moves them to their default positions, Ctrl-C stops";
+const LINES: &str = "Enter or `go` starts the waiting act, `stop` or Ctrl-C stops all robots where they are, `home` stops them and then moves them to their default positions";
 
-/// As Ctrl-C does, by the same way.
+/// Stops in the same way as Ctrl-C.
 fn stop() {
     let _own_process = kill_process(getpid(), Signal::INT);
 }
@@ -147,16 +147,16 @@ fn toggle_help(scene: &Mutex<Scene>) {
     };
 }
 
-/// Ctrl-Z leaves the terminal as it was found, and `fg` brings the display back. The task ends with the process.
+/// On Ctrl-Z, restores the terminal; `fg` brings the display back. The task ends with the process.
 pub(super) fn watch_suspension(scene: Arc<Mutex<Scene>>) {
     let Ok(mut suspended) = signal(SignalKind::from_raw(Signal::TSTP.as_raw())) else { return };
     tokio::spawn(async move {
         while suspended.recv().await.is_some() {
-            // From here on: an earlier continuation does not count.
+            // Registered now, so that an earlier continuation is ignored.
             let Ok(mut continued) = signal(SignalKind::from_raw(Signal::CONT.as_raw())) else { return };
             let _ended = tokio::task::spawn_blocking(leave_terminal).await;
             let _own_process = kill_process(getpid(), Signal::STOP);
-            // The thread that asks for it may run on for a moment before the process stands still.
+            // This thread may run for a moment before the process is suspended.
             continued.recv().await;
             let scene = Arc::clone(&scene);
             let _ended = tokio::task::spawn_blocking(move || come_back(&scene)).await;
@@ -167,7 +167,7 @@ pub(super) fn watch_suspension(scene: Arc<Mutex<Scene>>) {
 fn leave_terminal() {
     console::end_display();
     console::note(
-        "suspended: robots go on by their scripts until their leases end; `fg` continues the mission",
+        "suspended: robots continue their scripts until their leases expire; `fg` continues the mission",
     );
     console::drain(LIFT_MAX);
     terminal::restore();
@@ -198,7 +198,7 @@ mod tests {
         let mut speaker = is_done.recv_timeout(Duration::from_secs(30)).unwrap();
         let said = operator.blocking_recv();
         let Some(Operator::Go { answer, .. }) = said else { panic!("{said:?}") };
-        // Pressed again: it waits for the same answer.
+        // The key is pressed again: it waits for the same answer.
         speaker.go();
         assert!(operator.try_recv().is_err());
         answer.send(Ok("one".to_owned())).unwrap();

@@ -1,7 +1,7 @@
-//! What a mission shows while it goes on: on a terminal a display below the lines, elsewhere lines alone, with JSON nothing.
+//! The output of a running mission: on a terminal a display below the lines, elsewhere only lines, with JSON nothing.
 //!
-//! The mission's events change a model; the thread that writes draws it ten times a second ([`super::outlet`]). The mission
-//! itself never draws and never waits for a terminal. `docs/display.md` shows what it looks like.
+//! The mission's events change a model. The writing thread draws it ten times a second ([`super::outlet`]). The mission itself never
+//! draws and never waits for a terminal. `docs/display.md` shows examples.
 
 mod frame;
 mod keys;
@@ -24,9 +24,9 @@ use self::painter::{Colours, Painter};
 use super::{Format, console};
 use crate::mission::Progress;
 use crate::server_clock::ServerClock;
-use crate::show::{UNBOUNDED, preflight_table};
+use crate::show::{Detail, UNBOUNDED, preflight_table, preflight_warnings};
 
-/// What the display is drawn from.
+/// The source of the display.
 struct Scene {
     model: Model,
     help: Help,
@@ -47,20 +47,20 @@ impl Scene {
     }
 }
 
-/// One mission's display. The terminal is restored when it is dropped.
+/// The display of one mission. The terminal is restored on drop.
 pub(super) struct Live {
     format: Format,
-    /// `None` where there is no display.
+    /// `None` if there is no display.
     scene: Option<Arc<Mutex<Scene>>>,
 }
 
 impl Live {
-    /// Lines alone.
+    /// Prints only lines.
     pub(super) const fn lines(format: Format) -> Self {
         Self { format, scene: None }
     }
 
-    /// A display, if this is a terminal for one, and the operator's keys. To be called within a runtime.
+    /// Starts the display, if the terminal supports it, and handles the operator's keys. Must be called within a runtime.
     pub(super) fn start(
         format: Format,
         clock: ServerClock,
@@ -87,12 +87,15 @@ impl Live {
         if self.format == Format::Json {
             return;
         }
-        if let Some(sentence) = lines::sentence(at, progress) {
+        if let Some(sentence) = lines::sentence(at, progress, console::detail()) {
             console::note(&sentence);
         }
-        if let Some(preflight) = lines::table_worth_showing(progress) {
+        let Some(preflight) = lines::table_worth_showing(progress) else { return };
+        if console::detail() == Detail::Full {
             let columns = terminal::size().map_or(UNBOUNDED, |(columns, _)| usize::from(columns));
             console::note_block(&preflight_table(preflight, false, columns));
+        } else {
+            preflight_warnings(preflight).iter().for_each(|warning| console::note(warning));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What the display knows: fed by the mission's events, read by the thread that draws. Reads no clock.
+//! The data of the display: updated by the mission's events, read by the thread that draws. Reads no clock.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -9,33 +9,33 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use crate::mission::{Preflight, Progress};
 
-/// Columns of a robot's last word that are kept.
+/// Maximum length of a robot's stored message, in columns.
 const WORD_MAX: usize = 120;
 
-/// A mission as its events tell it.
+/// The state of a mission, according to its events.
 #[derive(Debug)]
 pub(super) struct Model {
     pub(super) choreography: Arc<Choreography>,
     pub(super) began: Timestamp<Server>,
-    /// Those under way and those that wait, in order.
+    /// Current and waiting acts, in order.
     pub(super) acts: Vec<ShownAct>,
     pub(super) phase: Phase,
     pub(super) rows: Vec<Row>,
     index: HashMap<RobotId, usize>,
-    /// The act whose steps the rows show.
+    /// The index of the act whose steps the rows show.
     planned: Option<usize>,
     /// The act that moves the robots to their default positions after a stop.
     home: Option<String>,
 }
 
-/// Where the mission as a whole stands.
+/// The phase of the whole mission.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// Robots are reached and checked.
+    /// Connections to robots are made, and the robots are checked.
     Greeting,
     /// Acts wait, are prepared and play.
     Performing,
-    /// All robots are stopped, for this reason.
+    /// All robots are being stopped, for this reason.
     Stopping(String),
 }
 
@@ -43,7 +43,7 @@ pub(super) enum Phase {
 #[derive(Clone, Debug)]
 pub(super) struct ShownAct {
     pub(super) name: String,
-    /// Its index in the choreography, where that has it.
+    /// The act's index in the choreography. `None` if the act is not part of it.
     pub(super) index: Option<usize>,
     pub(super) stage: Stage,
 }
@@ -52,11 +52,11 @@ pub(super) struct ShownAct {
 pub(super) enum Stage {
     Waiting {
         awaits: String,
-        /// The time for which it waits, if that is what it waits for.
+        /// The time for which the act waits, if it waits for a time.
         until: Option<Timestamp<Server>>,
-        /// Since when nothing plays before it; `None`: an act still does.
+        /// When the previous act ended. `None` while it still plays.
         since: Option<Timestamp<Server>>,
-        /// What its sensor reads; `None` before the first reading.
+        /// The reading of the act's sensor. `None` before the first reading.
         reading: Option<Option<f64>>,
     },
     Preparing {
@@ -65,13 +65,13 @@ pub(super) enum Stage {
     Decided(Decided),
 }
 
-/// The decision, and what may still become of it.
+/// The decision to start an act, and its state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Decided {
     pub(super) start: Timestamp<Server>,
     pub(super) duration: Span,
     pub(super) no_return: Timestamp<Server>,
-    /// Every lease reaches over the start.
+    /// Whether every lease extends past the start.
     pub(super) committed: bool,
 }
 
@@ -80,17 +80,17 @@ pub(super) struct Decided {
 pub(super) struct Row {
     pub(super) robot: String,
     pub(super) state: RobotState,
-    /// Of the act under way, as the robot has reported them.
+    /// The steps that the robot has reported for the current act.
     pub(super) steps_done: u64,
-    /// It has started in the act under way.
+    /// Whether the robot has started in the current act.
     begun: bool,
-    /// Of the act under way; 0 where it plays no part in it.
+    /// The planned steps of the current act. 0 if the robot does not take part in it.
     pub(super) steps_planned: u64,
-    /// When each step of its scripts is due, from the start of the act, in order.
+    /// When each step of its scripts is due, relative to the start of the act, in order.
     due: Arc<[Span]>,
     pub(super) clock: String,
     pub(super) word: String,
-    /// Its stop was confirmed, also after it had failed.
+    /// Whether its stop was confirmed, even if the robot had failed before.
     pub(super) stop: Confirmed,
 }
 
@@ -101,12 +101,12 @@ pub(super) enum Confirmed {
     Yes,
 }
 
-/// What a robot does, the worst first.
+/// The state of a robot, worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RobotState {
     Failed,
     LinkLost,
-    /// Stopped, and it has not confirmed that yet.
+    /// Stopped, but not confirmed yet.
     Stopping,
     LeftOut,
     Playing,
@@ -133,7 +133,7 @@ impl RobotState {
         }
     }
 
-    /// It takes no part any more, whatever the others do.
+    /// Whether the robot no longer takes part.
     const fn is_out(self) -> bool {
         matches!(self, Self::Failed | Self::LeftOut)
     }
@@ -174,7 +174,7 @@ impl Model {
         self.home.is_some() && self.acts.first().map(|act| &act.name) == self.home.as_ref()
     }
 
-    /// An act waits for the operator, and nothing plays before it.
+    /// Whether an act waits for the operator, and no previous act plays.
     pub(super) fn awaits_go(&self) -> bool {
         self.acts.iter().any(|act| {
             let alone = matches!(act.stage, Stage::Waiting { since: Some(_), .. });
@@ -253,7 +253,7 @@ impl Model {
                 if let Some(row) = self.row(robot) {
                     row.stop = Confirmed::Yes;
                 }
-                // Why it failed is worth more than that it has come to rest.
+                // The reason for the failure is more useful than the fact that the robot is at rest.
                 match self.row(robot).filter(|row| row.state.is_out()) {
                     Some(row) => row.word = format!("{}; {}", RobotState::AtRest.text(), row.word),
                     None => self.say(robot, RobotState::AtRest, "stop confirmed"),
@@ -263,7 +263,7 @@ impl Model {
                 self.say(&failure.robot, RobotState::Failed, &failure.kind.to_string());
             }
             Progress::LinkLost { robot, reason, .. } => self.say(robot, RobotState::LinkLost, reason),
-            Progress::Reattached { robot } => self.say(robot, RobotState::Playing, "back on its link"),
+            Progress::Reattached { robot } => self.say(robot, RobotState::Playing, "reconnected"),
             Progress::Dropped { robot } => {
                 if let Some(row) = self.row(robot).filter(|row| row.state != RobotState::Failed) {
                     row.state = RobotState::LeftOut;
@@ -281,7 +281,7 @@ impl Model {
     fn say(&mut self, robot: &RobotId, state: RobotState, word: &str) {
         let stopping = matches!(self.phase, Phase::Stopping(_));
         let Some(row) = self.row(robot) else { return };
-        // What comes late from a robot that is being stopped does not make it play again.
+        // A late message from a robot that is being stopped must not make it appear to play again.
         let late = stopping && matches!(state, RobotState::Playing | RobotState::Accepted);
         if !late && (!row.state.is_out() || state.is_out()) {
             row.state = state;
@@ -300,7 +300,7 @@ impl Model {
         }
     }
 
-    /// The act takes its stage; one that waited and was not played gives way.
+    /// Sets the stage of an act. Removes other acts that only waited.
     fn set(&mut self, name: &str, stage: Stage) {
         self.phase = Phase::Performing;
         self.acts.retain(|act| act.name == name || !act.is_waiting());
@@ -313,7 +313,7 @@ impl Model {
         self.plan_rows();
     }
 
-    /// The robots' steps are those of the act in front, from when it is sent.
+    /// Sets the rows to the planned steps of the first act, once it is sent.
     fn plan_rows(&mut self) {
         let Some(front) = self.acts.first().filter(|act| !act.is_waiting()) else { return };
         if front.index.is_none() || front.index == self.planned {
@@ -337,7 +337,7 @@ impl Model {
         }
     }
 
-    /// A decided act that follows at once shows its robots only once the one before is over.
+    /// A decided act that follows immediately takes over the rows only once the previous act is over.
     fn take_over(&mut self, name: &str) {
         if self.acts.first().is_some_and(|act| act.name == name) {
             for row in self.rows.iter_mut().filter(|row| row.steps_planned > 0) {
@@ -358,7 +358,7 @@ impl Model {
         let Some(place) = self.acts.iter().position(|act| act.name == name) else { return };
         self.acts.remove(place);
         if place == 0 {
-            // The same act may come again.
+            // The same act may occur again.
             self.planned = None;
         }
         if let Some(ShownAct { stage: Stage::Waiting { since, .. }, .. }) = self.acts.first_mut() {
@@ -380,19 +380,19 @@ impl ShownAct {
     }
 }
 
-/// In milliseconds with two decimals, so that a column of them does not jump.
+/// Formats milliseconds with two decimals, so that a column of them does not jump.
 fn millis(span: Span) -> String {
     format!("{:+.2} ms", span.as_millis_f64())
 }
 
 impl Row {
-    /// Steps that it has reported, or should have executed by its plan.
+    /// Returns the steps that the robot has reported, or should have executed according to its plan.
     pub(super) fn steps_by(&self, played: Span) -> u64 {
         let due = self.due.partition_point(|due| *due <= played);
         self.steps_done.max(due as u64)
     }
 
-    /// Whether it may have executed more steps than it has reported: it reports them with the end of a script.
+    /// Whether the robot may have executed more steps than it has reported, because it reports them at the end of a script.
     pub(super) fn may_have_done_more(&self) -> bool {
         let open = matches!(self.state, RobotState::Failed | RobotState::LinkLost | RobotState::Stopping);
         let silent = self.state == RobotState::AtRest && self.steps_done == 0;

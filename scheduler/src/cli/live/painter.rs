@@ -1,5 +1,5 @@
-//! Draws frames below the lines of a terminal: only what has changed, by movements relative to the frame's first line. So
-//! whatever else writes to the terminal, and however it is resized, the next lift clears the frame and nothing else.
+//! Draws frames below the lines of a terminal. It draws only changes, and moves the cursor relative to the frame's first line. Even if
+//! other programs write to the terminal, or if it is resized, the next lift clears only the frame.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,13 +11,13 @@ use super::frame::Frame;
 use super::{Scene, terminal};
 use crate::cli::outlet::Display;
 
-/// Below so many columns there is no display, only lines.
+/// Minimum width of the display in columns. Narrower terminals show only lines.
 pub(super) const COLUMNS_MIN: u16 = 60;
-/// Lines above the frame that stay visible.
+/// Number of lines above the frame that stay visible.
 const ABOVE: u16 = 4;
 
-/// Erases from the cursor's line to the end of the screen, and stays in that line. The line first, and the rest from its
-/// second column: tmux keeps a screen that is erased from its very first cell in the scrollback.
+/// Erases from the cursor's line to the end of the screen, without leaving that line. It first erases the line, and then the rest from
+/// the second column: if a screen is erased from its very first cell, tmux keeps it in the scrollback.
 const ERASE: &str = "\r\x1b[K\x1b[C\x1b[J\r";
 
 /// Whether colours are wanted.
@@ -30,7 +30,7 @@ pub(super) enum Colours {
 pub(super) struct Painter {
     scene: Arc<Mutex<Scene>>,
     colours: Colours,
-    /// What stands on the screen; the cursor is at its first cell.
+    /// The frame on the screen. The cursor is at its first cell.
     before: Option<Buffer>,
 }
 
@@ -54,7 +54,7 @@ impl Display for Painter {
         };
         let frame = {
             let scene = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
-            // The last column stays free: some terminals go on to the next line after it.
+            // The last column stays free: after it, some terminals move to the next line.
             scene.frame(columns - 1, rows.saturating_sub(ABOVE).max(4))
         };
         self.paint(&frame, columns - 1, rows)
@@ -83,7 +83,7 @@ impl Painter {
     }
 }
 
-/// Scrolls until as many lines are free, and goes back to the first of them.
+/// Scrolls until `height` lines are free, and returns to the first of them.
 fn make_room(bytes: &mut String, height: u16) {
     for _ in 1..height {
         bytes.push('\n');
@@ -99,7 +99,7 @@ fn up(bytes: &mut String, lines: u16) {
 
 fn write_changes(bytes: &mut String, changes: &[(u16, u16, &Cell)], colours: Colours) {
     let (mut line, mut style) = (0, String::new());
-    // Where the cursor is after the last cell; `None`: unknown.
+    // The cursor's column after the last cell. `None` if unknown.
     let mut column = None;
     for (x, y, cell) in changes {
         if *y > line {
@@ -116,7 +116,7 @@ fn write_changes(bytes: &mut String, changes: &[(u16, u16, &Cell)], colours: Col
             style = wanted;
         }
         bytes.push_str(cell.symbol());
-        // A wide character may be drawn narrower than thought: the next one is placed by its column.
+        // A wide character may be drawn narrower than expected, so the next cell is placed by its column.
         column = cell.symbol().is_ascii().then_some(x + 1);
     }
     if !style.is_empty() {
@@ -128,7 +128,7 @@ fn write_changes(bytes: &mut String, changes: &[(u16, u16, &Cell)], colours: Col
     }
 }
 
-/// The sequence that begins a cell's style; empty for a plain one.
+/// Returns the sequence that begins a cell's style. Empty for a plain cell.
 fn sequence(cell: &Cell) -> String {
     let colour = match cell.fg {
         Color::Red => Some("31"),
@@ -147,7 +147,7 @@ fn sequence(cell: &Cell) -> String {
 mod tests {
     use super::*;
 
-    /// A frame of so many lines, and lines between two of them, on a terminal that was cleared.
+    /// Draws frames, with lines between them, on a cleared terminal.
     fn on_a_clear_screen(frames: u16) -> vt100::Parser {
         let mut parser = vt100::Parser::new(24.try_into().unwrap(), 80.try_into().unwrap(), 100);
         let mut write = |bytes: &[u8]| {
@@ -155,7 +155,7 @@ mod tests {
             let mut pieces = text.split("\x1b[J");
             parser.process(pieces.next().unwrap().as_bytes());
             for piece in pieces {
-                // tmux would keep what is erased from there.
+                // tmux would keep the erased screen.
                 assert_ne!(parser.screen().cursor_position(), (0, 0), "{text:?}");
                 parser.process(b"\x1b[J");
                 parser.process(piece.as_bytes());
@@ -176,7 +176,7 @@ mod tests {
         let mut next = Buffer::empty(area);
         (0..3).for_each(|y| next.set_string(0, y, text, ratatui::style::Style::new()));
         let mut bytes = ERASE.to_owned();
-        // As a terminal does with a line feed of a program.
+        // A terminal does this with a program's line feeds.
         make_room(&mut bytes, 3);
         write_changes(&mut bytes, &Buffer::empty(area).diff(&next), Colours::Off);
         bytes.replace('\n', "\r\n")

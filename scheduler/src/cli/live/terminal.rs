@@ -1,5 +1,5 @@
-//! The terminal while the display is on: keys without Enter and without an echo. Ctrl-C and Ctrl-Z stay the terminal's own,
-//! so that they work whatever this process does. The settings are restored on every way out of the process but SIGKILL.
+//! The terminal while the display is on: keys arrive without Enter and without an echo. The terminal itself handles Ctrl-C and Ctrl-Z, so
+//! that they work in any state of this process. The settings are restored at every end of the process except SIGKILL.
 
 use std::io::IsTerminal;
 use std::sync::{Mutex, Once, PoisonError};
@@ -18,7 +18,7 @@ static ON_PANIC: Once = Once::new();
 /// Columns and rows of the terminal behind standard error.
 pub(super) fn size() -> Option<(u16, u16)> {
     let size = rustix::termios::tcgetwinsize(rustix::stdio::stderr()).ok()?;
-    // A terminal that does not know its size, as behind a serial line, has this one.
+    // The default for a terminal without a known size, for example on a serial line.
     let known = |value, default| if value == 0 { default } else { value };
     Some((known(size.ws_col, 80), known(size.ws_row, 24)))
 }
@@ -31,7 +31,7 @@ pub(super) fn can_draw() -> bool {
         && size().is_some_and(|(columns, _)| columns >= super::painter::COLUMNS_MIN)
 }
 
-/// Whether keys come to this process: a process in the background that reads or changes its terminal is stopped.
+/// Whether this process receives keys. A background process that reads or changes its terminal is suspended.
 fn is_in_foreground() -> bool {
     rustix::termios::tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }
@@ -41,7 +41,7 @@ pub(super) fn has_keys() -> bool {
     std::io::stdin().is_terminal()
 }
 
-/// Hands over single keys from here on.
+/// Switches the terminal to single keys.
 pub(super) fn take_keys() {
     if !has_keys() || is_in_background() {
         return;
@@ -67,22 +67,22 @@ pub(super) fn take_keys() {
     }
 }
 
-/// Whether another program has the terminal by now. Without a controlling terminal there is no foreground.
+/// Whether another program has the terminal now. Without a controlling terminal, there is no foreground.
 fn is_in_background() -> bool {
     rustix::termios::tcgetsid(stdin()).is_ok() && !is_in_foreground()
 }
 
-/// Restores the settings. Without effect if they were not changed, or if another program has the terminal: its settings are
-/// that program's by then, and a process in the background that changes them is stopped.
+/// Restores the settings. Has no effect if they were not changed, or if another program has the terminal: the settings are then those of
+/// that program, and a background process that changes them is suspended.
 pub(super) fn restore() {
     let before = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take();
     if let Some(before) = before.filter(|_| !is_in_background()) {
-        // At once: a terminal that stands still never takes what waits for it.
+        // Immediately, because a blocked terminal never takes the pending output.
         let _gone = rustix::termios::tcsetattr(stdin(), OptionalActions::Now, &before);
     }
 }
 
-/// The next keys; `None` once there will be none.
+/// Waits for the next keys. Returns `None` once there will be no more.
 pub(super) fn next_keys() -> Option<Vec<u8>> {
     loop {
         let keyboard = stdin();
@@ -93,7 +93,7 @@ pub(super) fn next_keys() -> Option<Vec<u8>> {
             Ok(_) => {}
         }
         if is_in_background() {
-            // What is typed is for another program.
+            // The keys are meant for another program.
             let pause = rustix::event::Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
             let _interrupted = rustix::event::poll(&mut [], Some(&pause));
             continue;

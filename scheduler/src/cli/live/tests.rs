@@ -1,4 +1,4 @@
-//! Frames as they look, drawn on ratatui's test terminal.
+//! Tests the appearance of frames on ratatui's test terminal.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::mission::{
 
 const SECOND: Span = Span::from_millis(1_000);
 
-/// The example `meeting` on its fleet, its two arms and the rover.
+/// The example `meeting` on its fleet, with its two arms and the rover.
 fn meeting() -> Model {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let (fleet, findings) = read_fleet(&root.join("fleet.yaml"));
@@ -35,7 +35,7 @@ fn robot(name: &str) -> RobotId {
     name.parse().unwrap()
 }
 
-/// What stands on a terminal of so many columns and rows.
+/// Returns the contents of a terminal with this many columns and rows.
 fn drawn(model: &Model, now: i64, columns: u16, rows: u16) -> String {
     let mut terminal = Terminal::new(TestBackend::new(columns, rows)).unwrap();
     let frame = Frame::of(model, at(now), Help::Hidden, columns, rows);
@@ -94,12 +94,12 @@ fn a_decision_is_shown_with_its_point_of_no_return() {
         &[
             "meeting  act `arrival` (1 of 2)  starting",
             "in 3.0 s",
-            "still withdraws it for 2.7 s",
+            "if a robot fails in the next 2.7 s, until 22:13:24.700, no robot will start",
             "accepted",
         ],
     );
     model.tell(at(4_800), &Progress::Committed { act: "arrival".to_owned(), window: None });
-    check(&drawn(&model, 4_900, 100, 20), &["committed, past the point of no return: it starts"]);
+    check(&drawn(&model, 4_900, 100, 20), &["past the point of no return: the robots start"]);
 }
 
 #[test]
@@ -127,7 +127,7 @@ fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
     check(&drawn(&model, 7_000, 100, 24), &["playing", "then    `bow` waits for"]);
     model.tell(at(45_000), &Progress::ActEnded { act: "arrival".to_owned() });
     model.tell(at(46_000), &Progress::Reading { act: "bow".to_owned(), value: Some(1.25) });
-    check(&drawn(&model, 48_000, 100, 24), &["waiting", "it reads 1.25; 17.0 s left, then the end"]);
+    check(&drawn(&model, 48_000, 100, 24), &["waiting", "reading 1.25; 17.0 s left, then the mission ends"]);
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
     let text = drawn(&model, 8_100, 100, 24);
     check(
         &text,
-        &["STOPPING", "stopped by the operator", "without a confirmation yet", "at rest", "stop confirmed"],
+        &["STOPPING", "stopped by the operator", "robots not confirmed yet", "at rest", "stop confirmed"],
     );
     let row = |name: &str| text.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
     assert!(row("arm-1").contains(" 7/") && row("arm-2").contains(" 0+/"), "{text}");
@@ -236,5 +236,5 @@ fn a_way_home_shows_as_such_and_a_stop_after_it_as_one() {
     check(&text, &["GOING HOME", "act `home`", "s stop"]);
     assert!(!text.contains("STOPPING") && !text.contains("H home"), "{text}");
     model.tell(at(8_200), &stopping());
-    check(&drawn(&model, 8_300, 100, 24), &["STOPPING", "without a confirmation yet", "H home"]);
+    check(&drawn(&model, 8_300, 100, 24), &["STOPPING", "robots not confirmed yet", "H home"]);
 }

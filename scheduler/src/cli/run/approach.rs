@@ -1,4 +1,4 @@
-//! `--approach`: where the robots are, and the act that moves them to their first positions.
+//! `--approach`: asks the robots for their positions and plans the act that moves them to their first positions.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::mission::{Check, Failure, FailureKind, Greeting, Verdict};
 use crate::report::Outcome;
 use crate::server_clock::ServerClock;
 
-/// How long an approach may take.
+/// Parses the duration of an approach.
 pub(super) fn parse(text: &str) -> Result<Span, String> {
     let over = parse_span(text)?;
     let fits = over >= Span::from_millis(100) && over <= Span::from_millis(600_000);
@@ -23,7 +23,7 @@ pub(super) fn parse(text: &str) -> Result<Span, String> {
 }
 
 impl Work<'_> {
-    /// The choreography with an act ahead that moves all devices to their first positions, and that act's index.
+    /// Returns the choreography with an additional first act that moves all devices to their first positions, and the index of that act.
     pub(super) async fn approached(
         &mut self,
         over: Span,
@@ -44,7 +44,7 @@ impl Work<'_> {
         Ok((choreography, first))
     }
 
-    /// Makes an instant of `--at`, before questions to the robots take time.
+    /// Converts `--at` to an instant, before the questions to the robots take time.
     fn fix_start(&mut self) -> Result<Option<Timestamp<Server>>, Exit> {
         let start = self.start(ServerClock::anchored(Span::ZERO).now()).map_err(|(message, exit)| {
             console::error(&message);
@@ -54,13 +54,13 @@ impl Work<'_> {
         Ok(start)
     }
 
-    /// Refuses a start before the approach can have ended.
+    /// Rejects a start before the end of the approach.
     fn allow_for(&self, over: Span, start: Option<Timestamp<Server>>) -> Result<(), Exit> {
         let left = start.map(|start| start + self.start_within - ServerClock::anchored(Span::ZERO).now());
         match left.filter(|left| *left <= over) {
             Some(_) => {
                 console::error(&format!(
-                    "the approach takes {over}, longer than the time until --at; expected a later start, or a shorter approach"
+                    "the approach takes {over}, longer than the time until --at; choose a later start or a shorter approach"
                 ));
                 Err(Exit::Usage)
             }
@@ -78,7 +78,7 @@ impl Work<'_> {
     ) -> Result<BTreeMap<RobotId, BTreeMap<DeviceId, f64>>, Exit> {
         if fleet::greeting(fleet) == Greeting::Skip {
             console::error(
-                "--approach asks robots for the positions of their devices when they are greeted, and this fleet file says `handshake: skip`; expected `handshake: full`",
+                "--approach requires `handshake: full`, but this fleet file contains `handshake: skip`; positions are read during the handshake",
             );
             return Err(Exit::Usage);
         }

@@ -1,4 +1,4 @@
-//! The journal of a mission that begins: on a disk that may stand still while the operator stops.
+//! Opens the journal of a new mission. The disk may stall while the operator requests a stop.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::stop_lane::Operator;
 /// Removes old journals and begins this one.
 ///
 /// # Errors
-/// The disk does not take it, or the operator stops before it has.
+/// Fails if the disk refuses it, or if the operator stops first.
 pub(super) async fn begin(
     state: PathBuf,
     opened: Opened,
@@ -30,7 +30,7 @@ pub(super) async fn begin(
     unless_stopped(operator, opening).await?.map_err(usage)
 }
 
-/// Waits for a disk that may stand still, unless the operator stops before anything was sent.
+/// Waits for a disk that may stall, unless the operator stops before anything was sent.
 async fn unless_stopped<T: Send + 'static>(
     operator: &mut mpsc::Receiver<Operator>,
     work: impl FnOnce() -> T + Send + 'static,
@@ -40,14 +40,14 @@ async fn unless_stopped<T: Send + 'static>(
         tokio::select! {
             done = &mut working => return done.map_err(|error| failed(error.to_string())),
             Some(word) = operator.recv() => if matches!(word, Operator::Stop { .. } | Operator::Leave) {
-                let message = "stopped by the operator while the journal was opened; nothing was sent";
+                let message = "stopped by the operator while the journal was being opened; nothing was sent";
                 return Err((message.to_owned(), Exit::Stopped));
             },
         }
     }
 }
 
-/// What a stop has to know of a robot when nothing but the journal is left.
+/// The parts of a robot's description that a stop needs if only the journal is left.
 pub(super) fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
     let (init, limits) = match robot.address {
         Address::Thrift { .. } | Address::Program { .. } => (robot.init.clone(), robot.limits.clone()),
@@ -62,8 +62,8 @@ fn unwritable(state: &Path, error: &std::io::Error) -> String {
     format!("cannot create the folder {} for journals: {reason}; {OTHERWISE}", state.display())
 }
 
-/// What to do where no journal can be written.
-const OTHERWISE: &str = "set DOWNBEAT_STATE to a folder that can be written, or run with --no-journal";
+/// Suggestion if no journal can be written.
+const OTHERWISE: &str = "set DOWNBEAT_STATE to a writable folder, or run with --no-journal";
 
 fn open_journal(folder: &Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
     let hint = |error: journal::JournalError| format!("{error}; {OTHERWISE}");

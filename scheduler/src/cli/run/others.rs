@@ -1,4 +1,4 @@
-//! Other missions of this machine that have robots of the one that is about to begin.
+//! Other missions of this machine that have robots of the mission about to begin.
 
 use downbeat_scripts::{Address, FleetRobot, Protection};
 use urrcp::RobotId;
@@ -6,15 +6,14 @@ use urrcp::RobotId;
 use crate::cli::console;
 use crate::journal::{Found, Life, Missions};
 
-/// Refuses robots that a mission of this machine drives already, each by its name; robots tell so themselves, too, also to
-/// schedulers on other machines. Where robots are seized, those with a `tls://` or `hmac://` address decide themselves. Warns of missions that
-/// were cut off.
+/// Refuses robots that are already in a mission of this machine. Robots also refuse by themselves, including schedulers on other
+/// machines. If robots are seized, those with a `tls://` or `hmac://` address decide themselves. Warns of missions that were cut off.
 ///
 /// # Errors
-/// Which robots are taken, and by whom.
+/// Returns which robots are taken, and by which missions.
 pub(super) fn look_at(missions: &Missions, robots: &[&FleetRobot], seize: bool) -> Result<(), String> {
     for refused in &missions.refused {
-        console::warn(&format!("{refused}; if a mission runs there, its robots are not known"));
+        console::warn(&format!("{refused}; if a mission runs there, its robots are unknown"));
     }
     warn_of_unfinished(&missions.found, robots);
     let proves = |robot: &&FleetRobot| matches!(&robot.address, Address::Tcp { protection, .. } if *protection != Protection::Open);
@@ -35,22 +34,21 @@ fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> 
     if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
 }
 
-/// Says which of the robots a mission drove that was cut off and never stopped: they may still hold something of it.
+/// Warns of robots in missions that were cut off and never stopped: they may still hold commands of those missions.
 fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
     for mission in missions.iter().filter(|mission| mission.life == Life::CutOff) {
         let drove: Vec<_> = driven_by(mission, robots).iter().map(|robot| format!("`{robot}`")).collect();
         let session = &mission.opened.session;
         if !drove.is_empty() {
             console::warn(&format!(
-                "mission `{session}` was cut off and has not ended; it drove {}: `downbeat resume {session}` goes on \
-                 with it, `downbeat stop {session}` ends it",
+                "mission `{session}` was cut off and has not ended; it drove {}: `downbeat resume {session}` continues it, `downbeat stop {session}` ends it",
                 drove.join(", ")
             ));
         }
     }
 }
 
-/// Those of the robots that a mission names, by their addresses.
+/// Returns the robots that a mission contains, compared by address.
 fn driven_by<'a>(mission: &Found, robots: &[&'a FleetRobot]) -> Vec<&'a RobotId> {
     let named = |robot: &&&FleetRobot| {
         let address = robot.address.to_string();

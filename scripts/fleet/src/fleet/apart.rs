@@ -1,4 +1,4 @@
-//! What keeps the robots of a fleet apart: addresses and ids of their own, and doors that are not open to all.
+//! Keeps the robots of a fleet distinct and protected: unique addresses and ids, and no unprotected network connections.
 
 use std::collections::{BTreeMap, HashMap};
 use std::hash::Hash;
@@ -9,10 +9,10 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::composed::{composed, is_same};
 use downbeat_yaml::finding::{Code, SharedFault, robots_named};
 
-/// With more, greeting them takes markedly longer than with the same number in several places (docs/zenoh.md).
+/// With more robots, their greeting takes considerably longer than with the same number at several places (docs/zenoh.md).
 const ROBOTS_AT_A_PLACE_MAX: usize = 1_000;
 
-/// Anyone who can send a message to such a robot can move it.
+/// Reports robots that anyone who can send messages to them can move.
 pub(super) fn none_open(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
     for robot in fleet.iter().filter(|robot| robot.address.is_open()) {
         findings.add_shared(SharedFault {
@@ -24,15 +24,15 @@ pub(super) fn none_open(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRo
             place: robots.place().of_key(robot.id.as_str()).of_key("address"),
             message: [
                 String::new(),
-                " would be moved over plain TCP, where anyone on the network can do the same".to_owned(),
+                " would be moved over plain TCP, so anyone on the network could do the same".to_owned(),
             ],
-            expected: "a `tls://` or `hmac://` address, for which `downbeat keys` makes the keys".to_owned(),
-            hint: Some("in a network of its own, write `insecure: true` at the top of the fleet file".into()),
+            expected: "a `tls://` or `hmac://` address, with keys created by `downbeat keys`".to_owned(),
+            hint: Some("if the robots are on an isolated network, write `insecure: true` at the top of the fleet file".into()),
         });
     }
 }
 
-/// Robots that are reached at one place, or call themselves by one id, cannot be distinguished.
+/// Reports robots with a common place or a common id, because they cannot be distinguished.
 pub(super) fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
     let at = |robot: &FleetRobot, key| robots.place().of_key(robot.id.as_str()).of_key(key);
     let places = fleet.iter().map(|robot| (robot, robot.address.places()));
@@ -45,7 +45,7 @@ pub(super) fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[Fl
             vec![is_reached(second), is_reached(first)],
             format!("{} have the same address", several(first, second, others)),
             "a different address for each robot",
-            Some("correct the address of all but one of them".to_owned()),
+            Some("change the address of all but one of them".to_owned()),
         );
     }
     let ids = fleet
@@ -55,19 +55,19 @@ pub(super) fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[Fl
         let [first, second, others @ ..] = group.as_slice() else { continue };
         let Some(own_id) = second.init.as_ref().map(|init| &init.id) else { continue };
         let all = if others.is_empty() { "both" } else { "all" };
-        // The name of one of them may be what the other one has as its `robot_id`.
+        // The `robot_id` of one robot may equal the name of the other one.
         let named = if is_same(own_id.as_str(), second.id.as_str()) { first } else { second };
         findings.add(
             Code::NameTwice,
             at(named, "robot_id"),
-            format!("{} would {all} call themselves `{own_id}`", several(first, second, others)),
+            format!("{} would {all} have the id `{own_id}`", several(first, second, others)),
             "a different id for each robot",
-            Some("`robot_id` is what the robot itself declares as its `id`".to_owned()),
+            Some("`robot_id` is the `id` that the robot itself declares".to_owned()),
         );
     }
 }
 
-/// Robots in groups: each has a key that one before it in its group has.
+/// Groups robots: each has a key in common with an earlier robot of its group.
 fn with_something_in_common<'a, K: Eq + Hash>(
     robots: impl Iterator<Item = (&'a FleetRobot, Vec<K>)>,
 ) -> Vec<Vec<&'a FleetRobot>> {
@@ -97,7 +97,7 @@ fn several(first: &FleetRobot, second: &FleetRobot, others: &[&FleetRobot]) -> S
     }
 }
 
-/// Robots whose keys differ in the last word only. Routers of Zenoh compare each key that is declared with all that stand next to it.
+/// Reports too many robots whose keys only differ in the last word. Routers of Zenoh compare each declared key with all its siblings.
 pub(super) fn none_crowded(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
     let mut crowds: BTreeMap<&str, Vec<&FleetRobot>> = BTreeMap::new();
     for robot in fleet {
@@ -112,9 +112,9 @@ pub(super) fn none_crowded(findings: &mut Reader, robots: &At<'_>, fleet: &[Flee
         findings.add(
             Code::CrowdedPlace,
             robots.place().of_key(first.id.as_str()).of_key("address"),
-            format!("{} robots stand next to each other, at `zenoh:{within}...`", crowd.len()),
-            format!("at most {ROBOTS_AT_A_PLACE_MAX} robots whose keys differ in the last word only"),
-            Some(format!("give their keys one word more, as in `zenoh:{within}row-1/{}`", first.id)),
+            format!("{} robots have keys directly below `zenoh:{within}...`", crowd.len()),
+            format!("at most {ROBOTS_AT_A_PLACE_MAX} robots whose keys differ only in the last word"),
+            Some(format!("add a word to their keys, as in `zenoh:{within}row-1/{}`", first.id)),
         );
     }
 }

@@ -18,13 +18,13 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 keys! {
-    /// What has to hold in the space that all robots share.
+    /// Requirements on the space that all robots share.
     pub(crate) struct SpaceKeys as "space" {
-        /// Least distance between two bodies, from surface to surface, in metres.
+        /// Minimum distance between two bodies, from surface to surface, in metres.
         distance: kinds::POSITIVE,
-        /// Where all bodies have to stay.
+        /// The volume that no body may leave.
         keep_in: VolumeKeys::KIND,
-        /// Where no body may be, by name.
+        /// The volumes that no body may enter, by name.
         keep_out: Kind::Entries(&VolumeKeys::KIND),
     }
 }
@@ -42,7 +42,7 @@ keys! {
 }
 
 keys! {
-    /// What a robot's devices mean in space, and how large it is.
+    /// The body of a robot: the meaning of its devices in space, and its size.
     pub(crate) struct BodyKeys as "body" {
         /// Its x.
         x: COORDINATE,
@@ -50,40 +50,40 @@ keys! {
         y: COORDINATE,
         /// Its height.
         z: COORDINATE,
-        /// How far it has turned about z, from x to y.
+        /// Its angle about z, from x to y.
         yaw: COORDINATE,
         drive: DriveKeys::KIND,
-        /// The radius of a ball that holds it, in metres; with `urdf` that of its links.
+        /// The radius of a ball that encloses it, in metres; with `urdf` that of its links.
         radius: kinds::POSITIVE,
-        /// Length, width and height of a box that holds it and turns with it, in metres.
+        /// Length, width and height of a box that encloses it and turns with it, in metres.
         size: Kind::List(&kinds::POSITIVE, 3..=3),
         /// Its arm: the joints from the base to the tip.
         joints: Kind::List(&JointKeys::KIND, 1..=64),
         /// The end of the last link in the frame of the last joint, in metres.
         tip: kinds::VECTOR,
-        /// The description of its arm in URDF, relative to the fleet file, instead of `joints` and `tip`.
+        /// The URDF of its arm, relative to the fleet file, instead of `joints` and `tip`.
         urdf: kinds::TEXT,
         /// The link of the URDF at which the arm ends.
         end: kinds::TEXT,
-        /// The device of each joint of the URDF, or a number in degrees or metres if it stays.
+        /// The device of each joint of the URDF, or a number in degrees or metres if the joint does not move.
         devices: Kind::Entries(&kinds::NAME),
-        /// Its largest speed in any direction, in metres a second.
+        /// Its largest speed in any direction, in metres per second.
         speed: kinds::POSITIVE,
-        /// Its largest acceleration in any direction, in metres a second squared.
+        /// Its largest acceleration in any direction, in metres per second squared.
         acceleration: kinds::POSITIVE,
     }
     also {"allOf": [{"not": {"required": ["radius", "size"], "not": {"required": ["urdf"]}}}, {"not": {"required": ["urdf", "joints"]}}, {"not": {"required": ["drive", "x"]}}, {"not": {"required": ["drive", "y"]}}, {"not": {"required": ["drive", "yaw"]}}], "dependentRequired": {"joints": ["tip"], "tip": ["joints"], "end": ["urdf"], "devices": ["urdf"]}}
 }
 
 keys! {
-    /// A coordinate.
+    /// A device with a scale and an offset.
     pub(crate) struct CoordinateKeys {
         /// A device of the robot.
         #[required]
         device: kinds::NAME,
-        /// Metres, or degrees, in one unit of the device.
+        /// Metres, or degrees, per unit of the device.
         scale: kinds::PLAIN_NUMBER,
-        /// Where the device's zero is, in metres or degrees.
+        /// The position at the device's zero, in metres or degrees.
         offset: kinds::PLAIN_NUMBER,
     }
 }
@@ -93,9 +93,9 @@ named! {
     pub(crate) static COORDINATE = Kind::AnyOf(&[&kinds::NAME, &CoordinateKeys::KIND]);
 }
 
-/// Metres in one unit.
+/// Metres per unit.
 pub(super) const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];
-/// Radians in one unit.
+/// Radians per unit.
 pub(super) const ANGLES: [(&str, f64); 3] =
     [("rad", 1.0), ("deg", std::f64::consts::PI / 180.0), ("°", std::f64::consts::PI / 180.0)];
 
@@ -122,7 +122,7 @@ fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
     let (mut volume, mut sound) = (Volume::default(), true);
     for (axis, side) in [x, y, z].into_iter().enumerate() {
         let Some(side) = side else { continue };
-        let expected = "the least and the largest coordinate in metres, as [-2, 2.5]";
+        let expected = "the minimum and maximum coordinate in metres, such as [-2, 2.5]";
         let ends = findings.list(&side, expected);
         let numbers: Vec<f64> = ends.iter().filter_map(|end| findings.number(end, expected)).collect();
         match *numbers {
@@ -178,8 +178,8 @@ pub(super) fn read_body(
         }
     };
     let mut rate = |at: Option<At<'_>>, expected| at.and_then(|at| findings.positive(&at, expected));
-    let speed = rate(keys.speed, "a speed above 0 in metres a second");
-    let acceleration = rate(keys.acceleration, "an acceleration above 0 in metres a second squared");
+    let speed = rate(keys.speed, "a speed above 0 in metres per second");
+    let acceleration = rate(keys.acceleration, "an acceleration above 0 in metres per second squared");
     let (joints, tip) = arm?;
     let (drive, mut coordinates) = (drive.map_or(Some(None), |drive| drive.map(Some))?, [x?, y?, z?, yaw?]);
     if let Some(Drive { start, .. }) = &drive {
@@ -193,8 +193,14 @@ fn read_shape(findings: &mut Reader, keys: &BodyKeys<'_>) -> Option<Shape> {
     let radius = keys.radius.filter(|_| keys.urdf.is_none());
     if let (Some(radius), Some(_)) = (&radius, &keys.size) {
         let hint = Some("remove one of them".to_owned());
-        let message = "a body is a ball or a box, not both";
-        findings.add(Code::WrongType, radius.key_place(), message, "`radius` or `size`", hint);
+        let message = "`radius` and `size` cannot be combined";
+        findings.add(
+            Code::WrongType,
+            radius.key_place(),
+            message,
+            "`radius` for a ball, or `size` for a box",
+            hint,
+        );
     }
     match (radius, keys.size) {
         (_, Some(at)) => read_box(findings, &at),
@@ -203,7 +209,7 @@ fn read_shape(findings: &mut Reader, keys: &BodyKeys<'_>) -> Option<Shape> {
     }
 }
 
-/// An arm whose links end where the last one begins.
+/// Reads an arm whose last link ends where it begins.
 fn read_urdf(
     findings: &mut Reader,
     urdf: At<'_>,
@@ -213,7 +219,7 @@ fn read_urdf(
 ) -> Option<Vec<Joint>> {
     for (name, at) in [("joints", keys.joints), ("tip", keys.tip)] {
         let Some(at) = at else { continue };
-        let message = format!("the URDF says what `{name}` is");
+        let message = format!("the URDF already defines `{name}`");
         findings.add(Code::WrongType, at.key_place(), message, "`urdf`, or `joints` and `tip`", None);
     }
     let radius = keys.radius.map(|at| length(findings, &at));
@@ -223,24 +229,24 @@ fn read_urdf(
 
 fn tell_without_urdf(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 2]) {
     for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
-        let message = format!("`{name}` is for an arm from a URDF");
-        let hint = Some(format!("remove `{name}`, or name the file as `urdf`"));
+        let message = format!("`{name}` needs an arm from a URDF");
+        let hint = Some(format!("remove `{name}`, or add the path of the URDF as `urdf`"));
         findings.add(Code::MissingKey, at.key_place(), message, "a key `urdf`", hint);
     }
 }
 
-/// Coordinates that the drive decides on.
+/// Reports coordinates that the drive determines.
 fn tell_placed(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 3]) {
     for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
-        let message = format!("the drive says what `{name}` is");
-        let hint = Some("write where the body starts as `start` of `drive`".to_owned());
+        let message = format!("the drive already determines `{name}`");
+        let hint = Some("write the start position of the body as `start` of `drive`".to_owned());
         findings.add(Code::WrongType, at.key_place(), message, "`drive` without x, y and yaw", hint);
     }
 }
 
 /// `[0.4, 0.3, 0.2]`
 fn read_box(findings: &mut Reader, at: &At<'_>) -> Option<Shape> {
-    let expected = "length, width and height above 0 in metres, as [0.4, 0.3, 0.2]";
+    let expected = "length, width and height above 0 in metres, such as [0.4, 0.3, 0.2]";
     let sides = findings.list(at, expected);
     let size: Vec<f64> = sides.iter().filter_map(|side| findings.positive(side, expected)).collect();
     if sides.len() != 3 && matches!(at.node, Node::List(_)) {
@@ -268,7 +274,7 @@ fn read_coordinate(
     of_device(findings, &device?, [scale, offset], init, units)
 }
 
-/// As people write a fixed angle: in degrees.
+/// The scale of the unit in which users write fixed values: degrees for angles.
 fn own_unit(units: &[(&str, f64)]) -> f64 {
     units.iter().find(|(unit, _)| ["deg", "deg/s"].contains(unit)).map_or(1.0, |(_, scale)| *scale)
 }
@@ -279,7 +285,7 @@ pub(super) fn fixed(findings: &mut Reader, at: &At<'_>, units: &[(&str, f64)]) -
     Some(Coordinate::Fixed(value * own_unit(units)))
 }
 
-/// What a device has as its position, by its unit or by a scale.
+/// The position that a device sets, scaled by its unit or by a given scale.
 pub(super) fn of_device(
     findings: &mut Reader,
     name: &At<'_>,
@@ -290,19 +296,21 @@ pub(super) fn of_device(
     let text = findings.text(name, "a device of the robot")?;
     let device = device(findings, name, &text, init)?;
     let scale = match scale {
-        Some(at) => findings.number(&at, "metres, or degrees, in one unit of the device")? * own_unit(units),
+        Some(at) => {
+            findings.number(&at, "the number of metres or degrees per unit of the device")? * own_unit(units)
+        }
         None => scale_of(findings, name, device, units)?,
     };
     let offset = match offset {
         Some(at) => {
-            findings.number(&at, "where the device's zero is, in metres or degrees")? * own_unit(units)
+            findings.number(&at, "the position of the device's zero, in metres or degrees")? * own_unit(units)
         }
         None => 0.0,
     };
     Some(Coordinate::Device { device: device.id.clone(), scale, offset })
 }
 
-/// What the device of this name has as its position.
+/// The position that the device of this name sets.
 pub(super) fn by_name(
     findings: &mut Reader,
     at: &At<'_>,
@@ -328,8 +336,7 @@ fn device<'a>(
         let message = format!("the robot has no device `{}` that moves", shortened(name));
         let metres = name.trim_end_matches('m').trim();
         let fixed = metres.parse::<f64>().ok().filter(|metres| metres.is_finite());
-        let fixed =
-            fixed.map(|_| format!("a coordinate that does not change is a number in metres: `{metres}`"));
+        let fixed = fixed.map(|_| format!("write a fixed coordinate as a number in metres: `{metres}`"));
         let hint = fixed.or_else(|| findings.did_you_mean(name, known()));
         findings.add(Code::UnknownDevice, at.place(), message, one_of(known()), hint);
     }
@@ -341,8 +348,8 @@ fn scale_of(findings: &mut Reader, at: &At<'_>, device: &Device, units: &[(&str,
     let known = units.iter().find(|(known, _)| *known == unit);
     if known.is_none() {
         let names = one_of(units.iter().map(|(unit, _)| *unit));
-        let message = format!("the device `{}` has the unit `{}`", device.id, shortened(unit));
-        let hint = format!("write how much one unit is, as in `{{device: {}, scale: 0.001}}`", device.id);
+        let message = format!("the device `{}` has the unsupported unit `{}`", device.id, shortened(unit));
+        let hint = format!("add the size of one unit, as in `{{device: {}, scale: 0.001}}`", device.id);
         findings.add(Code::UnknownWord, at.place(), message, names, Some(hint));
     }
     known.map(|(_, scale)| *scale)

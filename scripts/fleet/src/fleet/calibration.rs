@@ -1,4 +1,4 @@
-//! How the latency of a robot's devices may be measured: its key `calibrate`.
+//! The key `calibrate` of a robot: how the latency of its devices may be measured.
 
 use std::collections::BTreeMap;
 
@@ -13,9 +13,9 @@ use downbeat_reader::{keys, words};
 use downbeat_yaml::finding::{self, Code};
 use downbeat_yaml::shown::shortened;
 
-/// A movement is visible from this share of it on, if nothing else is said.
+/// By default, a movement is visible after this fraction of its distance.
 const VISIBLE_SHARE: f64 = 0.01;
-/// The latest part of a movement that can count as its begin.
+/// The largest fraction of a movement that may count as its start.
 const VISIBLE_SHARE_MAX: f64 = 0.5;
 const SENSOR_DELAY_MAX: Span = Span::from_millis(1_000);
 const TAKEN_WORDS: [(&str, Taken); 3] =
@@ -24,47 +24,47 @@ const TAKEN_WORDS: [(&str, Taken); 3] =
 keys! {
     /// The calibration of a device.
     pub(crate) struct CalibrateKeys {
-        /// The sensor that shows where the device is, in its unit; otherwise the device itself.
+        /// The sensor that shows the position of the device, in its unit; by default the device itself.
         sensor: kinds::NAME,
-        /// Where the movement begins; otherwise where the device is.
+        /// Where the movement starts; by default at the current position.
         from: kinds::PLAIN_NUMBER,
-        /// The small safe amount by which it may be moved from there, in its unit; not 0.
+        /// The small safe distance by which it may be moved from there, in its unit; not 0.
         #[required]
         by: kinds::PLAIN_NUMBER,
-        /// When the sensor's value is taken: when the robot receives the request, when it answers, or somewhere in between.
+        /// When the sensor's value is sampled: when the robot receives the request, when it answers, or somewhere in between.
         taken: words!(TAKEN_WORDS),
-        /// How old the value is then, which no round trip shows.
+        /// The age of the value at that time, which no round trip shows.
         sensor_delay: kinds::TIME,
-        /// The distance in its unit after which a device has visibly begun to move. By default a hundredth of `by`.
+        /// The distance after which the device has visibly started to move, in its unit. By default a hundredth of `by`.
         visible: kinds::POSITIVE,
     }
 }
 
-/// How a device may be moved to measure its latency, and which sensor shows that.
+/// How a device may be moved to measure its latency, and the sensor that shows the motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
-    /// The sensor that shows where the device is, in the unit of the device.
+    /// The sensor that shows the position of the device, in the unit of the device.
     pub sensor: DeviceId,
-    /// Where the movement begins; `None`: where the device is.
+    /// Where the movement starts. `None` if it starts at the current position.
     pub from: Option<f64>,
-    /// The small safe amount by which the device may be moved from there, in its unit; not 0.
+    /// The small safe distance by which the device may be moved from there, in its unit; not 0.
     pub by: f64,
-    /// When the sensor's value is taken.
+    /// When the sensor's value is sampled.
     pub taken: Taken,
-    /// How old the value is then, which no round trip shows.
+    /// The age of the value at that time, which no round trip shows.
     pub sensor_delay: Span,
-    /// A device that has moved by so much, in its unit, has visibly begun to move. Above 0, and at most half of `by`.
+    /// The distance after which the device has visibly started to move, in its unit. Above 0, and at most half of `by`.
     pub visible: f64,
 }
 
-/// Where between request and answer the value of a sensor is taken, as far as that is known.
+/// When the value of a sensor is sampled between request and answer, as far as known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Taken {
     /// When the robot receives the request: the sensor's delay lies between the value and the answer.
     AtRequest,
     /// When the robot sends its answer: it waits for the next value.
     AtAnswer,
-    /// Anywhere in between: half of the sensor's delay is the uncertainty.
+    /// At any time in between: the uncertainty is half of the sensor's delay.
     #[default]
     Between,
 }
@@ -76,7 +76,7 @@ pub(super) fn read(
     init: &InitializationBlock,
 ) -> BTreeMap<DeviceId, Calibration> {
     let mut all = BTreeMap::new();
-    for (name, at) in findings.entries(at, "device to the movement by which it is measured") {
+    for (name, at) in findings.entries(at, "device to the movement that measures it") {
         let device = device_by_position(findings, name, &at, init);
         let keys = findings.keys(&at, "the calibration of a device");
         let Some(CalibrateKeys { sensor, from, by, taken, sensor_delay: delay, visible }) = keys else {
@@ -105,21 +105,21 @@ pub(super) fn read(
     all
 }
 
-/// It has to stay within the limits of the device, wherever it begins if that is not said.
+/// The movement must stay within the limits of the device. If its start is not given, only its length is checked.
 fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), limits: &Limits) {
     let (least, largest) = (limits.min_value, limits.max_value);
     let within = least..=largest;
     let reached = from.and_then(|from| [from, from + by].into_iter().find(|end| !within.contains(end)));
     if let Some(reached) = reached {
         let message = format!("the movement would reach {reached}");
-        let expected = format!("{least} to {largest}, which the device declares");
+        let expected = format!("{least} to {largest}, the declared range of the device");
         findings.add(Code::OutOfRange, at.place(), message, expected, None);
     } else if by.abs() > largest - least {
         let message = format!("the device cannot move by {by}");
-        let expected = format!("less than from {least} to {largest}, which the device declares");
+        let expected = format!("a movement within {least} to {largest}, the declared range of the device");
         findings.add(Code::OutOfRange, at.place(), message, expected, None);
     } else if by == 0.0 {
-        let hint = Some("a movement that can be seen, and that nothing is in the way of".to_owned());
+        let hint = Some("choose a visible movement without obstacles in its way".to_owned());
         let message = "the device would not move";
         findings.add(Code::WrongType, at.place(), message, "a number other than 0", hint);
     }
@@ -142,13 +142,13 @@ fn visible_amount(findings: &mut Reader, at: &At<'_>, by: f64) -> Option<f64> {
     if visible <= most {
         return Some(visible);
     }
-    let message = format!("{visible} is more than half of the movement by {by}");
-    let hint = Some("the amount by which the device has moved once one sees it".to_owned());
+    let message = format!("{visible} is more than half of the movement of {by}");
+    let hint = Some("this is how far the device has moved when the movement becomes visible".to_owned());
     findings.add(Code::OutOfRange, at.place(), message, format!("at most {most}"), hint);
     None
 }
 
-/// A device that is driven by position, or a finding where the name stands.
+/// A device that is driven by position. Otherwise adds a finding at the key that names it.
 pub(super) fn device_by_position(
     findings: &mut Reader,
     name: &str,
@@ -160,14 +160,14 @@ pub(super) fn device_by_position(
     let found =
         device_named(init, name).filter(|device| is_positioned(device)).map(|device| device.id.clone());
     if found.is_none() {
-        let message = format!("the robot has no device `{}` that takes positions", shortened(name));
+        let message = format!("the robot has no device `{}` that is driven by position", shortened(name));
         let (expected, hint) = (finding::one_of(driven()), findings.did_you_mean(name, driven()));
         findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
     }
     found
 }
 
-/// The sensor that is named, or else the device itself.
+/// The named sensor, or else the device itself.
 pub(super) fn sensor_of(
     findings: &mut Reader,
     named: Option<&At<'_>>,

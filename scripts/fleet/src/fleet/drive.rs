@@ -1,4 +1,4 @@
-//! The key `drive` of a body: which devices drive it by speed.
+//! The key `drive` of a body: the devices that drive it by speed.
 
 use urrcp::InitializationBlock;
 
@@ -14,33 +14,33 @@ use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
 keys! {
-    /// What drives it by speed: two wheels, or a speed and a turn.
+    /// The devices that drive it by speed: two wheels, or a speed and a turn.
     pub(crate) struct DriveKeys as "drive" {
         /// The left wheel.
         left: SIGNAL,
         /// The right wheel.
         right: SIGNAL,
-        /// The radius of the wheels in metres, if the units of their devices are angles a second.
+        /// The radius of the wheels in metres, if the units of their devices are angles per second.
         wheel_radius: kinds::POSITIVE,
         /// The distance between the wheels, in metres.
         track: kinds::POSITIVE,
-        /// How fast it goes ahead.
+        /// The forward speed.
         speed: SIGNAL,
-        /// How fast it turns to the left.
+        /// The speed of turning to the left.
         turn: SIGNAL,
-        /// x and y in metres and yaw in degrees at the beginning of the first act.
+        /// x and y in metres and yaw in degrees at the start of the first act.
         start: kinds::VECTOR,
     }
     also {"oneOf": [{"required": ["left", "right", "track"]}, {"required": ["speed", "turn"]}]}
 }
 
 keys! {
-    /// A signal.
+    /// A device with a scale.
     pub(crate) struct SignalKeys {
         /// A device of the robot.
         #[required]
         device: kinds::NAME,
-        /// Metres a second, or degrees a second, in one unit of the device.
+        /// Metres per second, or degrees per second, per unit of the device.
         scale: kinds::PLAIN_NUMBER,
     }
 }
@@ -50,25 +50,25 @@ named! {
     pub(crate) static SIGNAL = Kind::AnyOf(&[&kinds::NAME, &SignalKeys::KIND]);
 }
 
-/// Metres a second in one unit.
+/// Metres per second per unit.
 const SPEEDS: [(&str, f64); 3] = [("m/s", 1.0), ("cm/s", 0.01), ("mm/s", 0.001)];
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
-/// Radians a second in one unit.
+/// Radians per second per unit.
 const TURNS: [(&str, f64); 4] =
     [("rad/s", 1.0), ("deg/s", DEGREE), ("°/s", DEGREE), ("rpm", std::f64::consts::TAU / 60.0)];
 
 /// `{left: left_wheel, right: right_wheel, track: 0.3, start: [0, 0, 90]}`
 pub(super) fn read_drive(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Option<Drive> {
     let keys: DriveKeys<'_> = findings.keys(at, "a drive")?;
-    let expected = "x and y in metres and yaw in degrees, as [1, 0, 90]";
+    let expected = "x and y in metres and yaw in degrees, such as [1, 0, 90]";
     let start = keys.start.map_or(Some([0.0; 3]), |at| vector(findings, &at, expected));
     let steering = match (keys.left.or(keys.right), keys.speed.or(keys.turn)) {
         (Some(_), None) => read_wheels(findings, at, &keys, init),
         (None, Some(_)) => read_twist(findings, at, &keys, init),
         (wheels, _) => {
             let message = match wheels {
-                Some(_) => "the drive has wheels, and a speed or a turn",
-                None => "the drive has neither wheels nor a speed and a turn",
+                Some(_) => "the drive has both wheels and a `speed` or `turn`",
+                None => "the drive has neither wheels nor `speed` and `turn`",
             };
             let expected = "`left`, `right` and `track`, or `speed` and `turn`";
             findings.add(Code::MissingKey, at.place(), message, expected, None);
@@ -85,7 +85,7 @@ fn read_wheels(
     keys: &DriveKeys<'_>,
     init: &InitializationBlock,
 ) -> Option<Steering> {
-    // A wheel that turns rolls by its radius for each radian.
+    // Per radian, a turning wheel rolls by its radius.
     let radius = keys.wheel_radius.map(|at| length(findings, &at));
     let needs_radius = radius.is_none() && tell_turning(findings, at, [keys.left, keys.right], init);
     let turning = |radius: f64| TURNS.map(|(unit, scale)| (unit, scale * radius)).to_vec();
@@ -103,7 +103,7 @@ fn read_wheels(
     })
 }
 
-/// Wheels in angles a second without a radius, as one finding.
+/// Reports wheels in angles per second without a radius, as one finding.
 fn tell_turning(
     findings: &mut Reader,
     at: &At<'_>,
@@ -117,7 +117,7 @@ fn tell_turning(
     let units = wheels.iter().flatten().filter_map(unit);
     let turning = units.into_iter().find(|unit| TURNS.iter().any(|(known, _)| known == unit));
     if let Some(unit) = turning {
-        let message = format!("the wheels turn in {unit}, and the drive has no `wheel_radius`");
+        let message = format!("the wheels are driven in {unit}, but the drive has no `wheel_radius`");
         findings.add(Code::MissingKey, at.place(), message, "the radius of the wheels in metres", None);
     }
     turning.is_some()
@@ -131,7 +131,7 @@ fn read_twist(
 ) -> Option<Steering> {
     for (name, key) in [("wheel_radius", keys.wheel_radius), ("track", keys.track)] {
         if let Some(key) = key {
-            let message = format!("`{name}` is for wheels");
+            let message = format!("`{name}` is only for wheels");
             let hint = Some(format!("remove `{name}`"));
             findings.add(Code::UnknownKey, key.key_place(), message, "`speed` and `turn`", hint);
         }

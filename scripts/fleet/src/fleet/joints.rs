@@ -11,7 +11,7 @@ use downbeat_space::space::{Coordinate, Joint, JointKind};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
-/// Most joints of a body: each of them is compared with all those of the others.
+/// Maximum number of joints of a body: each joint is compared with all joints of the other bodies.
 pub(super) const JOINTS_MAX: usize = 64;
 const KINDS: [(&str, JointKind); 2] =
     [("revolute", JointKind::Revolute), ("prismatic", JointKind::Prismatic)];
@@ -29,18 +29,18 @@ keys! {
     pub(crate) struct JointKeys as "joint" {
         /// The device that moves it.
         device: kinds::NAME,
-        /// How far it has turned or slid if it stays, in degrees or metres.
+        /// The angle or the displacement of a joint that does not move, in degrees or metres.
         value: kinds::PLAIN_NUMBER,
-        /// Degrees, or metres, in one unit of the device.
+        /// Degrees, or metres, per unit of the device.
         scale: kinds::PLAIN_NUMBER,
-        /// Where the device's zero is, in degrees or metres.
+        /// The position at the device's zero, in degrees or metres.
         offset: kinds::PLAIN_NUMBER,
-        /// What it turns about or slides along, in its own frame.
+        /// The axis about which it turns or along which it slides, in its own frame.
         #[required]
         axis: Kind::AnyOf(&[&words!(AXES), &kinds::VECTOR]),
-        /// Where it is in the frame of the link before, in metres.
+        /// Its origin in the frame of the previous link, in metres.
         at: kinds::VECTOR,
-        /// Roll, pitch and yaw of its frame in that of the link before, about fixed axes, in degrees.
+        /// Roll, pitch and yaw of its frame in that of the previous link, about fixed axes, in degrees.
         rpy: kinds::VECTOR,
         /// Whether it turns or slides; it turns by default.
         kind: words!(KINDS),
@@ -51,18 +51,18 @@ keys! {
     also {"oneOf": [{"required": ["device"]}, {"required": ["value"]}]}
 }
 
-/// The joints from the base to the tip, and where the tip is.
+/// The joints from the base to the tip, and the position of the tip.
 pub(super) fn read_arm(
     findings: &mut Reader,
     body: &At<'_>,
     [joints, tip]: [Option<At<'_>>; 2],
     init: &InitializationBlock,
 ) -> Option<(Vec<Joint>, [f64; 3])> {
-    let end = "where the end of the last link is, in metres, as [0, 0, 0.1]";
+    let end = "the end of the last link, in metres, such as [0, 0, 0.1]";
     match (joints, tip) {
         (None, None) => Some((Vec::new(), [0.0; 3])),
         (None, Some(tip)) => {
-            let message = "a body without `joints` has no tip";
+            let message = "`tip` needs `joints`";
             findings.add(Code::MissingKey, tip.key_place(), message, "a key `joints`", None);
             None
         }
@@ -103,9 +103,9 @@ fn read_joint(findings: &mut Reader, index: usize, at: &At<'_>, init: &Initializ
     });
     let value = read_value(findings, at, &keys, (kind.unwrap_or_default(), &what), init);
     let axis = keys.axis.and_then(|at| read_axis(findings, &at));
-    let place = "where the joint is in the frame of the link before, in metres, as [0, 0, 0.4]";
+    let place = "the position of the joint in the frame of the previous link, in metres, such as [0, 0, 0.4]";
     let xyz = keys.at.map_or(Some([0.0; 3]), |at| vector(findings, &at, place));
-    let turned = "roll, pitch and yaw in degrees, as [0, 90, 0]";
+    let turned = "roll, pitch and yaw in degrees, such as [0, 90, 0]";
     let rpy = keys.rpy.map_or(Some([0.0; 3]), |at| vector(findings, &at, turned));
     let radius = keys.radius.and_then(|at| length(findings, &at));
     Some(Joint {
@@ -119,7 +119,7 @@ fn read_joint(findings: &mut Reader, index: usize, at: &At<'_>, init: &Initializ
     })
 }
 
-/// From a device, or fixed.
+/// The value of a joint, from a device or fixed.
 fn read_value(
     findings: &mut Reader,
     at: &At<'_>,
@@ -136,20 +136,20 @@ fn read_value(
         (None, Some(value)) => fixed(findings, value, units),
         (device, _) => {
             let message = match device {
-                Some(_) => format!("{what} has a device and a value"),
+                Some(_) => format!("{what} has both a device and a value"),
                 None => format!("{what} has neither a device nor a value"),
             };
-            let expected = "`device`, or `value` for a joint that stays";
+            let expected = "`device`, or `value` for a joint that does not move";
             findings.add(Code::MissingKey, at.place(), message, expected, None);
             None
         }
     }
 }
 
-/// `z`, `-z`, or `[0, 0.6, 0.8]`, as a vector of length 1.
+/// `z`, `-z`, or `[0, 0.6, 0.8]`, as a unit vector.
 fn read_axis(findings: &mut Reader, at: &At<'_>) -> Option<[f64; 3]> {
     let Node::List(_) = at.node else { return findings.word(at, &AXES) };
-    let expected = "x, y, z, -x, -y, -z, or a vector, as [0, 0.6, 0.8]";
+    let expected = "x, y, z, -x, -y, -z, or a vector such as [0, 0.6, 0.8]";
     let axis = vector(findings, at, expected)?;
     let long = axis.iter().map(|part| part * part).sum::<f64>().sqrt();
     if !(long >= 1e-9 && long.is_finite()) {

@@ -1,5 +1,5 @@
-//! How long devices take from a command to visible motion: the key `latency` of a robot, and the file of measured latencies that
-//! `downbeat calibrate` writes. Here they are read, written, and brought together; the compiler compensates them.
+//! The times that devices take from a command to visible motion: the key `latency` of a robot, and the file of measured latencies that
+//! `downbeat calibrate` writes. This module reads, writes and merges them; the compiler compensates for them.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt;
@@ -22,18 +22,18 @@ use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
-/// The longest latency, and the largest spread of one.
+/// The longest latency, and the largest spread of a latency.
 const LATENCY_MAX: Span = Span::from_millis(10_000);
-/// Most trials that a file may state for one device.
+/// Maximum number of trials that a file may state for one device.
 const TRIALS_MAX: u32 = 1_000_000;
 
 keys! {
     /// A latency.
     pub(crate) struct LatencyKeys {
-        /// Half of all motions begin no later.
+        /// Half of all motions start no later.
         #[required]
         median: kinds::TIME,
-        /// 95 % of all motions begin within the median ± this.
+        /// 95 % of all motions start within the median ± this.
         spread: kinds::TIME,
     }
 }
@@ -41,35 +41,35 @@ keys! {
 keys! {
     /// A latency file.
     pub(crate) struct FileKeys {
-        /// By robot and by device.
+        /// Latencies by robot and by device.
         #[required]
         latency: Kind::Entries(&Kind::Entries(&MeasuredKeys::KIND)),
     }
 }
 
 keys! {
-    /// What was measured of a device.
+    /// The measured latency of a device.
     pub(crate) struct MeasuredKeys {
-        /// Half of all motions begin no later.
+        /// Half of all motions start no later.
         #[required]
         median: kinds::TIME,
-        /// 95 % of all motions begin within the median ± this.
+        /// 95 % of all motions start within the median ± this.
         spread: kinds::TIME,
-        /// 95 % of all motions begin no later.
+        /// 95 % of all motions start no later.
         p95: kinds::TIME,
-        /// How many motions were measured.
+        /// The number of measured motions.
         trials: kinds::COUNT,
-        /// When they were measured.
+        /// The time of the measurement.
         measured: kinds::TEXT,
-        /// Of all first-order lags together with which the device follows.
+        /// The sum of the time constants of all first-order lags with which the device follows.
         time_constant: kinds::TIME,
-        /// How many such lags there are in a row.
+        /// The number of such lags in series.
         #[default("1")]
         lags: kinds::COUNT,
-        /// How much later than such lags alone the device visibly begins.
+        /// How much later the device visibly starts than such lags alone.
         #[default("0s")]
         later: kinds::SIGNED_TIME,
-        /// How far behind a movement of constant speed the device stays.
+        /// How far the device lags behind a movement of constant speed.
         tracking_lag: kinds::TIME,
     }
 }
@@ -80,34 +80,35 @@ pub fn latency_keys() -> &'static Declaration {
     FileKeys::declaration()
 }
 
-/// The latency of a device that is compensated, and where it was found.
+/// A latency of a device that is compensated, and its source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct DeviceLatency {
-    /// How long it takes.
+    /// The latency.
     #[serde(flatten)]
     pub latency: Latency,
-    /// Who says so.
+    /// The source of the latency.
     pub from: LatencySource,
-    /// The lag with which the device follows, where it was measured. It is not compensated.
+    /// The lag with which the device follows, if measured. It is not compensated.
     #[serde(skip)]
     pub lag: Option<Lag>,
 }
 
-/// How a device follows what it is told: by equal first-order lags, one after the other.
+/// How a device follows its commands: by equal first-order lags in series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lag {
-    /// Of all together: how far behind a ramp the device stays.
+    /// The sum of all time constants: how far the device lags behind a ramp.
     pub time_constant: Span,
-    /// How many: 1 begins at once with full speed towards the value, 2 begins softly.
+    /// The number of lags: 1 starts immediately with full speed towards the value, 2 starts softly.
     pub lags: u8,
-    /// So much later than such lags alone it visibly begins, as a device with static friction does; negative if earlier.
+    /// How much later the device visibly starts than such lags alone, for example because of static friction. Negative if it starts
+    /// earlier.
     pub later: Span,
 }
 
-/// Most lags in a row.
+/// Maximum number of lags in series.
 pub const LAGS_MAX: u8 = 2;
 
-/// Where a latency was found, the most trusted first.
+/// The source of a latency; the most trusted first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LatencySource {
@@ -129,22 +130,22 @@ impl fmt::Display for LatencySource {
     }
 }
 
-/// What was measured of one device.
+/// The measured latency of one device.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MeasuredLatency {
-    /// From a command to the first visible motion; half of all trials took no longer.
+    /// The median time from a command to the first visible motion.
     pub median: Span,
-    /// 95 % of all trials lay within the median ± this.
+    /// 95 % of all trials were within the median ± this.
     pub spread: Option<Span>,
     /// 95 % of all trials took no longer.
     pub p95: Option<Span>,
-    /// How many motions were measured.
+    /// The number of measured motions.
     pub trials: Option<u32>,
-    /// When, as text.
+    /// The time of the measurement, as text.
     pub measured: Option<String>,
-    /// How the device follows.
+    /// The lag with which the device follows.
     pub lag: Option<Lag>,
-    /// How far behind a ramp the device stays.
+    /// How far the device lags behind a ramp.
     pub tracking_lag: Option<Span>,
 }
 
@@ -154,7 +155,7 @@ pub type LatencyFile = BTreeMap<RobotId, BTreeMap<DeviceId, MeasuredLatency>>;
 /// Reads a file of measured latencies.
 ///
 /// # Errors
-/// Findings when it is none, and when a latency is negative or beyond 10 s.
+/// Returns findings if it is not such a file, or if a latency is negative or longer than 10 s.
 pub fn latency_file_of(source: &Source) -> Result<LatencyFile, Vec<Finding>> {
     let document = node::parse(source).map_err(|finding| vec![finding])?;
     let mut findings = Reader::default();
@@ -166,7 +167,7 @@ pub fn latency_file_of(source: &Source) -> Result<LatencyFile, Vec<Finding>> {
 /// The same for a file that the user has named.
 ///
 /// # Errors
-/// Findings when it cannot be read, and as for [`latency_file_of`].
+/// Returns findings if the file cannot be read, and for the errors of [`latency_file_of`].
 pub fn read_latency_file(path: &Path) -> Result<LatencyFile, Vec<Finding>> {
     latency_file_of(&Source::read(path).map_err(|finding| vec![finding])?)
 }
@@ -195,7 +196,7 @@ fn entry(measured: &MeasuredLatency) -> String {
         time("spread", spread),
         time("p95", p95),
         trials.map(|trials| format!("trials: {trials}")),
-        // Quotes keep an instant from being read as a date.
+        // Without quotes, an instant would be read as a date.
         measured.as_ref().map(|measured| format!("measured: {}", serde_json::Value::from(measured.as_str()))),
         time("time_constant", &lag.map(|lag| lag.time_constant)),
         lag.map(|lag| format!("lags: {}", lag.lags)),
@@ -259,8 +260,8 @@ fn possible(findings: &mut Reader, at: &At<'_>, span: Span) -> Option<Span> {
     if span.abs() <= LATENCY_MAX {
         return Some(span);
     }
-    let message = format!("{span} is too long for a device to begin to move");
-    let hint = Some("a latency is from a command to the first visible motion".to_owned());
+    let message = format!("a latency of {span} is out of range");
+    let hint = Some("the latency is the time from a command to the first visible motion".to_owned());
     findings.add(Code::BadDuration, at.place(), message, format!("at most {LATENCY_MAX}"), hint);
     None
 }
@@ -281,7 +282,7 @@ fn read_own(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> B
         if device.is_none() {
             let shown = shortened(name);
             let message = match device_named(init, name) {
-                Some(_) => format!("the device `{shown}` takes no commands"),
+                Some(_) => format!("the device `{shown}` does not accept commands"),
                 None => format!("the robot has no device `{shown}`"),
             };
             let hint = findings.did_you_mean(name, known());
@@ -310,7 +311,7 @@ fn read_latency(findings: &mut Reader, at: &At<'_>) -> Option<Latency> {
     Some(Latency { median, spread: spread.unwrap_or_default() })
 }
 
-/// The latencies of a robot's devices: of each, what the fleet says, or else what was measured, or else what the robot declares.
+/// The latency of each device: the value of the fleet file, or else the measured one, or else the one that the robot declares.
 pub(super) fn read(
     findings: &mut Reader,
     keys: &RobotKeys<'_>,
@@ -333,7 +334,7 @@ pub(super) fn read(
     init.devices.iter().filter_map(of).collect()
 }
 
-/// Where the file says something of a robot, or of one of its devices.
+/// The place of a robot, or of one of its devices, in the file.
 fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place {
     let of_file = Place { file, path: Vec::new(), key: true, within: None, used: None };
     let of_robot = of_file.of_key("latency").of_key(robot.as_str());
@@ -341,21 +342,20 @@ fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place
     Place { key: true, ..place }
 }
 
-/// What the file says of robots, by the names of all robots of the fleet, and of a device that the robot does not have. Neither is
-/// an error: measured latencies outlive fleets.
+/// Warns about robots in the file that the fleet does not have. This is not an error, because measured latencies outlive fleets.
 pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &LatencyFile, fleet: &Node) {
     let Node::Map(robots) = fleet else { return };
     let known = || robots.iter().map(|(name, _)| name.as_str());
     let names: HashSet<&str> = known().collect();
     for robot in measured.keys().filter(|robot| !names.contains(robot.as_str())) {
-        let message = format!("a latency of `{robot}`, which the fleet does not have");
+        let message = format!("latency of an unknown robot `{robot}`");
         let hint = findings.did_you_mean(robot.as_str(), known());
         let expected = downbeat_yaml::finding::one_of(known());
         findings.add(Code::StaleLatency, place_in_file(file, robot, None), message, expected, hint);
     }
 }
 
-/// The same for the devices of one robot.
+/// Warns about devices in the file that the robot does not have.
 pub(super) fn warn_of_devices(
     findings: &mut Reader,
     file: u16,
@@ -365,7 +365,7 @@ pub(super) fn warn_of_devices(
 ) {
     let known = || init.devices.iter().map(|device| device.id.as_str());
     for device in measured.keys().filter(|device| init.device(device.as_str()).is_none()) {
-        let message = format!("a latency of `{device}`, which `{robot}` does not have");
+        let message = format!("latency of an unknown device `{device}` of `{robot}`");
         let hint = findings.did_you_mean(device.as_str(), known());
         let expected = downbeat_yaml::finding::one_of(known());
         findings.add(Code::StaleLatency, place_in_file(file, robot, Some(device)), message, expected, hint);

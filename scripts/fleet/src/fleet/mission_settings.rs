@@ -1,5 +1,6 @@
-//! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`; `latency` is read in
-//! `latency.rs`, `calibrate` in `calibration.rs`. The mission is handed them as one struct, so that a new one is added here and where it is used.
+//! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`. `latency.rs` reads `latency`,
+//! and `calibration.rs` reads `calibrate`. The mission receives them as one struct, so that a new key is only added here and where it is
+//! used.
 
 use std::collections::BTreeMap;
 
@@ -21,32 +22,32 @@ pub(super) const CLOCK_WORDS: [(&str, ClockMode); 2] =
 const ENCODINGS: [Encoding; 2] = [Encoding::Json, Encoding::MessagePack];
 
 keys! {
-    /// Readings.
+    /// Acceptable readings.
     pub(crate) struct RangeKeys {
-        /// Larger than this.
+        /// Above this value.
         above: kinds::PLAIN_NUMBER,
-        /// Smaller than this.
+        /// Below this value.
         below: kinds::PLAIN_NUMBER,
-        /// From the first to the second.
+        /// From the first to the second value.
         within: Kind::List(&kinds::PLAIN_NUMBER, 2..=2),
     }
     also {"minProperties": 1, "maxProperties": 1}
 }
 
-/// What a mission needs to know of a robot beyond its description.
+/// The properties of a robot that a mission uses in addition to its description.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MissionSettings {
-    /// How the robot's time is brought to agree with the server's.
+    /// How the robot's time is synchronized with the server's.
     pub clock: ClockMode,
-    /// How late the robot may wake up for a start. By default a millisecond, as of a timer of an ordinary system.
+    /// The largest delay with which the robot wakes up for a start. By default 1 ms, as for a timer of an ordinary system.
     pub wake_up: Span,
-    /// The encoding in which the robot is written to over TCP.
+    /// The encoding of messages to the robot over TCP.
     pub encoding: Encoding,
-    /// What the robot's sensors have to read before a mission.
+    /// The required readings of the robot's sensors before a mission.
     pub require: Vec<Requirement>,
-    /// How long its devices take from a command to visible motion, where that is known.
+    /// The times from a command to visible motion of its devices, if known.
     pub latencies: BTreeMap<DeviceId, DeviceLatency>,
-    /// How the latency of its devices may be measured, and which sensor shows where they are.
+    /// How the latency of its devices may be measured, and which sensors show their positions.
     pub calibrate: BTreeMap<DeviceId, Calibration>,
 }
 
@@ -64,23 +65,23 @@ impl Default for MissionSettings {
     }
 }
 
-/// How a robot's time is brought to agree with the server's.
+/// How a robot's time is synchronized with the server's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockMode {
     /// Both follow NTP; measurements only verify that.
     #[default]
     Ntp,
-    /// The robot has no NTP: what it is sent is translated into its own time.
+    /// The robot has no NTP: messages to it are converted to its own time.
     Measured,
 }
 
-/// What a sensor has to read before a mission.
+/// The required reading of a sensor before a mission.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Requirement {
-    /// Which sensor.
+    /// The sensor.
     pub sensor: DeviceId,
-    /// Which readings will do.
+    /// The acceptable readings.
     pub range: SensorRange,
 }
 
@@ -104,7 +105,7 @@ pub(super) fn read(
     }
 }
 
-/// A robot that is asked says for itself what it understands.
+/// During a handshake, a robot itself lists the encodings that it understands.
 fn read_encoding(
     findings: &mut Reader,
     at: &At<'_>,
@@ -119,7 +120,7 @@ fn read_encoding(
             at.place(),
             format!("the robot does not list the encoding `{encoding}`"),
             format!("`json`, or `encodings: [{encoding}]` in its initialization block"),
-            Some("with `handshake: skip` the file alone says what it understands".to_owned()),
+            Some("with `handshake: skip`, only the init file states the encodings of the robot".to_owned()),
         );
     }
     Some(encoding)
@@ -134,7 +135,7 @@ fn read_require(
 ) -> Vec<Requirement> {
     if handshake == Handshake::Skip {
         let hint = Some("remove `handshake: skip`, or remove `require`".to_owned());
-        let message = "with `handshake: skip` no sensor is read before the start";
+        let message = "`require` is not supported with `handshake: skip`: no sensor is read before the start";
         findings.add(
             Code::NeedsHandshake,
             at.key_place(),
@@ -144,7 +145,7 @@ fn read_require(
         );
     }
     let mut required = Vec::new();
-    for (name, at) in findings.entries(at, "sensor to what it has to read") {
+    for (name, at) in findings.entries(at, "sensor to its required reading") {
         let range = read_range(findings, &at);
         let sensor = sensor(findings, name, &at, init);
         required.extend(sensor.zip(range).map(|(sensor, range)| Requirement { sensor, range }));

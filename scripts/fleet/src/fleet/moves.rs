@@ -11,44 +11,44 @@ use downbeat_yaml::finding::Code;
 keys! {
     /// The movement of a device.
     pub(crate) struct MovesKeys {
-        /// From a value that is set to the first motion.
+        /// The time from setting a value to the first motion.
         latency: kinds::TIME,
         /// 95 % of all movements begin within the latency ± this.
         spread: kinds::TIME,
-        /// Of the first-order lag with which it follows after that.
+        /// The time constant of the first-order lag with which it follows afterwards.
         time_constant: kinds::TIME,
-        /// The sensor that shows where the body is; otherwise the device itself.
+        /// The sensor that shows the position of the body; by default the device itself.
         sensor: kinds::NAME,
-        /// Standard deviation of what the sensor shows, in its unit.
+        /// Standard deviation of the sensor's readings, in its unit.
         noise: schema!({"type": "number", "minimum": 0}),
-        /// How long the sensor takes to answer. Its value is that at the time of the question.
+        /// The time that the sensor takes to answer. It reports the value at the time of the question.
         delay: kinds::TIME,
     }
 }
 
-/// How the body behind a device follows what is set, and what the sensor shows of it.
+/// How the body behind a device follows the set values, and how the sensor shows that.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedMoves {
-    /// The device that is driven.
+    /// The driven device.
     pub device: DeviceId,
-    /// From the instant at which a value is set to the first motion.
+    /// The time from setting a value to the first motion.
     pub latency: Span,
     /// 95 % of all movements begin within `latency` ± this.
     pub spread: Span,
-    /// Of the first-order lag with which it follows after that.
+    /// The time constant of the first-order lag with which the body follows afterwards.
     pub time_constant: Span,
-    /// The sensor that shows where the body is.
+    /// The sensor that shows the position of the body.
     pub sensor: DeviceId,
-    /// Standard deviation of what the sensor shows, in its unit.
+    /// Standard deviation of the sensor's readings, in its unit.
     pub noise: f64,
-    /// How long the sensor takes to answer. The value is taken when it is asked.
+    /// The time that the sensor takes to answer. It reports the value at the time of the question.
     pub delay: Span,
 }
 
 /// `{elbow: {latency: 40ms, spread: 2ms, time_constant: 20ms, sensor: elbow_angle, noise: 0.1, delay: 5ms}}`
 pub(super) fn read(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Vec<SimulatedMoves> {
     let mut moves = Vec::new();
-    for (name, at) in findings.entries(at, "device to how its body follows it") {
+    for (name, at) in findings.entries(at, "device to its simulated motion") {
         let device = device_by_position(findings, name, &at, init);
         let keys = findings.keys(&at, "the movement of a device");
         let Some(MovesKeys { latency, spread, time_constant, sensor, noise, delay }) = keys else { continue };
@@ -65,7 +65,7 @@ pub(super) fn read(findings: &mut Reader, at: &At<'_>, init: &InitializationBloc
 }
 
 fn read_noise(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
-    let expected = "a number, 0 or more, in the unit of the sensor";
+    let expected = "a number of at least 0, in the unit of the sensor";
     let noise = findings.number(at, expected)?;
     if noise < 0.0 {
         findings.add(Code::WrongType, at.place(), format!("found the number {noise}"), expected, None);

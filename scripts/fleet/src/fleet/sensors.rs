@@ -7,7 +7,7 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::finding::{Code, Place, did_you_mean, one_of};
 use downbeat_yaml::shown::shortened;
 
-/// A sensor of the robot, or a finding where the name stands.
+/// A sensor of the robot. Otherwise adds a finding at the key that names it.
 pub fn sensor(
     findings: &mut Reader,
     name: &str,
@@ -17,7 +17,7 @@ pub fn sensor(
     sensor_at(findings, name, at.key_place(), init)
 }
 
-/// The same for a name that stands elsewhere than in a key.
+/// The same for a name at any place.
 pub(super) fn sensor_at(
     findings: &mut Reader,
     name: &str,
@@ -31,7 +31,8 @@ pub(super) fn sensor_at(
         let message = format!("the robot has no sensor `{}`", shortened(name));
         let expected = match sensors().next() {
             Some(_) => one_of(sensors()),
-            None => "a device that takes `sensor`, but the description of the robot has none".to_owned(),
+            None => "a device with the control type `sensor`, but the description of the robot has none"
+                .to_owned(),
         };
         let hint = did_you_mean(name, sensors());
         findings.add(Code::UnknownSensor, place, message, expected, hint);

@@ -1,4 +1,4 @@
-//! The key `urdf` of a body: its arm from a robot's description.
+//! The key `urdf` of a body: reads its arm from a URDF.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -17,28 +17,28 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::project::Project;
 use downbeat_yaml::shown::shortened;
 
-/// Descriptions read so far, by path: many robots share one.
+/// The descriptions read so far, by path: many robots share one.
 pub(super) struct Urdfs {
     folder: PathBuf,
     project: Project,
     read: HashMap<PathBuf, Option<Rc<Tree>>>,
-    /// Findings in them.
+    /// The findings in these files.
     pub(super) elsewhere: Vec<Finding>,
 }
 
-/// What is said of an arm that a description has.
+/// The keys of a body for an arm from a URDF.
 pub(super) struct UrdfKeys<'a> {
     pub(super) urdf: At<'a>,
     pub(super) end: Option<At<'a>>,
     pub(super) devices: Option<At<'a>>,
-    /// Of all links.
+    /// The radius of all links.
     pub(super) radius: Option<f64>,
 }
 
-/// What moves the joints, by their names.
+/// The devices or fixed values of joints, by joint name.
 struct Movers<'a> {
     named: BTreeMap<&'a str, At<'a>>,
-    /// How many of them are joints that the description does not have.
+    /// The number of names that are not joints of the URDF.
     unknown: usize,
     init: &'a InitializationBlock,
 }
@@ -61,7 +61,7 @@ impl Urdfs {
             }
             Err(finding) => {
                 let message = format!("cannot read the URDF `{}`: {}", path.display(), finding.message);
-                let hint = Some("the path counts from the folder of the fleet file".to_owned());
+                let hint = Some("the path is relative to the folder of the fleet file".to_owned());
                 findings.add(Code::Unreadable, at.place(), message, "a readable file", hint);
                 None
             }
@@ -71,7 +71,7 @@ impl Urdfs {
         read
     }
 
-    /// The joints from the root of a description to the link at which the arm ends; where that is, is the tip.
+    /// The joints from the root of a description to the link at which the arm ends. The origin of that link is the tip.
     pub(super) fn read_arm(
         &mut self,
         findings: &mut Reader,
@@ -116,10 +116,10 @@ fn tell_no_chain(findings: &mut Reader, keys: &UrdfKeys<'_>, end: Option<&str>, 
     let at = keys.end.as_ref().unwrap_or(&keys.urdf);
     let (message, expected, hint) = match &fault {
         NoChain::Branches(leaves) => (
-            format!("the arm ends at {} links", leaves.len()),
-            "one arm, from the root to a link".to_owned(),
+            format!("the URDF has {} end links", leaves.len()),
+            "a single arm, from the root to one end link".to_owned(),
             Some(format!(
-                "name the link at which it ends, `end:` one of {}",
+                "add the link at which the arm ends: `end:` with one of {}",
                 names(leaves.iter().map(String::as_str))
             )),
         ),
@@ -129,14 +129,16 @@ fn tell_no_chain(findings: &mut Reader, keys: &UrdfKeys<'_>, end: Option<&str>, 
             let message = format!("no joint leads to a link `{}`", shortened(end));
             (message, one_of(known()), findings.did_you_mean(end, known()))
         }
-        NoChain::Round => {
-            ("the joints lead to no end".to_owned(), "joints from a root to a link".to_owned(), None)
-        }
+        NoChain::Round => (
+            "the joints form a cycle".to_owned(),
+            "a chain of joints from a root to an end link".to_owned(),
+            None,
+        ),
     };
     findings.add(Code::ImportShape, at.place(), message, expected, hint);
 }
 
-/// Of each link; one finding for all that need to be told.
+/// The radius of each link. Reports all links without a known radius in one finding.
 fn radii(findings: &mut Reader, keys: &UrdfKeys<'_>, tree: &Tree, chain: &[&TreeJoint]) -> Option<Vec<f64>> {
     if let Some(radius) = keys.radius {
         return Some(vec![radius; chain.len()]);
@@ -150,8 +152,8 @@ fn radii(findings: &mut Reader, keys: &UrdfKeys<'_>, tree: &Tree, chain: &[&Tree
         return radii.into_iter().collect();
     }
     let message = match untold.as_slice() {
-        [] => "the description has no shapes for collisions".to_owned(),
-        links => format!("the shapes for collisions are not round about {}", names(links.iter().copied())),
+        [] => "the description has no collision shapes".to_owned(),
+        links => format!("the collision shapes are not round about {}", names(links.iter().copied())),
     };
     let hint = Some("write the `radius` of the links in metres, such as `radius: 0.06`".to_owned());
     findings.add(Code::MissingKey, keys.urdf.place(), message, "cylinders, spheres, or a `radius`", hint);
@@ -182,21 +184,23 @@ impl<'a> Movers<'a> {
         Self { named, unknown, init }
     }
 
-    /// The joint whose device moves this one.
+    /// The joint whose device moves this joint.
     fn leader(joint: &TreeJoint) -> &str {
         joint.mimic.as_ref().map_or(&joint.name, |mimic| &mimic.joint)
     }
 
-    /// One finding for all joints of the arm that nothing moves, unless their names are written wrong.
+    /// Reports all joints of the arm without a device in one finding, unless names of joints are wrong.
     fn tell_missing(&self, findings: &mut Reader, keys: &UrdfKeys<'_>, chain: &[&TreeJoint]) {
         let moving = chain.iter().filter(|joint| matches!(joint.motion, Motion::By(_)));
         let missing = moving.map(|joint| Self::leader(joint)).filter(|name| !self.has(name));
         let missing: std::collections::BTreeSet<&str> = missing.collect();
         if let Some(first) = missing.first().filter(|_| self.unknown == 0) {
-            let message = format!("the robot has no device for {}", names(missing.iter().copied()));
+            let joints = if missing.len() == 1 { "joint" } else { "joints" };
+            let message =
+                format!("the robot has no device for the {joints} {}", names(missing.iter().copied()));
             let devices = self.init.devices.iter().map(|device| device.id.as_str());
             let hint = Some(format!(
-                "write the device of each joint, or a number if it stays: `devices: {{{first}: 0}}`"
+                "write the device of each joint, or a number if the joint does not move: `devices: {{{first}: 0}}`"
             ));
             findings.add(Code::UnknownDevice, keys.urdf.place(), message, one_of(devices), hint);
         }
@@ -206,13 +210,14 @@ impl<'a> Movers<'a> {
         self.named.contains_key(joint) || device_named(self.init, joint).is_some()
     }
 
-    /// `None` for what is told as missing, too.
+    /// The value of a joint; `None` also if its device is already reported as missing.
     fn value(&self, findings: &mut Reader, keys: &UrdfKeys<'_>, joint: &TreeJoint) -> Option<Coordinate> {
         let kind = match &joint.motion {
             Motion::Fixed => return Some(Coordinate::Fixed(0.0)),
             Motion::By(kind) => *kind,
             Motion::Other(kind) => {
-                let message = format!("the joint `{}` is of type `{kind}`", shortened(&joint.name));
+                let message =
+                    format!("the type `{kind}` of the joint `{}` is not supported", shortened(&joint.name));
                 let expected = "revolute, continuous, prismatic or fixed joints";
                 findings.add(Code::ImportShape, keys.urdf.place(), message, expected, None);
                 return None;
@@ -295,16 +300,16 @@ mod tests {
 
     #[test]
     fn what_is_missing_is_told_once() {
-        faults("urdf: arm.urdf, radius: 0.05", &["the robot has no device for `shoulder`"]);
-        faults("urdf: arm.urdf, devices: {shoulder: 30}", &["the description has no shapes for collisions"]);
+        faults("urdf: arm.urdf, radius: 0.05", &["the robot has no device for the joint `shoulder`"]);
+        faults("urdf: arm.urdf, devices: {shoulder: 30}", &["the description has no collision shapes"]);
         faults(
             "urdf: arm.urdf, devices: {shoulder: pan}, end: foot, radius: 0.05",
             &["no joint leads to a link `foot`"],
         );
         faults(
             "urdf: arm.urdf, devices: {shoulder: pan, wrist: pan}, tip: [0, 0, 1], radius: 0.05",
-            &["the URDF has no joint `wrist`", "the URDF says what `tip` is"],
+            &["the URDF has no joint `wrist`", "the URDF already defines `tip`"],
         );
-        faults("end: hand, x: 1", &["`end` is for an arm from a URDF"]);
+        faults("end: hand, x: 1", &["`end` needs an arm from a URDF"]);
     }
 }

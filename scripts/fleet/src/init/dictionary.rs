@@ -1,8 +1,8 @@
-//! The description of a Thrift robot, whose `devices` are a dictionary with a range each, as an initialization block.
+//! Converts the description of a Thrift robot, whose `devices` are a dictionary with a range each, to an initialization block.
 //!
-//! What it never says is filled in: a device is driven by position, takes scripts of 1000 steps, two of them ahead, and
-//! has a granularity of the largest power of ten of which a thousand fit into its range. Keys that are not known here,
-//! as those of the robot's own software, are passed over.
+//! Missing values have defaults. A device is driven by position, and takes scripts of 1000 steps, two of them in advance. Its granularity
+//! is the largest power of ten that fits into its range a thousand times. Unknown keys, such as those of the robot's own software, are
+//! ignored.
 
 use serde_json::{Map, Value, json};
 use urrcp::{ControlType, Device, InitializationBlock, Label, RobotId, RobotType};
@@ -13,23 +13,23 @@ use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// Steps of one script by default: the edge plays them itself, and holds them all in little memory.
+/// Default number of steps per script: the edge plays the steps itself, and holds them in little memory.
 const STEPS: u32 = 1_000;
-/// Scripts that a device holds: one plays while the next waits.
+/// Default number of scripts that a device holds: one plays while the next waits.
 const QUEUE: u32 = 2;
 
-/// What an edge speaks.
+/// The protocol version of an edge.
 const API_VERSION: &str = "1";
 
 const SETTER: &str = "set_device_double_value";
 const READERS: [&str; 2] = ["get_sensor_double_value", "get_sensor_string_value"];
 
-/// Whether a document is such a description.
+/// Whether a document is a description of this kind.
 pub(super) fn is_one(document: &Node) -> bool {
     matches!(value(document, "devices"), Some(Node::Map(_)))
 }
 
-/// Whether its devices are those of an initialization block, which lists them.
+/// Whether its devices are those of an initialization block, which declare control types.
 pub(super) fn is_block(document: &Node) -> bool {
     let Some(Node::Map(devices)) = value(document, "devices") else { return false };
     devices.iter().any(|(_, device)| value(device, "available_control_types").is_some())
@@ -50,7 +50,7 @@ pub(super) fn device_ids(document: &Node) -> Vec<&str> {
     entries.flatten().map(|(id, _)| id.as_str()).collect()
 }
 
-/// A key of a map, or of none.
+/// The value of a key; `None` if it is missing or null.
 fn at<'a>(parent: &'a At<'a>, key: &'a str) -> Option<At<'a>> {
     value(parent.node, key).filter(|node| **node != Node::Null).map(|node| parent.entry(key, 0, node))
 }
@@ -61,7 +61,7 @@ pub(super) fn block(
     supplements: &[(String, Supplement)],
 ) -> Option<InitializationBlock> {
     let id = required(findings, root, "id").and_then(|text| valid(findings, root, "id", RobotId::new(text)));
-    // The robot's own is that of the Thrift form; what the scheduler talks to is the edge.
+    // The robot's own version is that of the Thrift protocol, but the scheduler communicates with the edge.
     let api_version = valid(findings, root, "api_version", Label::new(API_VERSION));
     let mut label = |key| {
         let text = findings.name(&at(root, key)?, "a text")?;
@@ -84,7 +84,7 @@ pub(super) fn block(
         InitializationBlock { name, robot_type, manufacture, version, api_version, reports: true, ..block }
     };
     let block = InitializationBlock::new(id, devices).map(described).map_err(|error| error.to_string());
-    // Once through the wire's own checks, which look at every device.
+    // A round trip through JSON applies the protocol's own checks to every device.
     let through = |block| serde_json::to_value(&block).and_then(serde_json::from_value);
     match block.and_then(|block: InitializationBlock| through(block).map_err(|error| error.to_string())) {
         Ok(block) => Some(block),
@@ -119,7 +119,7 @@ fn valid<T>(
     .ok()
 }
 
-/// Types come in any case.
+/// Types may be in upper or lower case.
 fn robot_type(text: &str) -> RobotType {
     match text.to_ascii_lowercase().as_str() {
         "industrial" => RobotType::Industrial,
@@ -152,7 +152,7 @@ fn device(
         return None;
     };
     let call = match at(at_device, "type") {
-        Some(at) => findings.text(&at, "the call that drives or reads it")?.into_owned(),
+        Some(at) => findings.text(&at, "the call that drives or reads the device")?.into_owned(),
         None => otherwise.to_owned(),
     };
     let is_sensor = READERS.contains(&call.as_str());
@@ -183,11 +183,11 @@ fn device(
         device["default_value"] = default.map_or(Value::Null, |default| json!(default));
     }
     device["unit"] = added.unit.as_ref().map_or(Value::Null, |unit| json!(unit));
-    // Read as if it had come by the wire, so that every limit of the protocol holds.
+    // Deserialized as if received over the network, so that all limits of the protocol are checked.
     serde_json::from_value(device).map_err(|error| invalid(findings, at_device, &error.to_string())).ok()
 }
 
-/// A sensor that answers in words has no range, and cannot be read as a number either: it is left out.
+/// A sensor that answers in text has no range, and cannot be read as a number. It is left out.
 fn missing_range(findings: &mut Reader, id: &str, at: &At<'_>, call: &str) {
     if call == READERS[1] {
         return;
@@ -196,7 +196,7 @@ fn missing_range(findings: &mut Reader, id: &str, at: &At<'_>, call: &str) {
         if value(at.node, key).is_none() {
             let message = format!("device `{}` has no `{key}`", shortened(id));
             let hint =
-                Some(format!("`devices: {{{}: {{{key}: ...}}}}` in the fleet file adds it", shortened(id)));
+                Some(format!("add it in the fleet file: `devices: {{{}: {{{key}: ...}}}}`", shortened(id)));
             findings.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
         }
     }
@@ -223,13 +223,13 @@ fn driven(min: f64, max: f64, added: &Supplement) -> Value {
     Value::Object(types.into_iter().collect::<Map<_, _>>())
 }
 
-/// The largest power of ten of which a thousand fit into the range: what people write as a value lies on that grid.
+/// The largest power of ten that fits into the range a thousand times: values that people write lie on that grid.
 fn granularity(min: f64, max: f64) -> f64 {
     let thousandth = (max - min) / 1_000.0;
     if !thousandth.is_normal() || thousandth < 0.0 {
         return 0.001;
     }
     let exponent = thousandth.log10().floor();
-    // As text, so that 0.1 is 0.1.
+    // Parsed from text, so that 0.1 is exactly 0.1.
     format!("1e{exponent}").parse().unwrap_or(thousandth)
 }

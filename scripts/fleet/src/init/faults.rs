@@ -1,4 +1,4 @@
-//! What is wrong with an initialization block, device by device, so that all of it is reported at once and where it stands.
+//! Finds the faults of an initialization block device by device, so that all of them are reported at once and at their places.
 
 use serde::de::DeserializeOwned;
 use serde_yaml::{Mapping, Value};
@@ -14,7 +14,7 @@ use downbeat_yaml::render::counted;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
-/// The faults of the block itself, of its devices and of their control types; none where it is no map.
+/// The faults of the block itself, of its devices and of their control types. Empty if the block is not a map.
 pub(super) fn of(source: &Source) -> Vec<Finding> {
     let Ok(Value::Mapping(block)) = serde_yaml::from_str::<Value>(&source.text) else { return Vec::new() };
     let mut findings = Reader::default();
@@ -35,7 +35,7 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
             );
             return locate(std::slice::from_ref(source), findings.finish());
         }
-        // Something else: the block itself says so.
+        // Anything else is reported as a fault of the block itself.
         _ => return Vec::new(),
     };
     check::<InitializationBlock>(
@@ -50,12 +50,13 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
         match device {
             Value::Mapping(device) => of_device(&mut findings, &place, device),
             other => {
-                let hint =
-                    Some("write the keys of each device below a dash, the first of them `id`".to_owned());
+                let hint = Some(
+                    "begin each device with a dash and its `id`, and write the other keys below".to_owned(),
+                );
                 add(
                     &mut findings,
                     place,
-                    format!("a device that is {}", kind(other)),
+                    format!("found {} in place of a device", kind(other)),
                     "a map with an `id`",
                     hint,
                 );
@@ -67,16 +68,14 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
     locate(std::slice::from_ref(source), findings.finish())
 }
 
-/// Reports devices that are written as a map from their ids.
+/// Reports devices that are written as a map by id.
 fn by_id(findings: &mut Reader, devices: &Mapping) {
     let first = devices.keys().find_map(Value::as_str).unwrap_or("elbow");
     let place = Place::default().of_key("devices");
     let before = findings.found.len();
     let message = "found a map from id to device".to_owned();
-    let hint = format!(
-        "put brackets around the devices, and the id into each: `[{{id: {}, ...}}]`",
-        shortened(first)
-    );
+    let hint =
+        format!("put the devices into brackets, each with its id: `[{{id: {}, ...}}]`", shortened(first));
     add(findings, place, message, "a list of devices", Some(hint));
     if let Some(found) = findings.found.get_mut(before) {
         found.hint_in_block = Some(format!(
@@ -86,7 +85,7 @@ fn by_id(findings: &mut Reader, devices: &Mapping) {
     }
 }
 
-/// A device with which nothing is wrong.
+/// A valid device.
 fn any_device() -> Mapping {
     [("id", Value::from("any")), ("available_control_types", Mapping::new().into())]
         .map(|(key, value)| (key.into(), value))
@@ -97,12 +96,12 @@ fn any_device() -> Mapping {
 fn of_number(findings: &mut Reader, place: &Place, count: usize) {
     if count == 0 || count > DEVICES_MAX {
         let expected = format!("1 to {DEVICES_MAX} devices");
-        let hint = (count > 0).then(|| "describe some of them as a robot of its own".to_owned());
+        let hint = (count > 0).then(|| "describe some of them as a separate robot".to_owned());
         add(findings, place.clone(), format!("found {}", counted(count, "device")), &expected, hint);
     }
 }
 
-/// Each id that several devices have is one fault, at the second of them.
+/// Reports each duplicate id once, at the second device that has it.
 fn of_ids(findings: &mut Reader, place: &Place, devices: &[Value]) {
     let mut known: Vec<(String, Vec<usize>)> = Vec::new();
     let mut index_of = std::collections::HashMap::new();
@@ -119,7 +118,7 @@ fn of_ids(findings: &mut Reader, place: &Place, devices: &[Value]) {
         let message = format!("{} have the id `{}`", counted(places.len(), "device"), shortened(id));
         let place = place.below(Part::Index(places[1])).of_key("id");
         let hint = Some("rename one of them, or remove it".to_owned());
-        add(findings, place, message, "an id of its own for each device", hint);
+        add(findings, place, message, "a unique id for each device", hint);
     }
 }
 
@@ -136,7 +135,7 @@ fn of_device(findings: &mut Reader, place: &Place, device: &Mapping) {
     if findings.found.len() > before {
         return;
     }
-    // Some rules for a device are those of its block.
+    // Some rules for a device are checked by its block.
     let block = [
         ("id", "any".into()),
         ("api_version", "1".into()),
@@ -146,7 +145,7 @@ fn of_device(findings: &mut Reader, place: &Place, device: &Mapping) {
     check_as::<InitializationBlock>(findings, &Whose::of(&whose, Level::Device), place, &block, device);
 }
 
-/// Each by itself; then all together, since a script inherits from the others.
+/// Checks each control type separately, then all together, because a script inherits from the others.
 fn of_control_types(findings: &mut Reader, device: &str, place: &Place, types: &Mapping) {
     let before = findings.found.len();
     let whose =
@@ -165,7 +164,7 @@ fn of_control_types(findings: &mut Reader, device: &str, place: &Place, types: &
     }
 }
 
-/// What is checked, and which keys it has.
+/// The checked map: its name and its level.
 struct Whose {
     name: String,
     level: Level,
@@ -181,7 +180,8 @@ fn check<T: DeserializeOwned>(findings: &mut Reader, whose: &Whose, place: &Plac
     check_as::<T>(findings, whose, place, map, map);
 }
 
-/// Whether a map can be read; where the fault stands is the key that it names, or whose value it names, or else what leads to the map.
+/// Checks that a map can be deserialized. A fault is at the key that the message names, or whose value it names; otherwise at the key
+/// that leads to the map.
 fn check_as<T: DeserializeOwned>(
     findings: &mut Reader,
     whose: &Whose,
@@ -214,7 +214,7 @@ fn check_as<T: DeserializeOwned>(
     add(findings, place, message, &expected, hint);
 }
 
-/// A key that is missing; the one that stands for it, if that is misspelt.
+/// Reports a missing key, at a misspelling of it if there is one.
 fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str, keys: &Mapping) {
     let message = format!("{} has no `{missing}`", whose.name);
     let written =
@@ -239,19 +239,19 @@ fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str
     add(findings, place, message, &format!("a key `{missing}`"), hint);
 }
 
-/// What serde says, in the words of other findings.
+/// Converts a message of serde to the wording of other findings.
 fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, String, Option<String>) {
     let number = |text: &str| {
         let digits = text.trim_end_matches(|c: char| !c.is_ascii_digit()).trim().replacen(',', ".", 1);
-        digits.parse::<f64>().is_ok().then(|| format!("write the number alone: `{digits}`"))
+        digits.parse::<f64>().is_ok().then(|| format!("write only the number: `{digits}`"))
     };
-    // Some messages name the device.
+    // Some messages already name the device.
     let of = |found: &str| {
         if found.contains("device `") { found.to_owned() } else { format!("{found}, for {}", whose.name) }
     };
     let Some((found, expected)) = message.split_once(", expected ") else {
         let is_swapped = message.contains("lies above");
-        let expected = if is_swapped { "a min_value that is at most max_value" } else { EXPECTED };
+        let expected = if is_swapped { "a min_value of at most max_value" } else { EXPECTED };
         return (of(message), expected.to_owned(), is_swapped.then(|| "swap the two".to_owned()));
     };
     let expected = match expected {
@@ -288,16 +288,14 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
         _ => found,
     };
     if expected == "field identifier" {
-        let hint = Some("write numbers with a decimal point: a comma begins another key".to_owned());
-        return (format!("{found} where a key belongs, in {}", whose.name), "a key".to_owned(), hint);
+        let hint = Some("write numbers with a decimal point: a comma starts the next key".to_owned());
+        return (format!("{found} instead of a key, in {}", whose.name), "a key".to_owned(), hint);
     }
     let is_grid = found.starts_with("granularity");
-    let control_type = found.strip_prefix("control type `").and_then(|rest| rest.strip_suffix('`'));
+    let control_type = found.strip_prefix("unknown control type `").and_then(|rest| rest.strip_suffix('`'));
     let near = control_type.and_then(|name| keys::meant(Level::ControlTypes, name));
     let hint = hint.or_else(|| near.map(did_you_mean_this));
-    let found = if control_type.is_some() { format!("unknown {found}") } else { found };
-    let hint =
-        hint.or_else(|| is_grid.then(|| "write the smallest step that the device can make".to_owned()));
+    let hint = hint.or_else(|| is_grid.then(|| "write the smallest step of the device".to_owned()));
     (of(&found), expected.to_owned(), hint)
 }
 

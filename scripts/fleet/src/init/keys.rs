@@ -1,4 +1,4 @@
-//! The keys of an initialization block, and those that a robot ignores although they look like one of them.
+//! The keys of an initialization block, and similar keys that a robot ignores.
 
 use serde_yaml::{Mapping, Value};
 
@@ -14,11 +14,11 @@ pub(super) enum Level {
     Block,
     Device,
     ControlTypes,
-    /// Of position, speed and acceleration.
+    /// Position, speed or acceleration.
     Motion,
     Script,
     Sensor,
-    /// Whatever its maker has defined.
+    /// A type that its manufacturer has defined.
     Custom,
 }
 
@@ -89,7 +89,7 @@ impl Level {
     }
 }
 
-/// Other words for the keys of a map: the map, the words, and the key. Those for a motion also apply to scripts and sensors.
+/// Synonyms for the keys of a map: the map, the synonyms, and the key. Synonyms for a motion also apply to scripts and sensors.
 const WORDS: [(Level, &[&str], &str); 19] = [
     (Level::Block, &["joints", "motors", "axes", "actuators", "servos", "channels"], "devices"),
     (Level::Block, &["api", "protocol", "protocol_version"], "api_version"),
@@ -116,7 +116,7 @@ const WORDS: [(Level, &[&str], &str); 19] = [
     (Level::Sensor, &["delay", "latency"], "max_delay"),
 ];
 
-/// Words for a speed limit, which a device declares as a control type.
+/// Synonyms for a speed limit, which a device declares as a control type.
 const SPEEDS: [&str; 9] = [
     "velocity",
     "speed",
@@ -131,7 +131,7 @@ const SPEEDS: [&str; 9] = [
 const RANGES: [&str; 4] = ["range", "bounds", "limits", "interval"];
 const ENDS: [&str; 6] = ["min", "max", "min_value", "max_value", "lower", "upper"];
 
-/// Advice for a key that no single other key replaces.
+/// Advice for a key that is not equivalent to a single other key.
 pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     let is_motion = matches!(level, Level::Motion | Level::Script | Level::Sensor);
     if is_motion && RANGES.contains(&key) {
@@ -151,13 +151,13 @@ pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     let is_speed =
         SPEEDS.contains(&key) && !value.is_mapping() || (key == "limits" && level == Level::Device);
     (is_speed && (is_motion || level == Level::Device)).then(|| {
-        "limit the speed under `available_control_types`, by `speed: {min_value: -30, max_value: 30, granularity: \
-         1}`, or in the fleet file, by `limits: {DEVICE: {speed: 30}}`"
+        "limit the speed under `available_control_types` with `speed: {min_value: -30, max_value: 30, granularity: \
+         1}`, or in the fleet file with `limits: {DEVICE: {speed: 30}}`"
             .to_owned()
     })
 }
 
-/// The key of this map that a key which is none of them was meant to be.
+/// The key of this map that an unknown key was probably meant to be.
 pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     let known = level.keys();
     if known.contains(&key) {
@@ -173,8 +173,8 @@ pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     word.or_else(|| near.or_else(|| known.iter().find(|name| name.split('_').next() == Some(key))).copied())
 }
 
-/// Keys that have no effect where they are: those that belong elsewhere, and those that are misspelt. Keys of the robot's own software,
-/// which are like none of these, are passed over.
+/// Warnings about keys without effect: misplaced and misspelt keys. Keys of the robot's own software, which resemble none of these, are
+/// ignored.
 pub(super) fn ignored(source: &Source) -> Vec<Finding> {
     let Ok(Value::Mapping(block)) = serde_yaml::from_str::<Value>(&source.text) else { return Vec::new() };
     let mut findings = Reader::default();
@@ -201,7 +201,7 @@ fn check(findings: &mut Reader, level: Level, place: &Place, map: &Mapping) {
     let keys = map.keys().filter_map(Value::as_str);
     for key in keys.filter(|key| !level.keys().contains(key)) {
         let elsewhere = Level::ALL.into_iter().find(|other| other.keys().contains(&key));
-        // A key that exists is not misspelt elsewhere.
+        // A misplaced key is only treated as misspelt if the meant key is missing.
         let meant = meant(level, key).filter(|meant| !map.contains_key(*meant));
         let advice = advice(level, key, map.get(key).unwrap_or(&Value::Null));
         let hint = match (advice, elsewhere, meant) {

@@ -1,4 +1,4 @@
-//! What a fleet file adds to the description of a robot that says too little of itself: `devices:` of a robot.
+//! The supplements with which a fleet file completes an incomplete description: `devices:` of a robot.
 
 use urrcp::{ControlType, Interpolation};
 
@@ -9,27 +9,27 @@ use downbeat_yaml::finding::{Code, did_you_mean, one_of};
 use downbeat_yaml::shown::shortened;
 
 keys! {
-    /// What is added to a device's description.
+    /// Values that complete the description of a device.
     pub(crate) struct DeviceKeys as "device" {
-        /// What its values mean. By default position.
+        /// The meaning of its values. By default position.
         control_type: words!(CONTROL_TYPES),
         /// Its smallest step. By default the largest power of ten that fits into its range a thousand times.
         granularity: kinds::POSITIVE,
-        /// Of all its values.
+        /// The unit of all its values.
         unit: kinds::TEXT,
-        /// The largest number in one script. By default 1000.
+        /// The largest number of steps in one script. By default 1000.
         max_number_of_steps: kinds::COUNT,
-        /// Between the steps of a script; `linear` is sampled by the edge.
+        /// How the value changes between the steps of a script; `linear` is sampled by the edge.
         interpolation: words!(INTERPOLATIONS),
-        /// In the place of the description's.
+        /// Replaces the value in the description.
         min_value: kinds::PLAIN_NUMBER,
-        /// In the place of the description's.
+        /// Replaces the value in the description.
         max_value: kinds::PLAIN_NUMBER,
-        /// In the place of the description's.
+        /// Replaces the value in the description.
         default_value: kinds::PLAIN_NUMBER,
-        /// Largest error by construction.
+        /// The largest error by design.
         max_error: kinds::PLAIN_NUMBER,
-        /// The number of scripts that it holds. By default two.
+        /// The number of scripts that it can hold. By default two.
         script_queue: kinds::COUNT,
     }
 }
@@ -42,7 +42,7 @@ const CONTROL_TYPES: [(&str, ControlType); 3] = [
 const INTERPOLATIONS: [(&str, Interpolation); 2] =
     [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
 
-/// What is added to one device.
+/// Values that complete the description of one device.
 #[derive(Clone, Debug, Default)]
 pub struct Supplement {
     pub(super) control_type: Option<ControlType>,
@@ -64,10 +64,10 @@ impl Supplement {
     }
 }
 
-/// Reads `devices:` of a robot, for the devices that its description has.
+/// Reads `devices:` of a robot. `known` are the devices in its description.
 pub fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, Supplement)> {
     let mut read = Vec::new();
-    for (device, at) in findings.entries(at, "device to what its description lacks") {
+    for (device, at) in findings.entries(at, "device to the keys missing from its description") {
         if !known.contains(&device) {
             let message = format!("the robot has no device `{}`", shortened(device));
             let expected = one_of(known.iter().copied());

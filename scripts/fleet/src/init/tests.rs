@@ -69,8 +69,8 @@ fn a_device_without_room_for_a_command_or_a_step_is_found_at_its_key() {
     };
     assert!(init_of(&source(&block(1, 1))).is_ok());
     for (text, found, line) in [
-        (block(0, 1), "script_queue 0, for the device `d`", 6),
-        (block(1, 0), "max_number_of_steps 0, for `script` of the device `d`", 10),
+        (block(0, 1), "script_queue is 0, for the device `d`", 6),
+        (block(1, 0), "max_number_of_steps is 0, for `script` of the device `d`", 10),
     ] {
         let findings = init_of(&source(&text)).unwrap_err();
         let [finding] = findings.as_slice() else { panic!("{findings:#?}") };
@@ -191,7 +191,7 @@ fn keys_without_effect_are_warned_of() {
         ignored(&SHORT.replacen("    name: arm", "    units: deg", 1)),
         [(5, "did you mean `unit`?".to_owned())]
     );
-    // Keys of the robot's own software, and what a custom type has.
+    // Keys of the robot's own software, and keys of a custom type.
     let own = SHORT.replacen("    name: arm", "    serial: 4711\n    torque_limit: 3", 1);
     assert_eq!(
         ignored(&own.replacen(

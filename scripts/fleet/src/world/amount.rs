@@ -1,4 +1,4 @@
-//! Amounts that are fixed or drawn.
+//! Amounts that are fixed or random.
 
 use urrcp::Span;
 
@@ -11,7 +11,7 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 keys! {
-    /// Drawn uniformly.
+    /// A random value with uniform distribution.
     pub(crate) struct BetweenKeys {
         /// The least.
         #[required]
@@ -23,17 +23,17 @@ keys! {
 }
 
 named! {
-    /// Fixed, or drawn uniformly.
+    /// Fixed, or random with uniform distribution.
     pub(super) static TIMES = Kind::AnyOf(&[&kinds::TIME, &Kind::KeysOf(BetweenKeys::declaration, &kinds::TIME)]);
 
-    /// Fixed, or drawn uniformly.
+    /// Fixed, or random with uniform distribution.
     pub(super) static SIGNED_TIMES =
         Kind::AnyOf(&[&kinds::SIGNED_TIME, &Kind::KeysOf(BetweenKeys::declaration, &kinds::SIGNED_TIME)]);
 
-    /// Fixed, or drawn uniformly.
+    /// Fixed, or random with uniform distribution.
     pub(super) static DRIFTS = Kind::AnyOf(&[&DRIFT, &Kind::KeysOf(BetweenKeys::declaration, &DRIFT)]);
 
-    /// Fixed, or drawn uniformly.
+    /// Fixed, or random with uniform distribution.
     pub(super) static NUMBERS = Kind::AnyOf(&[&kinds::PLAIN_NUMBER, &BetweenKeys::KIND]);
 
     /// In parts per million: `5ppm`.
@@ -46,17 +46,18 @@ named! {
     ]);
 }
 
-/// Drawn uniformly once a trial, or, where an amount belongs to a message, once a message; the same twice: fixed.
+/// A random value with uniform distribution. It is drawn once per trial, or once per message if it belongs to a message. Fixed if both
+/// bounds are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Between<T> {
-    /// The least that it can be.
+    /// The lower bound.
     pub least: T,
-    /// The largest that it can be.
+    /// The upper bound.
     pub largest: T,
 }
 
 impl<T: Copy> Between<T> {
-    /// Always this.
+    /// A fixed value.
     #[must_use]
     pub const fn fixed(value: T) -> Self {
         Self { least: value, largest: value }
@@ -77,8 +78,8 @@ pub(super) fn between<T: Copy + PartialOrd>(
     let (least, largest) = (read(findings, &from), read(findings, &to));
     let (least, largest) = (least?, largest?);
     if largest < least {
-        let expected = "`from` not above `to`";
-        findings.add(Code::TimeOrder, to.place(), "`to` lies below `from`", expected, None);
+        let expected = "a `from` of at most `to`";
+        findings.add(Code::TimeOrder, to.place(), "`to` is less than `from`", expected, None);
         return None;
     }
     Some(Between { least, largest })
@@ -98,7 +99,7 @@ pub(super) fn positive_duration(findings: &mut Reader, at: &At<'_>) -> Option<Sp
     if span > Span::ZERO {
         return Some(span);
     }
-    findings.add(Code::BadDuration, at.place(), "found a time of zero", "a time above zero", None);
+    findings.add(Code::BadDuration, at.place(), "found a time of 0", "a time above 0", None);
     None
 }
 

@@ -1,4 +1,4 @@
-//! What goes wrong in a world, and when.
+//! Incidents of a world: faults and their times.
 
 use urrcp::Span;
 
@@ -9,23 +9,23 @@ use downbeat_reader::{keys, words};
 use downbeat_yaml::finding::Code;
 
 keys! {
-    /// What goes wrong.
+    /// A fault of robots or of their links.
     pub(crate) struct IncidentKeys as "incident" {
-        /// A robot, a group, or `all`: it is drawn for each of them.
+        /// A robot, a group, or `all`. The incident is drawn separately for each robot.
         #[required]
         robot: kinds::NAME,
-        /// What goes wrong.
+        /// The kind of fault.
         #[required]
         what: words!(WHAT_WORDS),
-        /// The act from whose planned start `at` is counted; without it from the beginning of the mission.
+        /// The act from whose planned start `at` counts; without it, from the beginning of the mission.
         act: kinds::NAME,
-        /// When. By default 0s.
+        /// The time of the fault. By default 0s.
         at: amount::SIGNED_TIMES,
-        /// For how long; `refuses` without it: for good.
+        /// The duration; `refuses` without it is permanent.
         lasts: amount::TIMES,
-        /// When a robot that died is back; without it never.
+        /// The time after which a robot that died is back; without it, it never comes back.
         back_after: amount::TIMES,
-        /// How likely it happens. By default 100%.
+        /// The probability that it happens. By default 100%.
         probability: amount::PROBABILITY,
     }
 }
@@ -45,48 +45,48 @@ const WHAT_WORDS: [(&str, What); 4] = [
     ("link_down", What::LinkDown),
 ];
 
-/// Something that goes wrong.
+/// A fault of robots or of their links.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Incident {
-    /// Each of these robots, as indices into the fleet; whether and when is drawn for each of them.
+    /// The robots, as indices into the fleet. Whether and when the incident happens is drawn separately for each of them.
     pub robots: Vec<usize>,
-    /// What goes wrong.
+    /// The kind of fault.
     pub trouble: Trouble,
-    /// It is counted from the planned start of the act of this name, when that is sent for the first time; `None`: from the beginning
-    /// of the mission. What is refused is refused from when the act is sent on.
+    /// The act from whose planned start the time counts, when the act is first sent. `None` if the time counts from the beginning of the
+    /// mission. A refusal applies from the time at which the act is sent.
     pub act: Option<String>,
-    /// When it happens.
+    /// The time of the fault.
     pub at: Between<Span>,
     /// Probability that it happens.
     pub probability: f64,
 }
 
-/// What goes wrong.
+/// The kind of fault.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trouble {
-    /// The robot's process ends, and its connections with it. It begins again after a while, or never.
+    /// The robot's process ends, together with its connections. It restarts after some time, or never.
     Dies {
-        /// After how long.
+        /// The time until the restart. `None` if the robot never restarts.
         back_after: Option<Between<Span>>,
     },
-    /// The robot stands still: it executes nothing, answers nothing, and goes on as if no time had passed.
+    /// The robot stalls: it executes nothing, answers nothing, and then continues as if no time had passed.
     Stalls {
-        /// For how long.
+        /// The duration of the stall.
         lasts: Between<Span>,
     },
-    /// The robot refuses every movement, as if it were busy.
+    /// The robot refuses all movements, as if it were busy.
     Refuses {
-        /// For how long; `None`: for good.
+        /// The duration of the refusal. `None` if it is permanent.
         lasts: Option<Between<Span>>,
     },
-    /// Nothing passes on the robot's link.
+    /// No messages pass on the robot's link.
     LinkDown {
-        /// For how long.
+        /// The duration of the interruption.
         lasts: Between<Span>,
     },
 }
 
-/// The rest of an incident, whose robots and act are known.
+/// Reads the rest of an incident whose robots and act are known.
 pub(super) fn read(
     findings: &mut Reader,
     whole: &At<'_>,
@@ -100,21 +100,33 @@ pub(super) fn read(
         && at.least < Span::ZERO
         && keys.act.is_none()
     {
-        let hint = Some("`act` names the act from whose start it is counted".to_owned());
-        let message = "the mission has not begun by then";
-        findings.add(Code::BadDuration, place.place(), message, "a time from the beginning on", hint);
+        let hint = Some("add `act` to count the time from the start of an act".to_owned());
+        let message = "the time is before the start of the mission";
+        findings.add(Code::BadDuration, place.place(), message, "a time of at least 0", hint);
     }
     let lasts = keys.lasts.map(|at| between(findings, &at, amount::positive_duration));
     let back_after = keys.back_after.map(|at| between(findings, &at, amount::positive_duration));
     let probability = keys.probability.map(|at| amount::probability(findings, &at));
     let what = what?;
-    unneeded(findings, keys.lasts.as_ref(), "lasts", what == What::Dies, "`back_after` says when it is back");
+    unneeded(
+        findings,
+        keys.lasts.as_ref(),
+        "lasts",
+        what == What::Dies,
+        "use `back_after` for the time until the robot returns",
+    );
     let sent = what == What::Refuses && keys.act.is_some();
-    unneeded(findings, keys.at.as_ref(), "at", sent, "it refuses what it is sent for the act");
-    let why = "only a robot that dies comes back; `lasts` says for how long";
+    unneeded(
+        findings,
+        keys.at.as_ref(),
+        "at",
+        sent,
+        "with `act`, the robot refuses everything that is sent for this act",
+    );
+    let why = "only a robot that dies comes back: use `lasts` for the duration";
     unneeded(findings, keys.back_after.as_ref(), "back_after", what != What::Dies, why);
     if matches!(what, What::Stalls | What::LinkDown) && keys.lasts.is_none() {
-        let message = "it is not said for how long";
+        let message = "missing duration of the incident";
         findings.add(Code::MissingKey, whole.place(), message, "a key `lasts`", None);
     }
     let trouble = match what {
@@ -134,12 +146,12 @@ pub(super) fn read(
 
 fn unneeded(findings: &mut Reader, at: Option<&At<'_>>, key: &str, is: bool, hint: &str) {
     if let Some(at) = at.filter(|_| is) {
-        let message = format!("`{key}` does not belong to this incident");
+        let message = format!("`{key}` is not supported for this incident");
         findings.add(
             Code::UnknownKey,
             at.key_place(),
             message,
-            "keys that fit `what`",
+            "a key for this kind of incident (`what`)",
             Some(hint.to_owned()),
         );
     }

@@ -1,4 +1,4 @@
-//! The links of a world: how long messages travel, what is lost on the way, and when nothing passes.
+//! The links of a world: the delays of messages, losses, and interruptions.
 
 use urrcp::Span;
 
@@ -13,23 +13,23 @@ use downbeat_yaml::node::Node;
 keys! {
     /// The link of a robot.
     pub(crate) struct LinkKeys as "link" {
-        /// How long a message travels one way.
+        /// The delay of a message, one way.
         delay: Kind::AnyOf(&[&amount::TIMES, &QuantileKeys::KIND]),
-        /// Mean of the exponentially distributed time that is added.
+        /// Mean of the exponentially distributed time that is added to the delay.
         jitter: kinds::TIME,
         /// Probability that a packet is lost and sent again.
         loss: amount::PROBABILITY,
-        /// After how long it is sent again; twice as long after each further loss. By default 200ms.
+        /// The time until a lost packet is sent again; it doubles after each further loss. By default 200ms.
         resent_after: kinds::TIME,
-        /// Times at which nothing passes.
+        /// Times at which no messages pass.
         interruptions: Kind::List(&InterruptionKeys::KIND, 0..=usize::MAX),
     }
 }
 
 keys! {
-    /// Times at which nothing passes.
+    /// Times at which no messages pass.
     pub(crate) struct InterruptionKeys {
-        /// Mean time from one to the next.
+        /// Mean time from the start of one to the start of the next.
         #[required]
         every: kinds::TIME,
         /// How long each lasts.
@@ -39,7 +39,7 @@ keys! {
 }
 
 keys! {
-    /// Drawn by quantiles, linear between them.
+    /// A random value, given by quantiles with linear interpolation between them.
     pub(crate) struct QuantileKeys {
         #[required]
         least: kinds::TIME,
@@ -54,50 +54,51 @@ keys! {
     }
 }
 
-/// The shares of messages that are as fast as the quantiles of [`Delay::Quantiles`], or faster.
+/// The fractions of messages that are at least as fast as the quantiles of [`Delay::Quantiles`].
 pub const QUANTILES: [f64; 5] = [0.0, 0.5, 0.9, 0.99, 1.0];
-/// The least retransmission timeout of Linux (`TCP_RTO_MIN`, 200 ms); RFC 6298 has a second.
+/// The minimum retransmission timeout of Linux (`TCP_RTO_MIN`, 200 ms); RFC 6298 specifies 1 s.
 const RESENT_AFTER: Span = Span::from_millis(200);
 
-/// The link of a robot, the same each way. It is a TCP connection: messages keep their order, and none is lost for good.
+/// The link of a robot, with equal properties in both directions. It is a TCP connection: messages keep their order, and none is lost
+/// permanently.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkWorld {
-    /// How long a message travels one way.
+    /// The delay of a message, one way.
     pub delay: Delay,
-    /// Mean of the exponentially distributed time that is added.
+    /// Mean of the exponentially distributed time that is added to the delay.
     pub jitter: Span,
-    /// Probability that a message is lost, and sent again.
+    /// Probability that a message is lost and sent again.
     pub loss: f64,
-    /// After how long it is sent again; twice as long after each further loss.
+    /// The time until a lost message is sent again; it doubles after each further loss.
     pub resent_after: Span,
-    /// When nothing passes.
+    /// Times at which no messages pass.
     pub interruptions: Vec<Interruptions>,
 }
 
 impl LinkWorld {
-    /// A link that does nothing but delay.
+    /// A link that only delays messages.
     #[must_use]
     pub const fn with_delay(delay: Delay) -> Self {
         Self { delay, jitter: Span::ZERO, loss: 0.0, resent_after: RESENT_AFTER, interruptions: Vec::new() }
     }
 }
 
-/// How long a message travels one way.
+/// The delay of a message, one way.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Delay {
-    /// Drawn uniformly for each message.
+    /// Random for each message, with uniform distribution.
     Between(Between<Span>),
-    /// By the quantiles of [`QUANTILES`], linear between them.
+    /// Values at [`QUANTILES`], with linear interpolation between them.
     Quantiles([Span; 5]),
 }
 
-/// Times at which nothing passes on a link. They come at random: the time from the beginning of one to the next is exponentially
-/// distributed.
+/// Random times at which no messages pass on a link. The time from the start of one interruption to the start of the next is
+/// exponentially distributed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interruptions {
-    /// Mean time between two.
+    /// Mean time from the start of one to the start of the next.
     pub every: Span,
-    /// How long each lasts.
+    /// The duration of each.
     pub lasts: Between<Span>,
 }
 
@@ -108,14 +109,14 @@ pub(super) fn read(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<Lin
     let jitter = jitter.map(|at| (at, findings.duration(&at)));
     if let (Some(Some(Delay::Quantiles(_))), Some((at, _))) = (&read_delay, &jitter) {
         let expected = "quantiles, or a delay with jitter";
-        let message = "the quantiles of the delay have its jitter already";
+        let message = "the quantiles of the delay already include the jitter";
         findings.add(Code::WrongType, at.key_place(), message, expected, Some("remove `jitter`".into()));
     }
     let loss = loss.map(|at| (at, amount::probability(findings, &at)));
     if let Some((at, Some(loss))) = &loss
         && *loss >= 1.0
     {
-        let hint = Some("an incident `link_down` interrupts a link".to_owned());
+        let hint = Some("use an incident `link_down` to interrupt a link".to_owned());
         findings.add(Code::WrongType, at.place(), "every message is lost", "less than 100%", hint);
     }
     let resent_after = resent_after.map(|at| amount::positive_duration(findings, &at));
@@ -154,7 +155,7 @@ fn quantiles(findings: &mut Reader, at: &At<'_>) -> Option<Delay> {
 }
 
 fn read_interruptions(findings: &mut Reader, at: &At<'_>) -> Vec<Interruptions> {
-    let items = findings.list(at, "a list of interruptions, as `[{every: 2min, lasts: 300ms}]`");
+    let items = findings.list(at, "a list of interruptions, such as `[{every: 2min, lasts: 300ms}]`");
     let mut read = |at: &At<'_>| {
         let InterruptionKeys { every, lasts } = findings.keys(at, "an interruption")?;
         let every = every.and_then(|at| amount::positive_duration(findings, &at));

@@ -1,5 +1,5 @@
-//! The world file: what a mission meets on the day. Links delay, lose and are interrupted, clocks are off, robots die, stall and
-//! refuse, sensors read, the operator hesitates; each of it fixed or random. `docs/world.md` has the keys.
+//! The world file: the conditions of a simulated mission. Links delay, lose messages and are interrupted; clocks are off; robots die,
+//! stall and refuse; sensors show readings; the operator hesitates. Each of these is fixed or random. `docs/world.md` describes the keys.
 
 mod amount;
 mod incident;
@@ -33,16 +33,16 @@ use outside::{ClockKeys, OperatorKeys};
 pub use outside::{ClockWorld, OperatorWorld, Reading, SensorWorld};
 
 keys! {
-    /// What a mission meets on the day.
+    /// The conditions of a mission.
     pub(crate) struct WorldKeys {
         /// A name for this world.
         #[required]
         world: kinds::NAME,
-        /// By robot, by group, or `all`.
+        /// The links, by robot, by group, or `all`.
         links: Kind::Entries(&LinkKeys::KIND),
-        /// By robot, by group, or `all`.
+        /// The clocks, by robot, by group, or `all`.
         clocks: Kind::Entries(&ClockKeys::KIND),
-        /// What sensors read, by ROBOT/SENSOR.
+        /// The readings of sensors, by ROBOT/SENSOR.
         sensors: Kind::Entries(&outside::READING),
         /// How the operator behaves.
         operator: Kind::AnyOf(&[&schema!({"type": "null"}), &OperatorKeys::KIND]),
@@ -51,21 +51,21 @@ keys! {
     }
 }
 
-/// Every robot that has no entry of its own or of a group.
+/// All robots without an entry of their own or of a group.
 const ALL: &str = "all";
 
-/// What a mission meets on the day.
+/// The conditions of a mission.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
-    /// Its name.
+    /// The name of the world.
     pub name: String,
-    /// For each robot of the fleet, in the order of its file; `None`: as the fleet file says.
+    /// The link of each robot, in the order of the fleet file. `None` if the settings of the fleet file apply.
     pub links: Vec<Option<LinkWorld>>,
-    /// The same for clocks.
+    /// The clock of each robot, in the same order.
     pub clocks: Vec<Option<ClockWorld>>,
-    /// What sensors read.
+    /// The readings of sensors.
     pub sensors: Vec<SensorWorld>,
-    /// How the operator behaves; `None`: says go after a second.
+    /// How the operator behaves. `None` if the operator says go after 1 s.
     pub operator: Option<OperatorWorld>,
     /// What goes wrong, in the order of the file.
     pub incidents: Vec<Incident>,
@@ -77,7 +77,8 @@ pub fn world_keys() -> &'static Declaration {
     WorldKeys::declaration()
 }
 
-/// Reads a world file for a fleet and for the acts of a choreography. All findings come together; the world is there only without.
+/// Reads a world file for a fleet and for the acts of a choreography. Reports all findings together; the world is only returned without
+/// findings.
 #[must_use]
 pub fn read_world(path: &Path, fleet: &Fleet, acts: &[&str]) -> (Option<World>, Vec<Finding>) {
     let source = match Source::read(path) {
@@ -125,7 +126,8 @@ impl WorldReader<'_> {
         })
     }
 
-    /// A robot's own entry counts before that of its group, and that before `all`; among groups the last one counts.
+    /// A robot's own entry takes precedence over an entry of its group, which takes precedence over `all`. Among groups, the last entry
+    /// applies.
     fn per_robot<T: Clone>(
         &mut self,
         at: &At<'_>,
@@ -149,7 +151,7 @@ impl WorldReader<'_> {
         found.into_iter().map(|(_, value)| value).collect()
     }
 
-    /// The robots that a name stands for, and how closely it names them.
+    /// The robots that a name refers to, and a rank: 3 for a robot, 2 for a group, 1 for `all`.
     fn named(&self, name: &str) -> Option<(u8, Vec<usize>)> {
         let robots = &self.fleet.robots;
         let of = |id: &RobotId| robots.iter().position(|robot| robot.id == *id);
@@ -175,11 +177,11 @@ impl WorldReader<'_> {
 
     fn sensors(&mut self, at: &At<'_>) -> Vec<SensorWorld> {
         let mut sensors = Vec::new();
-        for (name, at) in self.findings.entries(at, "ROBOT/SENSOR to what it reads") {
+        for (name, at) in self.findings.entries(at, "ROBOT/SENSOR to its reading") {
             let reading = outside::read_reading(&mut self.findings, &at);
             let Some((robot, sensor)) = name.split_once('/') else {
-                let message = format!("`{}` is not a robot and its sensor", shortened(name));
-                let expected = "ROBOT/SENSOR, as in rover-1/range";
+                let message = format!("`{}` is not a robot and a sensor", shortened(name));
+                let expected = "ROBOT/SENSOR, such as rover-1/range";
                 self.findings.add(Code::WrongType, at.key_place(), message, expected, None);
                 continue;
             };
@@ -233,7 +235,7 @@ impl WorldReader<'_> {
     }
 }
 
-/// A map in which a `null` stands for nothing.
+/// Whether a map is given as `null`, which means no entries.
 fn is_null(at: &At<'_>) -> bool {
     *at.node == Node::Null
 }

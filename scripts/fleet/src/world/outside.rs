@@ -18,7 +18,7 @@ keys! {
         offset: amount::SIGNED_TIMES,
         /// How much faster the raw clock runs.
         drift: amount::DRIFTS,
-        /// NTP leaves the clock off by up to this, either way.
+        /// Largest error of the clock under NTP, in either direction.
         error: kinds::TIME,
     }
 }
@@ -26,59 +26,59 @@ keys! {
 keys! {
     /// How the operator behaves.
     pub(crate) struct OperatorKeys as "operator" {
-        /// How long an act waits until the operator says go. By default 1s.
+        /// The time for which an act waits until the operator says go. By default 1s.
         go_after: amount::TIMES,
-        /// Probability that the operator does not, for each act that waits.
+        /// For each act that waits, the probability that the operator never says go.
         never: amount::PROBABILITY,
     }
 }
 
 named! {
-    /// Fixed or drawn once a trial, or a list of times, each with what the sensor reads after it.
+    /// Fixed, or drawn once per trial, or a list of times, each with the reading after it.
     pub(super) static READING = Kind::AnyOf(&[
         &amount::NUMBERS,
         &Kind::List(&Kind::Tuple(&[&amount::TIMES, &amount::NUMBERS]), 0..=usize::MAX),
     ]);
 }
 
-/// The clock of a robot; what is not given stays as the fleet file says.
+/// The clock of a robot. The fleet file provides missing values.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockWorld {
-    /// Its raw clock minus the true one.
+    /// The raw clock minus the true time.
     pub offset: Option<Between<Span>>,
-    /// How much faster its raw clock runs, in parts per million.
+    /// How much faster the raw clock runs, in parts per million.
     pub drift_ppm: Option<Between<f64>>,
-    /// NTP leaves it off by up to this, either way.
+    /// Largest error of the clock under NTP, in either direction.
     pub error: Option<Span>,
 }
 
-/// What a sensor reads.
+/// The readings of a sensor in a world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorWorld {
-    /// Whose sensor.
+    /// The robot that has the sensor.
     pub robot: RobotId,
-    /// Which one.
+    /// The sensor.
     pub sensor: DeviceId,
-    /// What it reads.
+    /// The readings.
     pub reading: Reading,
 }
 
 /// The readings of a sensor, in its unit.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reading {
-    /// Drawn once a trial.
+    /// One value per trial.
     Drawn(Between<f64>),
-    /// From each of these times on, counted from the beginning of the mission and drawn once a trial, what is drawn with it; 0 before
-    /// the first of them.
+    /// Times, counted from the beginning of the mission, each with the reading after it. Both are drawn once per trial. Before the first
+    /// time, the reading is 0.
     OverTime(Vec<(Between<Span>, Between<f64>)>),
 }
 
 /// How the operator behaves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OperatorWorld {
-    /// So long after an act has begun to wait for it, the operator says go.
+    /// The time for which an act waits until the operator says go.
     pub go_after: Between<Span>,
-    /// Probability, for each act that waits, that the operator never does.
+    /// For each act that waits, the probability that the operator never says go.
     pub never: f64,
 }
 
@@ -105,7 +105,7 @@ pub(super) fn read_operator(findings: &mut Reader, at: &At<'_>) -> Option<Operat
     })
 }
 
-/// A number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`, in which each may be drawn as well.
+/// A number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`, whose elements may be random as well.
 pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading> {
     let number =
         |findings: &mut Reader, at: &At<'_>| findings.number(at, "a number, in the unit of the sensor");
@@ -114,7 +114,7 @@ pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading
     }
     let mut points: Vec<(Between<Span>, Between<f64>)> = Vec::new();
     for item in findings.list(at, "a list of times and readings") {
-        let expected = "a time and a reading, as [5s, 0.4]";
+        let expected = "a time and a reading, such as [5s, 0.4]";
         let pair = findings.list(&item, expected);
         let [time, value] = pair.as_slice() else {
             if matches!(item.node, Node::List(_)) {
@@ -127,7 +127,13 @@ pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading
         let (Some(at), Some(value)) = (at, value) else { continue };
         if points.last().is_some_and(|(before, _)| before.largest >= at.least) {
             let expected = "ascending times";
-            findings.add(Code::TimeOrder, time.place(), "not after the time before", expected, None);
+            findings.add(
+                Code::TimeOrder,
+                time.place(),
+                "the time is not later than the previous one",
+                expected,
+                None,
+            );
         }
         points.push((at, value));
     }

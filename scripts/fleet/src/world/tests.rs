@@ -107,16 +107,16 @@ incidents:
         "every message is lost",
         "the robot has no sensor `rnage`",
         "did you mean `range`",
-        "`tank` is not a robot and its sensor",
+        "`tank` is not a robot and a sensor",
         "no robot or group `cf11`",
-        "`lasts` does not belong to this incident",
-        "it is not said for how long",
+        "`lasts` is not supported for this incident",
+        "missing duration of the incident",
         "unknown word `explodes`",
         "no act `final`",
-        "`at` does not belong to this incident",
+        "`at` is not supported for this incident",
         "did you mean `finale`",
-        "the mission has not begun by then",
-        "`to` lies below `from`",
+        "the time is before the start of the mission",
+        "`to` is less than `from`",
     ] {
         assert!(said.contains(part), "{part} is not in\n{said}");
     }

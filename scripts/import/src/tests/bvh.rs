@@ -1,4 +1,4 @@
-//! Motion capture: every channel of every frame arrives.
+//! Motion capture: every channel of every frame is imported.
 
 use super::{fixture_of, keyframes_of, refused};
 use crate::{ImportFormat, ImportOptions, import_bytes};
@@ -55,5 +55,5 @@ fn captures_that_are_wrong_are_refused_where_they_are() {
         &["the last frame ends after channel 1", "2 values, one for"],
     );
     check(&format!("{two}Frames: 1\nFrame Time: 0.1\n1 2\n3 x\n"), &["DB0061", "test:11:3"]);
-    check(&format!("HIERARCHY\n{}", "JOINT a\n{\n".repeat(5_000)), &["DB0068", "more than 200 deep"]);
+    check(&format!("HIERARCHY\n{}", "JOINT a\n{\n".repeat(5_000)), &["DB0068", "more than 200 levels deep"]);
 }

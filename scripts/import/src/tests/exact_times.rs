@@ -1,9 +1,9 @@
-//! Times arrive to the nanosecond, in every format.
+//! Times are imported exactly to the nanosecond, in every format.
 
 use super::{ALL, fixture_of, refused};
 use crate::{ImportFormat, ImportOptions, Scenes, import_bytes, scenario_text};
 
-/// The scenario of a text, and what the import notes.
+/// The scenario for a text, and the notes of the import.
 fn written(format: ImportFormat, bytes: &[u8], rate_hz: Option<f64>) -> (String, Vec<String>) {
     let columns = match format {
         ImportFormat::Csv => vec![("r/a".to_owned(), "a".to_owned())],
@@ -82,7 +82,7 @@ fn jumps_of_about_a_turn_are_noted_with_the_option_that_continues_them() {
     let jumps: Vec<_> = notes.iter().filter(|note| note.contains("--unwrap a.Xrotation=360")).collect();
     assert_eq!(jumps.len(), 1, "{notes:?}");
     assert!(jumps[0].contains("2 times, first at 8.333 ms"), "{}", jumps[0]);
-    // Radians, in another format; and what turns far in a second without a jump.
+    // Radians, in another format; and a fast turn without a jump.
     let csv = "t[s],a[rad]\n0,3.1\n0.02,-3.1\n1,3.1\n";
     let (_, notes) = written(ImportFormat::Csv, csv.as_bytes(), None);
     assert!(

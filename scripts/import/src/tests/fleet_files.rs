@@ -1,4 +1,4 @@
-//! Drones get a body and a distance, so that `check` compares their ways.
+//! Drones get a body and a distance, so that `check` compares their paths.
 
 use super::{CRAZYSWARM, WAYPOINTS, fixture_of};
 use crate::{ImportFormat, ImportOptions, ImportOutcome, Scenes, files_of, import_bytes};

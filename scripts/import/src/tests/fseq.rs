@@ -1,4 +1,4 @@
-//! Light sequences: packed and plain, whole and in ranges.
+//! Light sequences: compressed and plain, complete and in ranges.
 
 use super::{fixture_of, keyframes_of};
 use crate::{Course, ImportFormat, ImportOptions, ImportOutcome, import_bytes};
@@ -16,7 +16,7 @@ fn refused(bytes: &[u8], maps: &[(&str, &str)], part: &str) {
     assert!(outcome.imported.is_none() && text.contains(part), "{text}");
 }
 
-/// A file of one channel that is not packed.
+/// A file with one channel, without compression.
 fn plain(frames: &[u8]) -> Vec<u8> {
     let mut bytes = b"PSEQ\x20\0\0\x02\x20\0".to_vec();
     bytes.extend(1_u32.to_le_bytes());
@@ -46,7 +46,11 @@ fn packed_channels_in_ranges_arrive_where_they_change() {
         keyframes_of(&imported, "dim"),
         [(0.0, 0.0), (250.0, 1.0), (500.0, 2.0), (750.0, 3.0), (1_000.0, 3.0)]
     );
-    for part in ["40 frames, one every 25 ms", "left out 2 channels", "what else the file says: sp"] {
+    for part in [
+        "40 frames, one every 25 ms",
+        "ignored 2 channels without a mapping",
+        "ignored other entries of the file: sp",
+    ] {
         assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
     }
 }
@@ -55,11 +59,11 @@ fn packed_channels_in_ranges_arrive_where_they_change() {
 fn sequences_that_lie_are_refused() {
     let file = fixture_of("star.fseq");
     refused(b"", &[("r/a", "1")], "PSEQ");
-    refused(&file, &[], "nothing says which of the 9 channels");
+    refused(&file, &[], "none of the 9 channels is mapped to a device");
     refused(&file, &[("r/a", "7")], "no channel 7");
     refused(&file, &[("r/a", "104")], "no channel 104");
-    refused(&file, &[("r/a", "red")], "names no channels");
-    refused(&file, &[("r/a*", "1-5/3")], "not whole devices");
+    refused(&file, &[("r/a", "red")], "is not a list of channels");
+    refused(&file, &[("r/a*", "1-5/3")], "cannot be divided into devices of 3 channels");
     refused(&file[..100], &[("r/a", "1")], "DB00");
     let changed = |at: usize, byte: u8| {
         let mut bytes = file.clone();
@@ -69,8 +73,8 @@ fn sequences_that_lie_are_refused() {
     refused(&changed(7, 1), &[("r/a", "1")], "version 1");
     refused(&changed(20, 7), &[("r/a", "1")], "compression 7");
     refused(&changed(13, 255), &[("r/a", "1")], "the ranges have 9 channels");
-    refused(&changed(14, 41), &[("r/a", "1")], "40 frames, its header says 41");
-    refused(&changed(18, 0), &[("r/a", "1")], "0 ms a frame");
+    refused(&changed(14, 41), &[("r/a", "1")], "40 frames, but its header states 41");
+    refused(&changed(18, 0), &[("r/a", "1")], "0 ms per frame");
     refused(&changed(file.len() - 3, 0xff), &[("r/a", "1")], "DB0066");
     assert!(read(&plain(&[1, 2, 2, 3]), &[("r/a", "1")]).imported.is_some());
     let mut huge = plain(&[1]);
@@ -83,7 +87,7 @@ fn files_that_are_no_sequences_are_called_what_they_are() {
     let check = |bytes: &[u8], part: &str| super::refused(ImportFormat::Fseq, bytes, &["DB0001", part]);
     check(b"ESEQ\x01\0\0\0", "an effect sequence (ESEQ) of one model");
     check(b"<?xml version=\"1.0\"?>", "the file is XML");
-    // The header of a first version.
+    // The header of the first format version.
     check(b"FSEQ\x1c\0\0\x01\x1c\0\x04\0", "version 1.0: save it as version 2");
     check(b"PNG", "does not begin with PSEQ");
 }

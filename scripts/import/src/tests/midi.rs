@@ -1,4 +1,4 @@
-//! MIDI: notes, controllers and tempi against the times of an independent reading in exact fractions.
+//! MIDI: notes, controllers and tempi, compared with an independent calculation in exact fractions.
 
 use super::{fixture_of, keyframes_of, refused};
 use crate::{Course, ImportFormat, ImportOptions, import_bytes};
@@ -18,7 +18,7 @@ fn notes_and_controllers_are_set_at_the_times_of_the_tempo() {
     assert_eq!(drum[6..9], [(2_000.001, 97.0), (2_214.286_5, 0.0), (2_428.572, 96.0)]);
     assert_eq!(drum[drum.len() - 1], (3_928.570_5, 0.0));
     assert_eq!(keyframes_of(&imported, "ch1-bend"), [(1_988.889_883, -8_192.0)]);
-    for part in ["times follow 2 tempo", "1 system exclusive message", "1 text", "1 signature"] {
+    for part in ["times are computed from 2 tempo", "1 system exclusive message", "1 text", "1 signature"] {
         assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
     }
 }
@@ -34,20 +34,20 @@ fn files_that_are_no_songs_are_refused() {
     refused(ImportFormat::Midi, &vec![0; 5_000_000], &["DB0068", "5000000 bytes"]);
     let head = |division: [u8; 2]| [b"MThd\0\0\0\x06\0\x01\0\x01".as_slice(), &division].concat();
     refused(ImportFormat::Midi, &head([0x80, 2]), &["DB0001", "128 SMPTE frames"]);
-    refused(ImportFormat::Midi, &head([0xe8, 0]), &["DB0001", "0 ticks a frame"]);
-    refused(ImportFormat::Midi, &head([0, 0]), &["DB0001", "0 ticks a beat"]);
-    refused(ImportFormat::Midi, &head([0, 96]), &["DB0001", "states 1 track, the file has 0"]);
+    refused(ImportFormat::Midi, &head([0xe8, 0]), &["DB0001", "0 ticks per frame"]);
+    refused(ImportFormat::Midi, &head([0, 0]), &["DB0001", "0 ticks per beat"]);
+    refused(ImportFormat::Midi, &head([0, 96]), &["DB0001", "states 1 track, but the file has 0"]);
     let empty = b"MThd\0\0\0\x06\0\0\0\x01\0\x60MTrk\0\0\0\x04\0\xff\x2f\0";
-    refused(ImportFormat::Midi, empty, &["the file sets nothing"]);
+    refused(ImportFormat::Midi, empty, &["the file has no notes or controller values"]);
     let mut songs = bytes;
     songs[9] = 2;
     refused(ImportFormat::Midi, &songs, &["format 2"]);
-    // A song of a year: 28 bits of ticks of ten seconds each.
+    // A song of many years: the largest 28-bit tick, with more than ten seconds per tick.
     let long = b"MThd\0\0\0\x06\0\0\0\x01\0\x01MTrk\0\0\0\x12\0\xff\x51\x03\xff\xff\xff\xff\xff\xff\x7f\x90\x24\x40\0\xff\x2f\0";
     refused(ImportFormat::Midi, long, &["DB0062", "the file lasts"]);
 }
 
-/// A file of one track of these events.
+/// A file with one track of these events.
 fn song(events: &[u8]) -> Vec<u8> {
     let length = u32::try_from(events.len()).unwrap().to_be_bytes();
     [b"MThd\0\0\0\x06\0\0\0\x01\0\x60MTrk".as_slice(), &length, events].concat()
@@ -57,7 +57,7 @@ const END: [u8; 4] = [0, 0xff, 0x2f, 0];
 
 #[test]
 fn a_running_status_goes_on_behind_texts_and_exclusive_messages() {
-    // A note, a text, and a note without a status of its own; the same behind an exclusive message.
+    // A note, a text, and a note with running status; the same after an exclusive message.
     let notes = [0, 0x90, 60, 100, 96, 0xff, 1, 1, b'x', 0, 62, 90, 96, 0xf0, 2, 1, 0xf7, 0, 64, 80];
     let bytes = song(&[&notes[..], &END].concat());
     let outcome = import_bytes(ImportFormat::Midi, "a.mid", &bytes, &ImportOptions::default());
@@ -84,7 +84,7 @@ fn a_track_is_read_to_its_end_or_refused_at_the_byte_where_it_breaks() {
     check(&song(&[&[0, 0x90, 60, 0x91][..], &END].concat()), &["track 1", "byte 25", "0x91"]);
     check(&song(&[&[0, 0xff, 1, 100, 0][..], &END].concat()), &["track 1", "100 bytes"]);
     check(&song(&[&[0xff, 0xff, 0xff, 0xff, 1][..], &END].concat()), &["track 1", "byte 22", "four bytes"]);
-    // The header says two tracks.
+    // The header states two tracks.
     let mut two = whole.clone();
     two[11] = 2;
     check(&two, &["DB0001", "2 tracks", "the file has 1"]);
@@ -97,8 +97,7 @@ fn other_chunks_and_what_follows_the_end_of_a_track_are_passed_over_with_a_note(
     let (head, chunk) = track.split_at(14);
     let foreign = [b"XFIH\0\0\0\x02ab".as_slice(), chunk].concat();
     let padded = song(&[&[0, 0x90, 60, 100][..], &END, &[0, 0, 0]].concat());
-    for (bytes, part) in
-        [([head, &foreign].concat(), "`XFIH`"), (padded, "3 bytes behind the end of track 1")]
+    for (bytes, part) in [([head, &foreign].concat(), "`XFIH`"), (padded, "3 bytes after the end of track 1")]
     {
         let outcome = import_bytes(ImportFormat::Midi, "a.mid", &bytes, &ImportOptions::default());
         assert!(outcome.imported.is_some(), "{:?}", outcome.findings);

@@ -1,4 +1,4 @@
-//! Compiled drone shows: what is in them arrives, and archives that lie are refused.
+//! Compiled drone shows: their contents are imported, and archives with false statements are rejected.
 
 use std::io::{Cursor, Write};
 
@@ -43,7 +43,7 @@ fn refused(bytes: &[u8], parts: &[&str]) {
     assert!(parts.iter().all(|part| text.contains(part)), "{text}");
 }
 
-/// The point of a Bezier curve, by drawing it (de Casteljau), without the importer's powers.
+/// The point of a Bezier curve by its geometric construction (de Casteljau), independent of the importer's powers.
 fn drawn(points: &[f64], share: f64) -> f64 {
     let mut points = points.to_vec();
     while points.len() > 1 {
@@ -103,8 +103,11 @@ fn straight_ways_headings_and_lamps_arrive() {
     assert_eq!((&device(1, "z").course, device(0, "yaw").unit.as_str()), (&Course::Straight, "deg"));
     let Course::Several(colors) = &device(1, "lamp").course else { panic!() };
     assert_eq!((&colors[0], &colors[colors.len() - 1]), (&vec![128.0; 3], &vec![0.0; 3]));
-    let all =
-        ["lamps fade in steps, one every 20 ms", "left out `drones' home`", "headings count from the start"];
+    let all = [
+        "lights fade in steps, one every 20 ms",
+        "left out `drones' home`",
+        "heading times are counted from the start",
+    ];
     assert!(
         all.iter().all(|part| outcome.notes.iter().any(|note| note.contains(part))),
         "{:?}",
@@ -125,7 +128,7 @@ fn shows_that_are_wrong_are_refused_with_the_place() {
     );
     let way = |points: Value| one(&json!({"version": 1, "points": points}));
     refused(&way(json!([[0, [0, 0, 0], []], [0, [1, 0, 0], []]])), &["DB0062", "point 2 at 0 s"]);
-    refused(&way(json!([[2, [0, 0, 0], []], [1, [0, 0, 0], []]])), &["DB0062", "times go forward"]);
+    refused(&way(json!([[2, [0, 0, 0], []], [1, [0, 0, 0], []]])), &["DB0062", "times must increase"]);
     refused(&way(json!([[0, [0, 0], []]])), &["DB0066", "2 coordinates"]);
     refused(&way(json!([[0, [0, "high", 0], []]])), &["DB0061", "the text `high`"]);
     refused(&way(json!([[-1, [0, 0, 0], []]])), &["DB0062"]);
@@ -140,7 +143,7 @@ fn shows_that_are_wrong_are_refused_with_the_place() {
     };
     refused(&lamp("%"), &["DB0066", "not base64"]);
     refused(&lamp("EgA="), &["jumps at byte 0"]);
-    // Loops of 255 turns within each other.
+    // Nested loops of 255 repetitions.
     refused(&lamp("DP8M/wz/DP8HAQ0NDQ0A"), &["more than 200000 commands"]);
 }
 
@@ -150,13 +153,16 @@ fn archives_that_grow_beyond_all_measure_are_refused() {
     let bomb = archive(&[("show.json", &zeros)]);
     assert!(bomb.len() < 20_000);
     refused(&bomb, &["show.json", "more than 8388608 bytes"]);
-    // Every drone names the same large file.
+    // Every drone refers to the same large file.
     let drones: Vec<_> = (0..40).map(|_| json!({"settings": {"trajectory": {"$ref": "big.json"}}})).collect();
     let show = json!({"version": 1, "swarm": {"drones": drones}}).to_string();
     let mut big = br#"{"version": 1, "points": [[0, [0, 0, 0]]]"#.to_vec();
     big.resize(6 << 20, b' ');
     big.push(b'}');
-    refused(&archive(&[("show.json", show.as_bytes()), ("big.json", &big)]), &["are to be unpacked"]);
+    refused(
+        &archive(&[("show.json", show.as_bytes()), ("big.json", &big)]),
+        &["the unpacked archive has more than 134217728 bytes"],
+    );
     let deep = format!("{}{}", "[".repeat(100_000), "]".repeat(100_000));
     refused(&archive(&[("show.json", deep.as_bytes())]), &["DB0002", "recursion limit"]);
 }

@@ -1,4 +1,4 @@
-//! A second reading of tables: drawn with whole numbers, written in all spellings of times, and compared with what is imported.
+//! An independent model of tables: random whole numbers, written in all notations of times, and compared with the import.
 
 use proptest::prelude::*;
 use urrcp::Span;
@@ -7,7 +7,7 @@ use super::keyframes_of;
 
 use crate::{Course, DeviceMotion, ImportFormat, ImportOptions, TimeUnit, import_bytes};
 
-/// How the times are written.
+/// The notation of the times.
 #[derive(Clone, Copy, Debug)]
 enum Clock {
     Millis,
@@ -22,7 +22,7 @@ enum Clock {
     Unix,
 }
 
-/// A frame of 25 a second, in microseconds.
+/// The duration of a frame at 25 frames per second, in microseconds.
 const FRAME_US: u64 = 40_000;
 /// 2026-11-23T00:00:00Z, in seconds since 1970.
 const DAY_S: u64 = 1_795_392_000;
@@ -50,7 +50,7 @@ impl Clock {
         matches!(self, Self::Frames | Self::Timecode)
     }
 
-    /// The shortest time that it can state, in microseconds.
+    /// The resolution of the notation, in microseconds.
     fn step_us(self) -> u64 {
         match self {
             Self::Frames | Self::Timecode => FRAME_US,
@@ -82,13 +82,13 @@ impl Clock {
     }
 }
 
-/// What moves a device, in quarters of its unit; nothing where a cell is empty.
+/// The values of a device, in quarters of its unit; `None` for an empty cell.
 #[derive(Clone, Debug)]
 enum Column {
     Straight(Vec<Option<i64>>),
     Held(Vec<Option<i64>>),
     Several(Vec<[i64; 3]>),
-    /// Whole numbers below a period of 359.
+    /// Whole numbers that wrap around with a period of 359.
     Wrapped(Vec<i64>),
 }
 
@@ -96,7 +96,7 @@ enum Column {
 struct Table {
     clock: Clock,
     separator: char,
-    /// Decimal commas; between cells then no commas.
+    /// Whether numbers have decimal commas; then commas do not separate cells.
     commas: bool,
     /// In microseconds.
     times: Vec<u64>,
@@ -110,7 +110,7 @@ fn quarters(value: i64) -> f64 {
 }
 
 impl Table {
-    /// The text, and which columns move what.
+    /// The text, and the options that map its columns.
     fn written(&self) -> (String, ImportOptions) {
         let mut options = ImportOptions { time_unit: self.clock.unit(), ..ImportOptions::default() };
         options.time_column = Some(self.clock.header().to_owned());
@@ -152,7 +152,7 @@ impl Table {
         (joined.join("\n"), options)
     }
 
-    /// What a device is to do: times, and values with what they are multiplied by.
+    /// The expected motion of a device: times, and values with their factors.
     fn meant(&self, column: &Column, scale: Option<i64>) -> Vec<(u64, Vec<f64>)> {
         let scaled = |value: f64| value * scale.map_or(1.0, quarters);
         let timed = |values: &[Option<i64>]| {
@@ -185,7 +185,7 @@ impl Table {
     }
 }
 
-/// For values that stay until the next one: only those that change, and the last.
+/// For held values: only the values that change, and the last one.
 fn changes(all: Vec<(u64, Vec<f64>)>) -> Vec<(u64, Vec<f64>)> {
     let last = all.len() - 1;
     let kept = |index: usize| index == 0 || index == last || all[index].1 != all[index - 1].1;
@@ -205,7 +205,7 @@ fn found(device: &DeviceMotion) -> Vec<(u64, Vec<f64>)> {
 fn column(rows: usize) -> impl Strategy<Value = Column> {
     let cell =
         prop_oneof![4 => (-4_000i64..4_000).prop_map(Some), 1 => (0i64..3).prop_map(Some), 1 => Just(None)];
-    // An empty column is an error of its own.
+    // An empty column would be an error.
     let cells = prop::collection::vec(cell, rows).prop_map(|mut cells| {
         cells[0] = cells[0].or(Some(1));
         cells

@@ -1,4 +1,4 @@
-//! Descriptions of robots: an initialization block against what another reader (urdf-rs) finds.
+//! Descriptions of robots: an initialization block, compared with the results of another parser (urdf-rs).
 
 use super::fixture_of;
 use downbeat_yaml::source::Source;
@@ -34,9 +34,12 @@ fn joints_and_limits_are_those_that_another_reader_finds() {
             assert!(outcome.files[1].text.contains(&speed), "{}", outcome.files[1].text);
         }
     }
-    for part in
-        ["left out 7 fixed joints", "one turn either way", "granularity and max_error", "left out 3 efforts"]
-    {
+    for part in [
+        "left out 7 fixed joints",
+        "limited to one turn in each direction",
+        "granularity and max_error",
+        "left out 3 efforts",
+    ] {
         assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
     }
 }
@@ -53,25 +56,28 @@ fn descriptions_that_are_wrong_are_refused_in_their_lines() {
     check("", &["DB0002"]);
     check("<robot>\n<link></robot>", &["DB0002", "robot.urdf:2:"]);
     check("<!DOCTYPE r [<!ENTITY a 'b'>]><robot/>", &["DB0002"]);
-    check("<sdf/>", &["DB0066", "the document is a `sdf`"]);
+    check("<sdf/>", &["DB0066", "the root element is `sdf`"]);
     check(
         "<robot xmlns:xacro='http://ros.org/wiki/xacro'>\n<xacro:macro/></robot>",
         &["robot.urdf:2:1", "xacro robot.urdf.xacro"],
     );
     check("<robot name='r'/>", &["no joint that moves"]);
     check(&joint("type='revolute'>"), &["DB0006", "robot.urdf:2:1", "has no limit"]);
-    check(&joint("type='revolute'><limit lower='1' upper='-1' velocity='1'/>"), &["goes from 1 to -1"]);
+    check(
+        &joint("type='revolute'><limit lower='1' upper='-1' velocity='1'/>"),
+        &["the limits of the joint `a` are 1 to -1"],
+    );
     check(
         &joint("type='revolute'><limit lower='nan' upper='1'/>"),
         &["DB0061", "robot.urdf:2:47", "`lower` is `nan`"],
     );
     check(&joint("type='revolute'><limit lower='1e999' upper='1'/>"), &["DB0061"]);
-    check(&joint("type='hinge'>"), &["is of type `hinge`"]);
+    check(&joint("type='hinge'>"), &["has the unknown type `hinge`"]);
     check("<robot><joint name='' type='continuous'/></robot>", &["DB0067"]);
     let long = format!("<robot name='{}'><joint name='a' type='continuous'/></robot>", "r".repeat(257));
     check(&long, &["DB0067", "257 characters", "--kind NAME"]);
     let twice = "<robot><joint name='a' type='continuous'/>\n<joint name='a' type='continuous'/></robot>";
-    check(twice, &["robot.urdf:2:1", "two joints are named `a`"]);
+    check(twice, &["robot.urdf:2:1", "duplicate joint name `a`"]);
     check(&"<a>".repeat(100_000), &["DB0002"]);
     check(&"<joint/>".repeat(3 << 20), &["DB0068"]);
     let many: String = (0..2_000).map(|n| format!("<joint name='j{n}' type='continuous'/>")).collect();

@@ -1,4 +1,4 @@
-//! Webots' motions: values, `*` and what is wrong.
+//! Webots' motions: values, `*`, and errors.
 
 use super::{fixture_of, keyframes_of, refused};
 use crate::{ImportFormat, ImportOptions, import_bytes};
@@ -35,7 +35,7 @@ fn motions_that_are_wrong_are_refused_in_their_lines() {
     check("#WEBOTS_MOTION,V1.0,a\n00:00:000,p\n", &["test:2:", "2 columns, not 3"]);
     check(
         "#WEBOTS_MOTION,V1.0,a\n00:01:000,p,1\n00:01:000,q,2\n",
-        &["DB0063", "test:3:1", "the time 1 s appears twice"],
+        &["DB0063", "test:3:1", "duplicate time 1 s"],
     );
     check("#WEBOTS_MOTION,V1.0,a\n1:2:3:4,p,1\n", &["DB0061", "minutes:seconds:milliseconds"]);
     check("#WEBOTS_MOTION,V1.0,a\n00:00:000,p,nan\n", &["DB0061", "test:2:13", "NaN"]);

@@ -1,4 +1,4 @@
-//! The value of an expression. Faults are values on the way: those of a branch that is not taken do not count.
+//! Evaluates an expression. Faults are intermediate values: a fault in a branch that is not taken is ignored.
 
 use super::grammar::{Expression, Function, Span, Step, Two};
 use super::number::{Num, sine};
@@ -7,18 +7,18 @@ use super::{Amount, Fault, Quantity};
 use crate::chance::share;
 use crate::exact::Fraction;
 
-/// What an expression needs to know of the place where it stands.
+/// The context of an expression.
 pub trait Known {
     /// The value of a variable.
     fn variable(&mut self, name: &str, span: Span) -> Result<Quantity, Fault>;
 
-    /// A time on the clock, in nanoseconds.
+    /// Converts a time with musical parts to nanoseconds on the clock.
     fn on_the_clock(&self, amount: &Amount, span: Span) -> Result<Num, Fault>;
 }
 
 type Found = Result<Quantity, Fault>;
 
-/// Finds the value.
+/// Evaluates the expression.
 pub fn evaluate(expression: &Expression, known: &mut dyn Known) -> Found {
     let mut stack: Vec<Found> = Vec::with_capacity(8);
     for (step, span) in &expression.steps {
@@ -29,7 +29,7 @@ pub fn evaluate(expression: &Expression, known: &mut dyn Known) -> Found {
             Step::Variable(name) => known.variable(name, *span),
             Step::Time => {
                 let hint = "`t` is the time within a track's `formula`; a variable is written `$t`";
-                Err(Fault::new(*span, "`t` has no value here", "a number, a time or a variable").hint(hint))
+                Err(Fault::new(*span, "`t` is not defined here", "a number, a time or a variable").hint(hint))
             }
             Step::Negate => pop().and_then(|value| negated(value, *span)),
             Step::Not => pop().and_then(|value| Ok(Quantity::Truth(!truth(value, *span)?))),
@@ -49,7 +49,7 @@ pub fn evaluate(expression: &Expression, known: &mut dyn Known) -> Found {
 }
 
 fn incomplete(span: Span) -> Fault {
-    Fault::new(span, "an expression without a value", "a value")
+    Fault::new(span, "incomplete expression", "a value")
 }
 
 fn finite(value: Quantity, span: Span) -> Found {
@@ -67,7 +67,7 @@ fn truth(value: Quantity, span: Span) -> Result<bool, Fault> {
     match value {
         Quantity::Truth(truth) => Ok(truth),
         Quantity::Amount(amount) => {
-            let message = format!("{} where a truth value belongs", amount.unit.name());
+            let message = format!("{} instead of a truth value", amount.unit.name());
             Err(Fault::new(span, message, "a comparison such as `$index < 3`"))
         }
     }
@@ -77,8 +77,9 @@ fn amount(value: Quantity, span: Span) -> Result<Amount, Fault> {
     match value {
         Quantity::Amount(amount) => Ok(amount),
         Quantity::Truth(truth) => {
-            let message = format!("the truth value {truth} where a number belongs");
-            Err(Fault::new(span, message, "a number or a time").hint("choose by it: `if($a < 3, 10, 20)`"))
+            let message = format!("the truth value {truth} instead of a number");
+            Err(Fault::new(span, message, "a number or a time")
+                .hint("use it as a condition: `if($a < 3, 10, 20)`"))
         }
     }
 }
@@ -107,7 +108,7 @@ fn of_two(two: Two, left: Quantity, right: Found, span: Span, known: &dyn Known)
 /// One part of an amount.
 type Part = fn(&Amount) -> Num;
 
-/// Both on the clock, unless both are made of nothing but the same musical unit.
+/// Both amounts on the clock, unless both only consist of the same musical unit.
 fn comparable(a: &Amount, b: &Amount, span: Span, known: &dyn Known) -> Result<(Num, Num), Fault> {
     let only = |of: Part, others: [Part; 2]| {
         let alone = |amount: &Amount| others.iter().all(|other| other(amount).is_zero());
@@ -141,7 +142,7 @@ fn of_amounts(two: Two, a: Amount, b: Amount, span: Span, known: &dyn Known) -> 
     match two {
         Two::Plus => Ok(Quantity::Amount(sum(&a, &b, Num::plus))),
         Two::Minus => Ok(Quantity::Amount(sum(&a, &b, Num::minus))),
-        // So many times a time is so many times its beats.
+        // Multiplying a time also multiplies its beats.
         Two::Times if b.unit.is_factor() => {
             Ok(Quantity::Amount(scaled(&a, unit, |part| part.times(b.number))))
         }
@@ -190,8 +191,8 @@ fn scaled(amount: &Amount, unit: Unit, change: impl Fn(Num) -> Num) -> Amount {
 
 fn divisor(number: Num, span: Span) -> Result<Num, Fault> {
     if number.is_zero() {
-        return Err(Fault::new(span, "a division by zero", "a divisor other than 0")
-            .hint("keep it away with `if($a == 0, 0, 1 / $a)`"));
+        return Err(Fault::new(span, "division by zero", "a divisor other than 0")
+            .hint("avoid it with `if($a == 0, 0, 1 / $a)`"));
     }
     Ok(number)
 }
@@ -205,10 +206,10 @@ pub(super) fn quotient(a: Unit, b: Unit, span: Span) -> Result<Unit, Fault> {
 }
 
 fn too_high(span: Span) -> Fault {
-    Fault::new(span, "too high a power of a time or an angle", "a number, or a time")
+    Fault::new(span, "the power of a time or an angle is too high", "a number, or a time")
 }
 
-/// Of two values that are added or compared.
+/// The unit of two values that are added or compared.
 pub(super) fn same_unit(two: Two, a: Unit, b: Unit, span: Span) -> Result<Unit, Fault> {
     if a == b {
         return Ok(a);
@@ -216,32 +217,32 @@ pub(super) fn same_unit(two: Two, a: Unit, b: Unit, span: Span) -> Result<Unit, 
     let what = match two {
         Two::Plus => "added",
         Two::Minus => "subtracted",
-        Two::Modulo => "divided with a rest",
+        Two::Modulo => "divided with a remainder",
         _ => "compared",
     };
     let message = format!("{} and {} cannot be {what}", a.name(), b.name());
     let hint = a.hint_of_two(b).map(str::to_owned);
-    Err(Fault::new(span, message, "two of the same kind").hint_or(hint))
+    Err(Fault::new(span, message, "two values of the same kind").hint_or(hint))
 }
 
-/// Of what the functions are given, where all of it has to be the same.
+/// The common unit of all arguments, which must be equal.
 pub(super) fn common_unit(units: &[Unit], span: Span) -> Result<Unit, Fault> {
     let first = units.first().copied().unwrap_or(Unit::PLAIN);
     units.iter().try_for_each(|unit| same_unit(Two::Less, first, *unit, span).map(drop))?;
     Ok(first)
 }
 
-/// What a function that takes plain numbers makes of something else.
+/// Reports an argument that is not a plain number.
 pub(super) fn plain_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault> {
     if unit == Unit::PLAIN {
         return Ok(());
     }
     let message = format!("`{name}` of {}", unit.name());
-    let hint = (unit == Unit::TIME).then(|| "divide the time by another one: `$a / 1s`".to_owned());
+    let hint = (unit == Unit::TIME).then(|| "divide the time by another time: `$a / 1s`".to_owned());
     Err(Fault::new(span, message, "a plain number").hint_or(hint))
 }
 
-/// The degrees of what an angle function is given: plain numbers are degrees.
+/// Reports an argument that is not an angle: plain numbers are degrees.
 pub(super) fn angle_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault> {
     if unit == Unit::PLAIN || unit == Unit::ANGLE {
         return Ok(());
@@ -249,10 +250,9 @@ pub(super) fn angle_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault
     let message = format!("`{name}` of {}", unit.name());
     let hint = match unit.time {
         0 => None,
-        _ => Some("divide times by times: `sin(360 * t / 8s)`".to_owned()),
+        _ => Some("divide the time by another time: `sin(360 * t / 8s)`".to_owned()),
     };
-    Err(Fault::new(span, message, "an angle: a plain number of degrees, or something times `pi`")
-        .hint_or(hint))
+    Err(Fault::new(span, message, "an angle: a plain number in degrees, or a multiple of `pi`").hint_or(hint))
 }
 
 fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Known) -> Found {
@@ -276,7 +276,9 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
                 Function::Cos => plain(cosine),
                 _ => match sine(degrees).over(cosine) {
                     Some(tangent) => plain(tangent),
-                    None => Err(Fault::new(span, "`tan` has no value here", "an angle other than 90")),
+                    None => {
+                        Err(Fault::new(span, "`tan` is not defined at this angle", "an angle other than 90"))
+                    }
                 },
             }
         }
@@ -292,7 +294,7 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
             plain_only(name, first.unit, span)?;
             if first.number.compared(Num::ZERO).is_lt() {
                 let message = format!("`sqrt` of {}", first.number.f64());
-                return Err(Fault::new(span, message, "a number from 0 on"));
+                return Err(Fault::new(span, message, "a number of at least 0"));
             }
             plain(first.number.square_root())
         }
@@ -328,7 +330,7 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
     }
 }
 
-/// The branch that is taken; both have to be of one kind.
+/// Returns the selected branch; both must be of the same kind.
 fn chosen(arguments: Vec<Found>, span: Span) -> Found {
     let mut arguments = arguments.into_iter();
     let (Some(condition), Some(yes), Some(no)) = (arguments.next(), arguments.next(), arguments.next())
@@ -338,13 +340,13 @@ fn chosen(arguments: Vec<Found>, span: Span) -> Found {
     let condition = truth(condition?, span)?;
     match (&yes, &no) {
         (Ok(Quantity::Amount(a)), Ok(Quantity::Amount(b))) if a.unit != b.unit => {
-            let message = format!("`if` chooses between {} and {}", a.unit.name(), b.unit.name());
-            return Err(Fault::new(span, message, "two of the same kind"));
+            let message = format!("the two results of `if` are {} and {}", a.unit.name(), b.unit.name());
+            return Err(Fault::new(span, message, "two values of the same kind"));
         }
         (Ok(Quantity::Amount(_)), Ok(Quantity::Truth(_)))
         | (Ok(Quantity::Truth(_)), Ok(Quantity::Amount(_))) => {
-            let message = "`if` chooses between a number and a truth value";
-            return Err(Fault::new(span, message, "two of the same kind"));
+            let message = "the two results of `if` are a number and a truth value";
+            return Err(Fault::new(span, message, "two values of the same kind"));
         }
         _ => {}
     }
@@ -352,7 +354,7 @@ fn chosen(arguments: Vec<Found>, span: Span) -> Found {
 }
 
 impl Unit {
-    /// Whether something keeps its unit when it is multiplied by this.
+    /// Whether multiplication by this unit preserves the other unit.
     const fn is_factor(self) -> bool {
         self.time == 0 && self.angle == 0
     }

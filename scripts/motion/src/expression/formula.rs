@@ -1,4 +1,4 @@
-//! An expression over time: a value for every `t`, as doubles. Its units are checked once, when it is made.
+//! An expression over time: a double for every `t`. Its units are checked once, at construction.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -9,13 +9,13 @@ use super::unit::Unit;
 use super::{Amount, Fault, Quantity};
 use crate::chance::share;
 
-/// A formula of the time in seconds since its track began.
+/// A formula of time, in seconds since the start of its track.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Formula {
     pub(super) steps: Arc<[Operation]>,
 }
 
-/// What is done to a stack of doubles. Truth values are 0 and 1, angles are degrees.
+/// An operation on a stack of doubles. Truth values are 0 and 1; angles are in degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Operation {
     Constant(f64),
@@ -24,11 +24,11 @@ pub(super) enum Operation {
     Not,
     Two(Two),
     Call(Function),
-    /// Of so many numbers.
+    /// A random number from this number of arguments.
     Random(usize),
 }
 
-/// What a value on the way is.
+/// The kind of an intermediate value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Truth,
@@ -45,12 +45,12 @@ impl Kind {
 }
 
 impl Formula {
-    /// Whether chance has a part in it.
+    /// Whether the formula uses random numbers.
     pub fn is_random(&self) -> bool {
         self.steps.iter().any(|step| matches!(step, Operation::Random(_)))
     }
 
-    /// With its variables put in.
+    /// Compiles an expression, with its variables substituted.
     pub fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
         let mut maker = Maker { steps: Vec::with_capacity(expression.steps.len() + 1), kinds: Vec::new() };
         for (step, span) in &expression.steps {
@@ -81,11 +81,11 @@ impl Formula {
         let span = expression.steps.last().map_or((0, 1), |(_, span)| *span);
         let unit = maker.number(span)?;
         if unit.time != 0 || unit.percent {
-            let message = format!("the formula gives {}", unit.name());
+            let message = format!("the result of the formula is {}", unit.name());
             let hint = (unit == Unit::TIME).then(|| "divide by a time: `10 * t / 1s`".to_owned());
             return Err(Fault::new(span, message, "a number in the device's unit").hint_or(hint));
         }
-        // An angle that is used as a number is one in radians.
+        // An angle that is used as a number is in radians.
         if unit.angle != 0 {
             maker.steps.push(Operation::Constant(PI.powi(i32::from(unit.angle))));
             maker.steps.push(Operation::Two(Two::Times));
@@ -93,7 +93,7 @@ impl Formula {
         Ok(Self { steps: maker.steps.into() })
     }
 
-    /// The value after so many seconds; not a number where there is none.
+    /// The value after `seconds`; NaN if it does not exist.
     pub fn at(&self, seconds: f64) -> f64 {
         let mut stack: Vec<f64> = Vec::with_capacity(8);
         for step in self.steps.iter() {
@@ -133,7 +133,7 @@ impl Formula {
         stack.pop().unwrap_or(f64::NAN)
     }
 
-    /// Everything that it depends on.
+    /// All data that determines its values, as a key for caches.
     pub fn key(&self) -> impl Iterator<Item = u64> {
         self.steps.iter().flat_map(|step| match *step {
             Operation::Constant(value) => [0, value.to_bits()],
@@ -159,7 +159,7 @@ pub(super) fn of_two(two: Two, a: f64, b: f64) -> f64 {
         Two::Minus => a - b,
         Two::Times => a * b,
         Two::Over => a / b,
-        // As in intervals, so that both jump at the same nanosecond.
+        // The same calculation as for intervals, so that both jump at the same nanosecond.
         Two::Modulo => a - b * (a * (1.0 / b)).floor(),
         Two::Less => truth(a < b),
         Two::LessOrEqual => truth(a <= b),
@@ -186,14 +186,14 @@ pub(super) fn of_one(function: Function, value: f64) -> f64 {
     }
 }
 
-/// From 0 to below 1; not a number of what is none.
+/// A random number from 0 to below 1; NaN if an argument is not finite.
 #[expect(clippy::cast_precision_loss, reason = "53 bits")]
 pub(super) fn random(from: &[f64]) -> f64 {
     let (part, whole) = share(from);
     if from.iter().all(|number| number.is_finite()) { part as f64 / whole as f64 } else { f64::NAN }
 }
 
-/// Of degrees.
+/// The sine of degrees.
 pub(super) fn sine(degrees: f64) -> f64 {
     degrees.rem_euclid(360.0).to_radians().sin()
 }
@@ -209,7 +209,7 @@ impl Maker {
         self.kinds.push(kind);
     }
 
-    /// In seconds and degrees.
+    /// Pushes an amount in seconds or degrees.
     fn amount(&mut self, amount: &Amount, span: Span, known: &dyn Known) -> Result<(), Fault> {
         let number =
             if amount.is_musical() { known.on_the_clock(amount, span)?.f64() } else { amount.number.f64() };
@@ -221,15 +221,15 @@ impl Maker {
     fn number(&mut self, span: Span) -> Result<Unit, Fault> {
         match self.kinds.pop() {
             Some(Kind::In(unit)) => Ok(unit),
-            _ => Err(Fault::new(span, "a truth value where a number belongs", "a number or a time")
-                .hint("choose by it: `if(t < 3s, 10, 20)`")),
+            _ => Err(Fault::new(span, "a truth value instead of a number", "a number or a time")
+                .hint("use it as a condition: `if(t < 3s, 10, 20)`")),
         }
     }
 
     fn truth(&mut self, span: Span) -> Result<(), Fault> {
         match self.kinds.pop() {
             Some(Kind::In(unit)) => {
-                let message = format!("{} where a truth value belongs", unit.name());
+                let message = format!("{} instead of a truth value", unit.name());
                 Err(Fault::new(span, message, "a comparison such as `t < 3s`"))
             }
             _ => Ok(()),
@@ -288,7 +288,7 @@ impl Maker {
             Function::Min | Function::Max | Function::Mod => {
                 let units: Vec<Unit> = (0..count).map(|_| self.number(span)).collect::<Result<_, _>>()?;
                 let unit = common_unit(&units, span)?;
-                // Of many, one after the other.
+                // Several arguments are combined pairwise.
                 (1..count.max(1)).for_each(|_| self.steps.push(Operation::Call(function)));
                 self.kinds.push(Kind::In(unit));
             }
@@ -303,12 +303,12 @@ impl Maker {
                 self.truth(span)?;
                 let (Some(no), Some(yes)) = (no, yes) else { return Ok(()) };
                 if no != yes {
-                    let message = format!("`if` chooses between {} and {}", yes.name(), no.name());
+                    let message = format!("the two results of `if` are {} and {}", yes.name(), no.name());
                     let hint = match (yes, no) {
                         (Kind::In(yes), Kind::In(no)) => yes.hint_of_two(no).map(str::to_owned),
                         _ => None,
                     };
-                    return Err(Fault::new(span, message, "two of the same kind").hint_or(hint));
+                    return Err(Fault::new(span, message, "two values of the same kind").hint_or(hint));
                 }
                 self.put(Operation::Call(function), yes);
             }

@@ -1,4 +1,4 @@
-//! The grammar of expressions: from a text to steps in the order in which they are taken, each with its place in the text.
+//! The grammar of expressions: converts a text to steps in order of evaluation, each with its place in the text.
 //!
 //! ```text
 //! any        = all { "or" all }
@@ -14,8 +14,8 @@
 //! LENGTH     = NUMBER ("beat" | "beats" | "bar" | "bars") [NUMBER ("beat" | "beats")]
 //! ```
 //!
-//! A name goes on to the last letter, digit, `_` or `-` at which it is one that is known: `$a-b` is a variable of that name, or
-//! `$a` less something. Recursion ends at a fixed depth.
+//! A name extends to the last letter, digit, `_` or `-` for which it is a known name: `$a-b` is a variable of that name, or `$a` minus
+//! something. Recursion is limited to a fixed depth.
 
 use super::number::Num;
 use super::unit::Unit;
@@ -30,10 +30,10 @@ const LENGTH_MAX: usize = 2_000;
 /// Deepest nesting.
 const DEPTH_MAX: usize = 48;
 
-/// From which to which character.
+/// The first character, and the character after the last.
 pub type Span = (usize, usize);
 
-/// One step: it takes the values of those before, and leaves one.
+/// One step, which takes the values of earlier steps and leaves one value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     Amount(Amount),
@@ -46,7 +46,7 @@ pub enum Step {
     Call(Function, usize),
 }
 
-/// What is done with two values.
+/// An operation on two values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Two {
     Plus,
@@ -64,7 +64,7 @@ pub enum Two {
     Or,
 }
 
-/// What has a name and arguments.
+/// A named function with arguments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Function {
     Sin,
@@ -82,7 +82,7 @@ pub enum Function {
     If,
 }
 
-/// Each with its fewest and most arguments.
+/// The functions, each with its minimum and maximum number of arguments.
 pub const FUNCTIONS: [(&str, Function, usize, usize); 13] = [
     ("sin", Function::Sin, 1, 1),
     ("cos", Function::Cos, 1, 1),
@@ -101,7 +101,7 @@ pub const FUNCTIONS: [(&str, Function, usize, usize); 13] = [
 const WORDS: [&str; 7] = ["t", "pi", "true", "false", "and", "or", "not"];
 const VALUE: &str = "a number, a time, a variable such as `$a`, a function or a bracket";
 
-/// A text that has been understood.
+/// A parsed expression.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Expression {
     /// The steps of its evaluation, each with the characters it comes from.
@@ -109,7 +109,7 @@ pub struct Expression {
 }
 
 impl Expression {
-    /// The variables that it names, with the places of their names.
+    /// The variables that it uses, with their places.
     pub fn variables(&self) -> impl Iterator<Item = (&str, Span)> {
         self.steps.iter().filter_map(|(step, span)| match step {
             Step::Variable(name) => Some((name.as_str(), *span)),
@@ -118,13 +118,13 @@ impl Expression {
     }
 }
 
-/// Reads a text; `known` tells which names of variables there are.
+/// Parses a text; `known` returns whether a variable exists.
 pub fn parse(text: &str, known: &dyn Fn(&str) -> bool) -> Result<Expression, Fault> {
     let chars: Vec<char> = text.chars().take(LENGTH_MAX + 1).collect();
     if chars.len() > LENGTH_MAX {
-        let message = format!("an expression of more than {LENGTH_MAX} characters");
+        let message = format!("the expression has more than {LENGTH_MAX} characters");
         return Err(
-            Fault::new((0, 1), message, format!("at most {LENGTH_MAX}")).hint("cut it into variables")
+            Fault::new((0, 1), message, format!("at most {LENGTH_MAX}")).hint("split it into variables")
         );
     }
     let mut parser = Parser { chars, at: 0, depth: 0, known, steps: Vec::new() };
@@ -152,17 +152,17 @@ const COMPARISONS: [(&str, Two); 6] = [
     ("<", Two::Less),
     (">", Two::Greater),
 ];
-/// How others write what has another form here.
+/// Notations of other languages, with a hint for each.
 const ELSEWHERE: [(&str, &str); 9] = [
     ("+", "a value without a sign is positive: leave out the `+`"),
     ("&&", "write `and`"),
     ("||", "write `or`"),
-    ("**", "there are no powers: write `$a * $a`"),
-    ("^", "there are no powers: write `$a * $a`"),
-    ("?", "a choice is written `if($index < 3, 10, 20)`"),
+    ("**", "powers are not supported: write `$a * $a`"),
+    ("^", "powers are not supported: write `$a * $a`"),
+    ("?", "write a choice as `if($index < 3, 10, 20)`"),
     ("=", "to compare, write `==`"),
     ("!", "write `not`"),
-    (";", "arguments are separated by commas"),
+    (";", "separate arguments with commas"),
 ];
 
 impl Parser<'_> {
@@ -180,7 +180,7 @@ impl Parser<'_> {
         word.chars().enumerate().all(|(index, c)| self.chars.get(self.at + index) == Some(&c))
     }
 
-    /// Goes past a sign and the spaces after it.
+    /// Skips a sign and the following spaces.
     fn take(&mut self, sign: &str) -> Option<Span> {
         if !self.starts_with(sign) {
             return None;
@@ -192,7 +192,7 @@ impl Parser<'_> {
         Some(span)
     }
 
-    /// The word here, without going past it.
+    /// The word at this place, without skipping it.
     fn word(&self) -> String {
         let part = |c: &&char| c.is_alphanumeric() || **c == '_';
         self.chars[self.at..].iter().take_while(part).collect()
@@ -213,9 +213,9 @@ impl Parser<'_> {
     fn deeper(&mut self, read: impl FnOnce(&mut Self) -> Result<(), Fault>) -> Result<(), Fault> {
         self.depth += 1;
         if self.depth > DEPTH_MAX {
-            let message = "an expression that is nested too deeply";
+            let message = "the expression is nested too deeply";
             return Err(Fault::new(self.here(), message, format!("at most {DEPTH_MAX} levels"))
-                .hint("cut it into variables"));
+                .hint("split it into variables"));
         }
         read(self)?;
         self.depth -= 1;
@@ -226,7 +226,7 @@ impl Parser<'_> {
         if self.at < self.chars.len() {
             (self.at, self.at + 1)
         } else {
-            // Points at the last character where the text ends early.
+            // If the text ends early, points at the last character.
             (self.chars.len().saturating_sub(1), self.chars.len())
         }
     }
@@ -318,16 +318,13 @@ impl Parser<'_> {
             }
             Some(c) if c.is_ascii_digit() || c == '.' => self.number(),
             Some(c) if c.is_alphabetic() || c == '_' => self.named(),
-            Some(',') => {
-                Err(Fault::new(self.here(), "a comma where a value belongs", VALUE)
-                    .hint_or(self.comma_hint()))
-            }
+            Some(',') => Err(Fault::new(self.here(), "unexpected comma", VALUE).hint_or(self.comma_hint())),
             Some(c) => {
                 let found = ELSEWHERE.iter().find(|(sign, _)| self.starts_with(sign));
-                let fault = Fault::new(self.here(), format!("`{c}` where a value belongs"), VALUE);
+                let fault = Fault::new(self.here(), format!("unexpected `{c}`"), VALUE);
                 Err(fault.hint_or(found.map(|(_, hint)| (*hint).to_owned())))
             }
-            None => Err(Fault::new(self.here(), "the expression ends where a value belongs", VALUE)),
+            None => Err(Fault::new(self.here(), "unexpected end of the expression", VALUE)),
         }
     }
 
@@ -336,20 +333,20 @@ impl Parser<'_> {
             return Ok(());
         }
         match self.peek() {
-            None => Err(Fault::new(open, "a bracket that is not closed", "a `)`")),
+            None => Err(Fault::new(open, "missing closing bracket", "a `)`")),
             Some(found) => Err(self.left_over(found)),
         }
     }
 
-    /// What may not follow a value.
+    /// The fault for a character that may not follow a value.
     fn left_over(&self, found: char) -> Fault {
         let elsewhere = ELSEWHERE.iter().find(|(sign, _)| self.starts_with(sign));
         let hint = match (elsewhere, found) {
             (Some((_, hint)), _) => Some((*hint).to_owned()),
             (None, ',') => self.comma_hint(),
-            (None, ')') => Some("a bracket is closed that was not opened".to_owned()),
+            (None, ')') => Some("this closing bracket has no opening bracket".to_owned()),
             (None, c) if c.is_ascii_digit() || matches!(c, '$' | '(') => {
-                Some("to multiply, write `*` between the two".to_owned())
+                Some("to multiply, write `*` between the two values".to_owned())
             }
             _ => None,
         };
@@ -361,13 +358,13 @@ impl Parser<'_> {
         };
         Fault::new(
             span,
-            format!("`{found}` after a complete value"),
-            "an operator such as `+` or `*`, or the end",
+            format!("unexpected `{found}` after a value"),
+            "an operator such as `+` or `*`, or the end of the expression",
         )
         .hint_or(hint)
     }
 
-    /// For `1,5`.
+    /// A hint for `1,5`.
     fn comma_hint(&self) -> Option<String> {
         let digit = |c: &&char| c.is_ascii_digit();
         let after: String = self.chars.get(self.at + 1..)?.iter().take_while(digit).collect();
@@ -409,7 +406,7 @@ impl Parser<'_> {
             "pi" if !calls => self.add(Step::Amount(Amount::of(Num::ONE, Unit::ANGLE)), span),
             "true" | "false" if !calls => self.add(Step::Truth(word == "true"), span),
             "bar" if self.peek().is_some_and(|c| c.is_ascii_digit()) => {
-                let message = "a position in the music where a length belongs";
+                let message = "a position in the music instead of a length";
                 return Err(Fault::new(span, message, VALUE).hint("write a length such as `3 beats`"));
             }
             _ => return self.call(&word, span, calls),
@@ -424,7 +421,7 @@ impl Parser<'_> {
         };
         if !calls {
             let expected = format!("`{word}(...)`");
-            return Err(Fault::new(span, format!("the function `{word}` without its arguments"), expected));
+            return Err(Fault::new(span, format!("missing arguments of the function `{word}`"), expected));
         }
         let open = self.take("(").unwrap_or_default();
         let mut count = 0;
@@ -451,10 +448,10 @@ impl Parser<'_> {
     fn unknown(&self, word: &str, span: Span) -> Fault {
         let known = || FUNCTIONS.iter().map(|(name, ..)| *name).chain(WORDS);
         let hint = if (self.known)(word) || matches!(word, "index" | "count") {
-            Some(format!("a variable is written `${word}`"))
+            Some(format!("write the variable as `${word}`"))
         } else {
             did_you_mean(word, known()).or_else(|| {
-            Some("the name of a variable begins with `$`; cues are named under `after`, `with` and `before`".to_owned())
+            Some("variable names begin with `$`; names of cues are only valid under `after`, `with` and `before`".to_owned())
         })
         };
         let names: Vec<String> = FUNCTIONS.iter().map(|(name, ..)| format!("`{name}`")).collect();
@@ -462,7 +459,7 @@ impl Parser<'_> {
         Fault::new(span, format!("unknown name `{}`", shortened(word)), expected).hint_or(hint)
     }
 
-    /// A number with what belongs to it: `5`, `1m30s`, `00:01:30`, `1.5rad`, `50%`, `3 beats`, `1 bar 2 beats`.
+    /// A number with its suffix: `5`, `1m30s`, `00:01:30`, `1.5rad`, `50%`, `3 beats`, `1 bar 2 beats`.
     fn number(&mut self) -> Result<(), Fault> {
         let from = self.at;
         let glued = |c: &char| c.is_ascii_alphanumeric() || matches!(c, '.' | ':');
@@ -500,7 +497,7 @@ impl Parser<'_> {
         Ok(())
     }
 
-    /// Whether what begins there is the `1e` of `1e-3`.
+    /// Whether the text from this place is the `1e` of `1e-3`.
     fn has_signed_exponent(&self, from: usize) -> bool {
         let (digits, exponent) = self.chars[from..self.at].split_at(self.at - from - 1);
         let is_number = digits.iter().all(|c| c.is_ascii_digit() || *c == '.') && !digits.is_empty();
@@ -511,7 +508,7 @@ impl Parser<'_> {
             && follows(1).is_some_and(|c| c.is_ascii_digit())
     }
 
-    /// Whether the `%` that follows a number at once is no operator: nothing follows that it could divide by.
+    /// Whether a `%` directly after a number is a percent sign, not an operator: it is not followed by a divisor.
     fn is_percentage(&self) -> bool {
         if self.peek() != Some('%') {
             return false;
@@ -533,7 +530,7 @@ impl Parser<'_> {
                 let hint = duration::hint(&format!("{} {word}", number.f64()))
                     .or_else(|| parse_duration(&together).map(|_| format!("write `{together}`")));
                 let message = format!("`{}` after a number", shortened(&word));
-                let expected = "an operator such as `*`, or a unit at the number, such as `2s`";
+                let expected = "an operator such as `*`, or a number with a unit, such as `2s`";
                 return Err(Fault::new(span, message, expected).hint_or(hint));
             }
         }
@@ -546,7 +543,7 @@ impl Parser<'_> {
         Ok(amount)
     }
 
-    /// The `2 beats` of `1 bar 2 beats`, and how many characters it has.
+    /// The `2 beats` of `1 bar 2 beats`, and its number of characters.
     fn beats_after(&self, bar: bool) -> Option<(Num, usize)> {
         let rest: String = self.chars.get(self.at..).filter(|_| bar)?.iter().collect();
         let digits = rest.find(|c: char| !(c.is_ascii_digit() || c == '.'))?;
@@ -576,10 +573,10 @@ fn written(text: &str, span: Span) -> Result<Option<Num>, Fault> {
 fn unreadable(text: &str, span: Span) -> Fault {
     let number: String = text.chars().take_while(|c| c.is_ascii_digit() || *c == '.').collect();
     let hint = match &text[number.len()..] {
-        "deg" => Some("write the number alone, in the unit that is expected here".to_owned()),
+        "deg" => Some("write only the number, in the unit that is expected here".to_owned()),
         factor @ ("pi" | "t") => Some(format!("to multiply, write `{number} * {factor}`")),
         _ => duration::hint(text),
     };
     let expected = "a number such as 1.5, or a time with its unit, such as 250ms, 2s or 00:01:30";
-    Fault::new(span, format!("`{}` cannot be read", shortened(text)), expected).hint_or(hint)
+    Fault::new(span, format!("invalid value `{}`", shortened(text)), expected).hint_or(hint)
 }

@@ -1,10 +1,10 @@
-//! A formula over an interval of time: bounds of its value and of its first two derivatives, by interval arithmetic (Moore, Kearfott
-//! and Cloud, Introduction to Interval Analysis, 2009) with the rules of differentiation.
+//! A formula over a time interval: bounds of its value and its first two derivatives, by interval arithmetic (Moore, Kearfott and Cloud,
+//! Introduction to Interval Analysis, 2009) and the rules of differentiation.
 
 use super::formula::{Formula, Operation, of_one, of_two, random, sine};
 use super::grammar::{Function, Two};
 
-/// From the least to the largest.
+/// The least and the largest value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bounds(pub(super) f64, pub(super) f64);
 
@@ -44,17 +44,17 @@ impl Bounds {
         Self(if self.0 <= 0.0 && self.1 >= 0.0 { 0.0 } else { low * low }, high * high)
     }
 
-    /// None where it reaches zero.
+    /// The inverse; `None` if the interval contains zero.
     fn inverse(self) -> Option<Self> {
         (self.0 > 0.0 || self.1 < 0.0).then(|| Self(1.0 / self.1, 1.0 / self.0))
     }
 
-    /// Of degrees.
+    /// The sine of degrees.
     fn sine(self) -> Self {
         if self.1 - self.0 >= 360.0 {
             return Self(-1.0, 1.0);
         }
-        // Whether a turn of so many degrees is passed.
+        // Whether the interval contains this angle, modulo full turns.
         let passes = |peak: f64| ((self.1 - peak) / 360.0).floor() >= ((self.0 - peak) / 360.0).ceil();
         let (a, b) = (sine(self.0), sine(self.1));
         Self(if passes(270.0) { -1.0 } else { a.min(b) }, if passes(90.0) { 1.0 } else { a.max(b) })
@@ -65,7 +65,7 @@ impl Bounds {
     }
 }
 
-/// Value, slope a second, and slope of the slope.
+/// The value, the slope per second, and the slope of the slope.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Jet {
     pub(super) value: Bounds,
@@ -103,7 +103,7 @@ impl Jet {
         }
     }
 
-    /// A function of this one, with the bounds of its own derivatives.
+    /// A function of this value, given the bounds of its own derivatives.
     fn through(&self, value: Bounds, first: Bounds, second: Bounds) -> Self {
         Self {
             value,
@@ -138,7 +138,7 @@ impl Jet {
     }
 }
 
-/// Bounds over an interval of seconds; none where there may be a corner, a jump or no value.
+/// Bounds over an interval in seconds; `None` if it may contain a corner, a jump or no value.
 pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
     let mut stack: Vec<Option<Jet>> = Vec::with_capacity(8);
     for step in formula.steps.iter() {
@@ -169,7 +169,7 @@ pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
                 })
             }
             Operation::Call(function) => pop().and_then(|jet| one_jet(*function, &jet)),
-            // Of numbers that change, it jumps all the time.
+            // For arguments that vary, the random value jumps continuously.
             Operation::Random(count) => {
                 let from: Option<Vec<f64>> =
                     (0..*count).map(|_| pop().filter(Jet::is_constant).map(|jet| jet.value.0)).collect();
@@ -185,7 +185,7 @@ pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
     (jet.value.is_finite() && jet.slope.is_finite() && jet.curvature.is_finite()).then_some(jet)
 }
 
-/// `and` and `or` where one side decides.
+/// `and` and `or` if one side decides the result.
 fn logical(two: Two, a: Option<Jet>, b: Option<Jet>) -> Option<Option<Jet>> {
     let decides = match two {
         Two::And => 0.0,
@@ -205,14 +205,14 @@ fn two_jets(two: Two, a: &Jet, b: &Jet) -> Option<Jet> {
         Two::Modulo => {
             let times = a.value.times(b.value.inverse()?);
             let whole = times.0.floor();
-            // The end of the interval belongs to the next turn, where there is one.
+            // The end of the interval belongs to the next period, if there is one.
             (whole == times.1.floor()).then(|| a.plus(&b.times(&Jet::constant(-whole))))
         }
         Two::And | Two::Or => Some(Jet::constant(of_two(two, a.value.0, b.value.0))),
         _ if a.is_constant() && b.is_constant() => Some(Jet::constant(of_two(two, a.value.0, b.value.0))),
         _ => {
             let (above, below) = (a.value.0 > b.value.1, a.value.1 < b.value.0);
-            // Apart from each other all comparisons have one answer.
+            // If the two sides do not overlap, every comparison has a definite result.
             (above || below).then(|| Jet::constant(of_two(two, a.value.0, b.value.0)))
         }
     }

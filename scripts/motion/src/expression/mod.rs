@@ -1,7 +1,7 @@
-//! Expressions in the place of numbers, times and truth values: `2 * $height`, `sin(360 * $index / $count)`, `8s / 4`.
+//! Expressions for numbers, times and truth values: `2 * $height`, `sin(360 * $index / $count)`, `8s / 4`.
 //!
-//! `grammar` reads them, `evaluate` finds their value, `number` keeps it exact, `unit` says what can be added to what, `formula` is an
-//! expression over time, `pieces` cuts it where it has corners and jumps. Where they stand in a document, `fields` reads them.
+//! `grammar` parses them, `evaluate` computes their value, `number` keeps it exact, and `unit` defines the units that can be combined.
+//! `formula` is an expression over time, and `pieces` cuts it at corners and jumps. `fields` reads expressions in documents.
 
 mod evaluate;
 mod formula;
@@ -21,10 +21,10 @@ pub use number::Num;
 pub use pieces::{Piece, Trouble, pieces, seconds_of};
 pub use unit::Unit;
 
-/// What a written number is cut at; it has as many digits as a number may have.
+/// Long numbers are written in parts, divided by this. It has the maximum number of digits of a number.
 const DIGITS: i128 = 10i128.pow(17);
 
-/// What an expression may amount to.
+/// The value of an expression.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Quantity {
     /// A truth value.
@@ -33,7 +33,7 @@ pub enum Quantity {
     Amount(Amount),
 }
 
-/// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts as well.
+/// A number with its unit: nanoseconds, half turns, or a fraction of one. A time may also have musical parts.
 #[derive(Clone, Copy, Debug)]
 pub struct Amount {
     /// The number without its musical parts.
@@ -72,12 +72,12 @@ impl Amount {
         !self.bars.is_zero() || !self.beats.is_zero()
     }
 
-    /// Each part of it changed.
+    /// Applies a change to each part.
     fn each(&self, change: impl Fn(Num) -> Num) -> Self {
         Self { number: change(self.number), bars: change(self.bars), beats: change(self.beats), ..*self }
     }
 
-    /// As an expression that amounts to the same.
+    /// The text of an expression with the same value.
     pub fn written(&self) -> String {
         match self.unit {
             Unit::TIME => {}
@@ -108,7 +108,7 @@ pub fn fraction(value: Fraction) -> String {
     }
 }
 
-/// A number may have more digits than one that is read.
+/// Writes a number that may have more digits than the parser accepts.
 fn whole(value: i128) -> String {
     match (value / DIGITS, value % DIGITS) {
         (0, rest) => rest.to_string(),
@@ -116,7 +116,7 @@ fn whole(value: i128) -> String {
     }
 }
 
-/// What is wrong with an expression, and at which of its characters.
+/// An error in an expression, with the characters concerned.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fault {
     /// The characters at fault.
@@ -137,7 +137,7 @@ impl Fault {
         Self { span, code: Code::Expression, message: message.into(), expected: expected.into(), hint: None }
     }
 
-    /// That something is wrong elsewhere, where it is told.
+    /// A fault that has already been reported elsewhere.
     pub fn told(span: Span) -> Self {
         Self::new(span, "", "")
     }
@@ -158,8 +158,8 @@ impl Fault {
     }
 }
 
-/// Whether a text is meant as an expression where a number, a time or a truth value is wanted: it has a variable, an operator or
-/// a bracket, or names a constant.
+/// Whether a text is intended as an expression where a number, a time or a truth value is expected: it contains a variable, an operator
+/// or a bracket, or is a constant.
 pub fn is_one(text: &str) -> bool {
     let text = text.trim();
     let begins = text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '$' | '(' | '-' | '.'));
@@ -171,8 +171,8 @@ pub fn is_one(text: &str) -> bool {
         || text.starts_with("not ")
 }
 
-/// Whether the value of a variable or a parameter is an expression that has to be found at once, because it names others. Texts
-/// that only contain a `$` are texts.
+/// Whether the value of a variable or a parameter is an expression that must be evaluated at once, because it uses other variables. Texts
+/// that merely contain a `$` are plain texts.
 pub fn names_variables(text: &str) -> bool {
     let text = text.trim();
     let names = text

@@ -1,4 +1,4 @@
-//! The numbers of expressions: exact fractions as long as they are rational and short enough, else doubles.
+//! Numbers in expressions: exact fractions while they are rational and short enough, otherwise doubles.
 
 use std::cmp::Ordering;
 
@@ -24,7 +24,7 @@ impl Num {
     /// One.
     pub const ONE: Self = Self::Exact(Fraction::ONE);
 
-    /// As it is written: doubles are shown by the shortest text that reads as the same one.
+    /// Converts a number as written: a double is represented by the shortest decimal that reads as the same double.
     pub fn of(value: f64) -> Self {
         match decimal(&value.abs().to_string()) {
             Some(size) => Self::Exact(if value < 0.0 { -size } else { size }),
@@ -67,7 +67,7 @@ impl Num {
         }
     }
 
-    /// As a fraction, of doubles the nearest one that is written with few digits.
+    /// The fraction; for doubles, the nearest one with few decimal digits.
     pub fn as_fraction(self) -> Fraction {
         match self {
             Self::Exact(value) => value,
@@ -117,12 +117,12 @@ impl Num {
         self.both(other, CheckedMul::checked_mul, |a, b| a * b)
     }
 
-    /// None if the other is zero.
+    /// The quotient; `None` if the divisor is zero.
     pub fn over(self, other: Self) -> Option<Self> {
         (!other.is_zero()).then(|| self.both(other, CheckedDiv::checked_div, |a, b| a / b))
     }
 
-    /// What is left of it after as many whole others as fit, with the sign of the other. None if that is zero.
+    /// The remainder of the division, with the sign of the divisor. `None` if the divisor is zero.
     pub fn modulo(self, other: Self) -> Option<Self> {
         Some(self.minus(other.times(self.over(other)?.floor())))
     }
@@ -145,7 +145,7 @@ impl Num {
         self.negated().floor().negated()
     }
 
-    /// To the nearest whole number; halves away from zero.
+    /// The nearest whole number; halves are rounded away from zero.
     pub fn round(self) -> Self {
         match self {
             Self::Exact(value) => Self::kept(value.round()),
@@ -161,7 +161,7 @@ impl Num {
         }
     }
 
-    /// Exactly where the square root is a fraction.
+    /// The square root, exact if it is a fraction.
     pub fn square_root(self) -> Self {
         let root = self.f64().sqrt();
         let exact = Self::of(root);
@@ -169,7 +169,7 @@ impl Num {
     }
 }
 
-/// The sine of an angle in degrees: exact where it is 0, a half or 1.
+/// The sine of an angle in degrees; exact if it is 0, ±1/2 or ±1.
 pub fn sine(degrees: Num) -> Num {
     let turn = Num::whole(360);
     let Some(within) = degrees.modulo(turn) else { return Num::ZERO };

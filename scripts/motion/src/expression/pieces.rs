@@ -1,25 +1,25 @@
-//! A formula cut into smooth pieces: each with bounds of its slope and curvature, from which follows how densely it has to be sampled.
-//! Between two of them there may be a corner or a jump, which is found to the nanosecond.
+//! Cuts a formula into smooth pieces. Each has bounds of its slope and curvature, which determine the sampling density. Corners and jumps
+//! between pieces are located to the nanosecond.
 
 use urrcp::Span;
 
 use super::Formula;
 use super::interval::jet;
 
-/// Most pieces of a formula.
+/// Maximum number of pieces of a formula.
 const PIECES_MAX: usize = 4_096;
-/// Most intervals that are looked at.
+/// Maximum number of intervals that are examined.
 const LOOKS_MAX: usize = 100_000;
-/// How much larger than what is found at some places the bound of a curvature may be.
+/// Allowed ratio between the bound of a curvature and its samples.
 const LOOSE: f64 = 1.5;
-/// Smooth pieces are not made shorter than this part of the whole for a better bound.
+/// Smooth pieces are not shortened below this fraction of the whole to improve the bound.
 const SHORTEST_PART: i64 = 512;
-/// A piece bends no more than this: its length times the root of its curvature over the range of its values, which is 4.4 for a turn of a
-/// sine. Longer ones would need more samples than are fitted together.
+/// Largest bending of a piece: its length times the root of its curvature over its range of values, which is 4.4 for one period of a
+/// sine. Longer pieces would need more samples than are fitted together.
 const BENDS_MAX: f64 = 40.0;
-/// All pieces together bend no more than this: some ten thousand turns.
+/// Largest bending of all pieces together: about ten thousand periods.
 const BENDS_IN_ALL_MAX: f64 = 45_000.0;
-/// Values beyond this are none.
+/// Values beyond this are invalid.
 const VALUE_MAX: f64 = 1e12;
 
 /// A part of a formula from one time to another.
@@ -29,13 +29,13 @@ pub struct Piece {
     pub begin: Span,
     /// The end of the piece.
     pub end: Span,
-    /// Largest slope in units a second, and its largest slope. None of a nanosecond or two with a corner or a jump.
+    /// Bounds of the slope in units per second, and of the slope of the slope. `None` for one or two nanoseconds with a corner or a jump.
     pub rates: Option<(f64, f64)>,
     /// Bounds of its values.
     values: (f64, f64),
 }
 
-/// Why a formula is no movement.
+/// The reason why a formula is not a movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trouble {
     /// The formula has no value at this time.
@@ -44,7 +44,7 @@ pub enum Trouble {
     TooMany,
 }
 
-/// The pieces one after another.
+/// The pieces of a formula, in order.
 pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
     let whole = length.as_nanos();
     let mut done: Vec<Piece> = Vec::new();
@@ -89,7 +89,7 @@ pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
     }
 }
 
-/// How often something of such a length, in nanoseconds, with this curvature and range of values bends.
+/// The amount of bending for this length in nanoseconds, curvature and range of values.
 fn bending(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
     if curvature == 0.0 {
         0.0
@@ -105,7 +105,7 @@ impl Piece {
     }
 }
 
-/// Adds a piece, to the last one if they are alike.
+/// Adds a piece, or extends the last one if they are similar.
 fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) {
     if let Some(last) = done.last_mut() {
         let values = (last.values.0.min(piece.values.0), last.values.1.max(piece.values.1));
@@ -116,7 +116,7 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
                 let bends = |length: Span, curvature: f64| length.as_millis_f64() * curvature.sqrt();
                 let high = curvature.max(next_curvature);
                 let most = bends(one, curvature).max(bends(other, next_curvature));
-                // What is short next to a corner is not worth a piece of its own.
+                // A short piece next to a corner does not need to be separate.
                 let short = 4 * one.min(other).as_nanos() <= one.max(other).as_nanos()
                     || 64 * (one + other).as_nanos() <= whole;
                 let alike = short
@@ -136,7 +136,7 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
     done.push(piece);
 }
 
-/// Whether a corner does not lie exactly here, where two pieces meet.
+/// Whether there is no corner exactly at this time, where two pieces meet.
 fn is_smooth(formula: &Formula, at: Span) -> bool {
     let nanos = at.as_nanos();
     let slope = |from: i64, to: i64| jet(formula, (seconds(from), seconds(to))).map(|jet| jet.slope);
@@ -145,7 +145,7 @@ fn is_smooth(formula: &Formula, at: Span) -> bool {
     before.0 <= after.1 + dust && after.0 <= before.1 + dust
 }
 
-/// The largest curvature at some places of an interval.
+/// The largest curvature at some times of an interval.
 fn sampled_curvature(formula: &Formula, from: f64, to: f64) -> f64 {
     let at = |part: f64| {
         let time = from + (to - from) * part;
@@ -159,13 +159,13 @@ fn seconds(nanos: i64) -> f64 {
     nanos as f64 / 1e9
 }
 
-/// The same for all that looks at a formula: a time that is off by a rounding may lie behind a jump.
+/// The common conversion for all users of a formula: a time with a different rounding may be after a jump.
 pub fn seconds_of(time: Span) -> f64 {
     seconds(time.as_nanos())
 }
 
 impl Formula {
-    /// The largest slope a second and its slope at many places between two times in seconds.
+    /// The largest slope per second, and the largest slope of the slope, at many times between two times in seconds.
     pub fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {
         let at = |part: u32| {
             let time = from + (to - from) * f64::from(part) / 256.0;

@@ -1,17 +1,17 @@
-//! What values of expressions are measured in, and what becomes of it when they are multiplied and divided.
+//! Units of values in expressions, and the units of products and quotients.
 
 /// A product of powers of time and angle, or a percentage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unit {
     /// The exponent of time.
     pub time: i8,
-    /// Of half turns: `pi`. Angles in degrees are plain numbers.
+    /// The exponent of half turns, `pi`. Angles in degrees are plain numbers.
     pub angle: i8,
     /// Whether it is a percentage.
     pub percent: bool,
 }
 
-/// Highest power of a time or an angle on the way to a result.
+/// Highest power of a time or an angle in intermediate results.
 const POWER_MAX: i8 = 8;
 
 impl Unit {
@@ -21,17 +21,17 @@ impl Unit {
     pub const TIME: Self = Self { time: 1, ..Self::PLAIN };
     /// Half turns.
     pub const ANGLE: Self = Self { angle: 1, ..Self::PLAIN };
-    /// A percentage, in parts of one.
+    /// A percentage, as a fraction of one.
     pub const PERCENT: Self = Self { percent: true, ..Self::PLAIN };
 
-    /// What it is, for messages.
+    /// A description for messages.
     pub const fn name(self) -> &'static str {
         match (self.time, self.angle, self.percent) {
             (0, 0, false) => "a plain number",
             (_, _, true) => "a percentage",
             (1, 0, _) => "a time",
             (0, 1, _) => "an angle",
-            (-1, 0, _) => "something per time",
+            (-1, 0, _) => "a value per time",
             (-1, 1, _) => "an angle per time",
             (1, 1, _) => "an angle times a time",
             (2.., 0, _) => "a product of times",
@@ -39,7 +39,7 @@ impl Unit {
         }
     }
 
-    /// Of a product. None where the powers become too high.
+    /// The unit of a product. `None` if the powers become too high.
     pub fn times(self, other: Self) -> Option<Self> {
         match (self.percent, other.percent) {
             (true, _) => Some(other),
@@ -48,7 +48,7 @@ impl Unit {
         }
     }
 
-    /// Of a quotient.
+    /// The unit of a quotient. `None` if the powers become too high.
     pub fn over(self, other: Self) -> Option<Self> {
         match (self.percent, other.percent) {
             (true, true) => Some(Self::PLAIN),
@@ -62,15 +62,15 @@ impl Unit {
         (time.abs() <= POWER_MAX && angle.abs() <= POWER_MAX).then_some(Self { time, angle, percent: false })
     }
 
-    /// Why two cannot be added or compared, as a hint.
+    /// A hint for two units that cannot be added or compared.
     pub fn hint_of_two(self, other: Self) -> Option<&'static str> {
         let is = |unit: Self| self == unit || other == unit;
         match () {
-            () if is(Self::PERCENT) => Some("a percentage is taken of something: `50% * 90`"),
+            () if is(Self::PERCENT) => Some("multiply the percentage by a value: `50% * 90`"),
             () if is(Self::TIME) && is(Self::PLAIN) => Some("give the number a unit, such as `5s`"),
-            () if is(Self::ANGLE) && is(Self::PLAIN) => {
-                Some("`pi` makes an angle; a plain number is degrees: write `90 * pi / 180` for one of them")
-            }
+            () if is(Self::ANGLE) && is(Self::PLAIN) => Some(
+                "a multiple of `pi` is an angle, but a plain number is in degrees: convert one of them, as in `90 * pi / 180`",
+            ),
             () => None,
         }
     }

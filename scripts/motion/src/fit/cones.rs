@@ -1,64 +1,64 @@
-//! The slopes of lines from several values of one sample that stay within the room of all samples passed.
+//! The slopes of lines from several values of one sample that stay within the room at all passed samples.
 //!
-//! What the lines from one value reach at a later time is an interval, and the lower the value, the higher the interval: lines have to
-//! pass between the same values before. So the lowest and the highest value with remaining lines bound what is reached, and the
-//! values between them count only where these two do not decide.
+//! The lines from one value reach an interval at a later time. The lower the value, the higher the interval, because the lines have to
+//! pass the same gates. The lowest and the highest value with remaining lines therefore bound the reached values. The values between them
+//! only matter if these two do not decide.
 
 use super::lattice::{Candidates, VALUES_MAX};
 
 /// Lines from some values of a sample.
 pub(super) trait Sight {
-    /// Begins at these values of a sample, of which there are some.
+    /// Starts at these values of a sample; the set is not empty.
     fn begin(&mut self, of: &Candidates, set: u64);
 
-    /// The candidates of a later sample, out of those wanted, that any lines reach.
+    /// Those candidates of a later sample, out of `wanted`, that any line reaches.
     fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64;
 
-    /// Keeps to what passes a later sample between two values; whether anything does.
+    /// Keeps only the lines that pass a later sample between two values. Returns whether any remain.
     fn narrow(&mut self, duration: f64, gate: (f64, f64)) -> bool;
 }
 
 /// Lines from the values of one sample.
 pub(super) struct Cones {
-    /// The lowest value first. Those before `first` and from `end` on have no lines left.
+    /// From the lowest value up. Only the values in `first..end` have remaining lines.
     all: [Lines; VALUES_MAX],
     first: usize,
     end: usize,
-    /// The first and the last that are left, up to date.
+    /// The lowest and the highest value with remaining lines, updated for all passed gates.
     lowest: Lines,
     highest: Lines,
     passed: Vec<Gate>,
 }
 
-/// Between two values of a later sample.
+/// The allowed values of a later sample.
 #[derive(Clone, Copy)]
 struct Gate {
     low: f64,
     high: f64,
-    /// One over the time until there: dividing takes longer than multiplying, and there may be many values.
+    /// The inverse of the time until then: multiplication is faster than division, and there may be many values.
     inverse: f64,
 }
 
-/// All lines from one value, as far as they are known.
+/// All lines from one value, as far as they are updated.
 #[derive(Clone, Copy, Default)]
 struct Lines {
     candidate: u8,
     value: f64,
     flattest: f64,
     steepest: f64,
-    /// How many samples they have passed.
+    /// The number of gates for which they are updated.
     passed: usize,
 }
 
 impl Lines {
-    /// Keeps to what passes the gate.
+    /// Keeps only the lines that pass the gate.
     fn narrow(&mut self, gate: &Gate) {
         let (bottom, top) = ((gate.low - self.value) * gate.inverse, (gate.high - self.value) * gate.inverse);
         self.flattest = if bottom > self.flattest { bottom } else { self.flattest };
         self.steepest = if top < self.steepest { top } else { self.steepest };
     }
 
-    /// Keeps to what passes all gates; whether anything does.
+    /// Keeps only the lines that pass all gates. Returns whether any remain.
     fn pass(&mut self, gates: &[Gate]) -> bool {
         gates[self.passed..].iter().for_each(|gate| self.narrow(gate));
         self.passed = gates.len();
@@ -134,12 +134,12 @@ impl Sight for Cones {
 }
 
 impl Cones {
-    /// Whether anything is left.
+    /// Drops values without lines. Returns whether any remain.
     fn drop_ended(&mut self) -> bool {
         if self.first >= self.end {
             return false;
         }
-        // The array has older states of these two.
+        // The array contains outdated states of these two.
         if !self.lowest.are_left() {
             self.first += 1;
         }
@@ -159,12 +159,12 @@ impl Cones {
         true
     }
 
-    /// All candidates between the lowest and the highest that is reached.
+    /// All candidates between the lowest and the highest reached value.
     fn reached_at_most(&self, of: &Candidates, duration: f64) -> u64 {
         of.between(self.highest.lowest(duration), self.lowest.highest(duration))
     }
 
-    /// Ends the lines from each value that reach one of these candidates of a later sample; returns these values.
+    /// Removes the values whose lines reach one of these candidates of a later sample, and returns them.
     pub(super) fn take(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64 {
         let mut taken = 0;
         if wanted & self.reached_at_most(of, duration) == 0 {

@@ -1,31 +1,30 @@
-//! Steps of a device that holds its value: the longest runs, one after the other.
+//! Steps of a device that holds its value: greedily finds the longest runs in order.
 //!
-//! A movement is cut into pieces in which its value rises, falls or stays. Within a piece a run ends where the value reaches
-//! the border of what the run's value serves. So runs are found by values alone, and only the time of each border is looked
-//! for, by bisection. A value that serves a run serves each part of it, so runs that are as long as possible are as few as
-//! possible.
+//! A movement is divided into pieces in which its value rises, falls or stays constant. Within a piece, a run ends when the value reaches
+//! the boundary of the range that the run's value serves. Runs are therefore found from values alone, and only the time of each boundary
+//! is found by bisection. A value that serves a run also serves every part of it, so greedy longest runs are the fewest runs.
 
 use super::lattice::Lattice;
 use super::problem::{EXTREME, ROUNDING};
 use super::{Ends, Fit, Grid};
 
-/// Most samples of one smooth part.
+/// Maximum number of samples of one smooth part.
 const SAMPLES_MAX: usize = 65_536;
-/// The largest and the smallest value of a movement are known to this part of the tolerance.
+/// The extremes of a movement are known to this fraction of the tolerance.
 const PRECISION: f64 = 1e-6;
-/// The error is the least that this number of steps allows, to this part of the tolerance.
+/// The error is minimized for the number of steps to this fraction of the tolerance.
 const LEAST_ERROR: f64 = 0.01;
 
-/// A movement as a device that holds is to follow it, in nanoseconds from its beginning.
+/// A movement that a device that holds its value has to follow, in nanoseconds from its beginning.
 pub struct Movement<'a> {
-    /// The value of a smooth part at a time within it.
+    /// The value of a smooth part at a time.
     value: &'a dyn Fn(usize, i64) -> f64,
     tolerance: f64,
     pieces: Vec<Piece>,
     end: i64,
 }
 
-/// Bounds of the first two derivatives, by seconds.
+/// Bounds of the first two derivatives with respect to time, in seconds.
 #[derive(Clone, Copy)]
 pub struct Rates {
     /// The largest first derivative.
@@ -34,24 +33,24 @@ pub struct Rates {
     pub curvature: f64,
 }
 
-/// A time in which the value rises, falls or stays; it ends where the following one begins.
+/// An interval in which the value rises, falls or stays constant. It ends at the beginning of the next piece.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     begin: i64,
     from: f64,
     to: f64,
-    /// The smooth part to which it belongs; `None` where the value stays.
+    /// The smooth part that contains it; `None` if the value is constant.
     part: Option<usize>,
 }
 
-/// Where a movement has a value: in a piece, or at its end behind the last one.
+/// A position in a movement: a value in a piece, or the end after the last piece.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     piece: usize,
     value: f64,
 }
 
-/// A value that is held from a place on, and the places where the movement is lowest and highest until the following run.
+/// A held value, its first place, and the places with the lowest and highest values of the movement until the next run.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     start: Place,
@@ -60,26 +59,26 @@ struct Run {
     high: Place,
 }
 
-/// What one question asks.
+/// The parameters of one query.
 struct Question<'a> {
     movement: &'a Movement<'a>,
-    /// `None`: the device takes every value.
+    /// `None` if the device accepts every value.
     lattice: Option<Lattice>,
     first: Option<f64>,
     last: Option<f64>,
-    /// What is written for the end.
+    /// The value of the movement at the end.
     end: f64,
-    /// Added to the room, so that a movement which touches its tolerance fits in spite of rounding.
+    /// Added to the room, so that rounding does not exclude a movement that just meets its tolerance.
     dust: f64,
 }
 
 impl<'a> Movement<'a> {
-    /// `value`: that of a smooth part at a time.
+    /// `value` returns the value of a smooth part at a time.
     pub fn new(value: &'a dyn Fn(usize, i64) -> f64, tolerance: f64) -> Self {
         Self { value, tolerance, pieces: Vec::new(), end: 0 }
     }
 
-    /// The value stays at a level until this time.
+    /// Appends an interval with a constant value until this time.
     pub fn stay(&mut self, level: f64, until: i64) {
         if self.pieces.last().is_none_or(|last| last.part.is_some() || last.to != level) {
             self.pieces.push(Piece { begin: self.end, from: level, to: level, part: None });
@@ -87,7 +86,7 @@ impl<'a> Movement<'a> {
         self.end = until;
     }
 
-    /// The value follows a smooth part until this time. The part is halved until the value turns in none of its pieces.
+    /// Appends a smooth part until this time. The part is bisected until the value is monotonic in every piece.
     pub fn follow(&mut self, part: usize, until: i64, rates: Rates) {
         let sample = |at: i64| (at, (self.value)(part, at));
         let mut samples = vec![sample(self.end), sample(until)];
@@ -117,8 +116,8 @@ impl<'a> Movement<'a> {
         self.end = until;
     }
 
-    /// Whether a smooth part rises or falls all the way between two samples. A slope of 0 between them would leave the value no
-    /// time to change by more than the curvature allows. Turns that are too small to matter are ignored.
+    /// Whether a smooth part is monotonic between two samples. If its slope were 0 somewhere between them, the curvature would not allow
+    /// the value to change by more than `bend`. Negligible turns are ignored.
     fn turns_nowhere(&self, a: (i64, f64), b: (i64, f64), rates: Rates) -> bool {
         #[expect(clippy::cast_precision_loss, reason = "rounded far below what matters")]
         let seconds = (b.0 - a.0) as f64 * 1e-9;
@@ -127,15 +126,15 @@ impl<'a> Movement<'a> {
         b.0 - a.0 <= 1 || change >= bend || beyond <= PRECISION * self.tolerance
     }
 
-    /// The fewest steps within the tolerance, and among these the least error, to within one percent of the tolerance. More
-    /// than `most` are not all found.
+    /// Finds the fewest steps within the tolerance, and among these the least error, to within 1 % of the tolerance. If there are more
+    /// than `most`, not all of them are found.
     ///
-    /// `ends.first` is the value of the first step, free if `None`. If `ends.last` is there, the device has that value at the
-    /// end, where `written` is what the movement has. A change of the value lies at the last nanosecond before the movement
-    /// leaves the tolerance.
+    /// `ends.first` is the value of the first step; the step is free if it is `None`. If `ends.last` is given, the device has that value
+    /// at the end, where the movement has the value `written`. A value changes at the last nanosecond before the movement leaves the
+    /// tolerance.
     ///
     /// # Errors
-    /// The smallest tolerance that can be met with any number of steps.
+    /// Returns the smallest tolerance that can be met with any number of steps.
     pub fn fewest(&self, grid: Option<&Grid>, ends: Ends, written: f64, most: usize) -> Result<Fit, f64> {
         let lattice = grid.map(Lattice::new).transpose().map_err(|_| f64::INFINITY)?;
         let values = self.pieces.iter().flat_map(|piece| [piece.from, piece.to]);
@@ -149,7 +148,7 @@ impl<'a> Movement<'a> {
     }
 }
 
-/// The lowest and the highest place of a run that has reached another one.
+/// Extends the lowest and the highest place of a run by another place.
 fn widened((low, high): (Place, Place), place: Place) -> (Place, Place) {
     (if place.value < low.value { place } else { low }, if place.value > high.value { place } else { high })
 }
@@ -179,7 +178,7 @@ impl Question<'_> {
         Ok(self.fit(&runs, most))
     }
 
-    /// No steps at all are closer than this.
+    /// Lower bound of the error with any number of steps.
     fn smallest(&self) -> f64 {
         let pieces = &self.movement.pieces;
         let first = self.first.zip(pieces.first()).map(|(first, piece)| (first - piece.from).abs());
@@ -197,7 +196,7 @@ impl Question<'_> {
         self.last.map_or(0.0, |last| (last - self.end).abs())
     }
 
-    /// The fewest runs within the room; of more than `most` the first ones. `None` if there are none.
+    /// The fewest runs within the room; if there are more than `most`, only the first ones. `None` if there are none.
     fn runs(&self, room: f64, most: usize) -> Option<Vec<Run>> {
         let room = room + self.dust;
         let last_from = self.last_from(room);
@@ -205,13 +204,13 @@ impl Question<'_> {
         let mut place = self.place(0);
         let mut runs = Vec::new();
         while runs.len() <= most {
-            // From here on the last value serves all the rest.
+            // From here on, the last value serves all remaining pieces.
             if self.reaches(place, last_from) && (prescribed.is_none() || prescribed == self.last) {
                 runs.extend(self.last.map(|last| self.longest(place, Some(last), room).0));
                 return Some(runs);
             }
             let (run, end) = self.longest(place, prescribed.take(), room);
-            // It would be held for an instant only.
+            // The value would only be held for an instant.
             if end.piece == place.piece && (end.value - place.value).abs() <= 2.0 * self.dust {
                 return None;
             }
@@ -221,20 +220,20 @@ impl Question<'_> {
         Some(runs)
     }
 
-    /// Where a piece begins; behind the last one it is the end.
+    /// The beginning of a piece; the end of the movement after the last piece.
     fn place(&self, piece: usize) -> Place {
         let value = self.movement.pieces.get(piece).map_or(self.end, |piece| piece.from);
         Place { piece, value }
     }
 
-    /// Whether one place is the other one or comes after it.
+    /// Whether `place` equals `other` or comes after it.
     fn reaches(&self, place: Place, other: Place) -> bool {
         let rises = self.movement.pieces.get(place.piece).is_none_or(|piece| piece.to >= piece.from);
         let further = if rises { place.value >= other.value } else { place.value <= other.value };
         place.piece > other.piece || place.piece == other.piece && further
     }
 
-    /// From where on the last value serves all that follows.
+    /// The first place after which the last value serves the entire rest.
     fn last_from(&self, room: f64) -> Place {
         let pieces = &self.movement.pieces;
         let Some(last) = self.last else { return self.place(pieces.len()) };
@@ -248,13 +247,13 @@ impl Question<'_> {
         }
     }
 
-    /// The longest run that one value serves, the one prescribed or any, and where it ends.
+    /// The longest run that one value can serve, prescribed or not, and its end.
     fn longest(&self, start: Place, prescribed: Option<f64>, room: f64) -> (Run, Place) {
         let (mut low, mut high) = (start, start);
         let mut place = start;
         while let Some(piece) = self.movement.pieces.get(place.piece) {
             let (least, greatest) = self.served(prescribed, low.value, high.value, room);
-            // Where it jumps, the value behind the jump may be out of reach.
+            // After a jump, the value may be out of reach.
             if !(place.value >= least && place.value <= greatest) {
                 break;
             }
@@ -272,7 +271,7 @@ impl Question<'_> {
         (Run { start, held: prescribed.unwrap_or(nearest), low, high }, place)
     }
 
-    /// How low and how high a run may reach that has been so low and so high.
+    /// The range that a run with these extremes may still reach.
     fn served(&self, prescribed: Option<f64>, low: f64, high: f64, room: f64) -> (f64, f64) {
         let (least, greatest) = match (prescribed, &self.lattice) {
             (Some(value), _) => (value, value),
@@ -282,7 +281,7 @@ impl Question<'_> {
         (least - room, greatest + room)
     }
 
-    /// The largest error, and where it is.
+    /// The largest error, and its place.
     fn worst(&self, runs: &[Run]) -> (f64, Place) {
         let offs = runs
             .iter()
@@ -295,7 +294,7 @@ impl Question<'_> {
         let mut steps: Vec<(i64, f64)> = Vec::with_capacity(runs.len());
         for run in runs {
             let at = self.time(run.start);
-            // Of several values within one nanosecond the last one stays, unless there are too many in any case.
+            // If several values fall within one nanosecond, the last one applies, unless there are too many steps in any case.
             if runs.len() <= most && steps.last().is_some_and(|last| last.0 >= at) {
                 steps.pop();
             }
@@ -312,7 +311,7 @@ impl Question<'_> {
         }
     }
 
-    /// The last nanosecond before the movement goes beyond a place.
+    /// The last nanosecond before the movement passes a place.
     fn time(&self, place: Place) -> i64 {
         let Movement { pieces, end, value, .. } = self.movement;
         let Some(piece) = pieces.get(place.piece) else { return *end };
@@ -332,7 +331,7 @@ impl Question<'_> {
             }
         };
         while after.0 - before.0 > 1 {
-            // Where a straight line would go beyond it, right next to that, and in the middle.
+            // Three guesses: the linear interpolation, its neighbour, and the middle.
             #[expect(
                 clippy::cast_precision_loss,
                 clippy::cast_possible_truncation,

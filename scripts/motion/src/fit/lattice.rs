@@ -1,22 +1,22 @@
-//! The values of a grid near a sample, as few as a search can bear.
+//! The grid values near a sample, thinned to a number that the search can handle.
 
 use super::problem::EXTREME;
 use super::{Grid, Unfit};
 
-/// Most candidates of a sample on either side of the nearest; both sides and the nearest fit the 64 bits of a set.
+/// Maximum number of candidates of a sample on either side of the nearest. Both sides and the nearest fit in a set of 64 bits.
 const SIDE_MAX: f64 = 17.0;
-/// Most candidates of a sample.
+/// Maximum number of candidates of a sample.
 pub(super) const VALUES_MAX: usize = 35;
-/// Multiples up to here are told apart by a double.
+/// A double distinguishes multiples up to here.
 const INDEX_MAX: f64 = 9_007_199_254_740_992.0;
 
-/// The multiples of the granularity within the range, known not to be empty.
+/// The multiples of the granularity within the range, which is not empty.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattice {
     low: f64,
     high: f64,
     pub(super) granularity: f64,
-    /// Multiples in a unit.
+    /// Number of multiples per unit.
     density: f64,
 }
 
@@ -38,12 +38,12 @@ impl Lattice {
         self.nearest_index(value) * self.granularity
     }
 
-    /// The largest value up to this one, or the smallest of all if no value is as small.
+    /// The largest grid value that is at most `value`. If no grid value is as small, the smallest of all.
     pub(super) fn below(&self, value: f64) -> f64 {
         (value / self.granularity).floor().clamp(self.low, self.high) * self.granularity
     }
 
-    /// The smallest value from this one on, or the largest of all if no value is as large.
+    /// The smallest grid value that is at least `value`. If no grid value is as large, the largest of all.
     pub(super) fn above(&self, value: f64) -> f64 {
         (value / self.granularity).ceil().clamp(self.low, self.high) * self.granularity
     }
@@ -52,7 +52,7 @@ impl Lattice {
         round(value / self.granularity).clamp(self.low, self.high)
     }
 
-    /// The values within the room around a sample: all, or the nearest and every so many-th on both sides of it.
+    /// The grid values within the room around a sample: all, or the nearest and every nth on both sides of it.
     pub(super) fn near(&self, value: f64, room: f64) -> Candidates {
         let low = ceil((value - room) / self.granularity).max(self.low);
         let high = floor((value + room) / self.granularity).min(self.high);
@@ -72,10 +72,10 @@ impl Lattice {
     }
 }
 
-/// Below this, numbers without a fraction fit an integer.
+/// Below this, whole numbers fit in an `i64`.
 const WHOLE_MAX: f64 = 9e15;
 
-/// On ordinary processors the functions of the library are calls, and take longer than all the rest.
+/// On common processors, the library's rounding functions are calls, which would take longer than the rest of the search.
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "below WHOLE_MAX")]
 fn truncated(value: f64) -> Option<f64> {
     (value.abs() < WHOLE_MAX).then_some(value as i64 as f64)
@@ -94,7 +94,7 @@ fn round(value: f64) -> f64 {
     truncated(value).map_or_else(|| value.round(), |whole| away(whole).copysign(value))
 }
 
-/// A bound such as 0.3 is meant to be a multiple of 0.1.
+/// Tolerance for decimal bounds: 0.3 is intended to be a multiple of 0.1.
 const DECIMAL_DUST: f64 = 1e-9;
 
 /// The candidate values of one sample, evenly spaced.
@@ -105,9 +105,9 @@ pub(super) struct Candidates {
     stride: f64,
     /// The first value.
     origin: f64,
-    /// How many there are in a unit.
+    /// Number of candidates per unit.
     density: f64,
-    /// Index of the last, -1 if there are none.
+    /// The last index; -1 if there are no candidates.
     last: f64,
 }
 
@@ -131,7 +131,7 @@ impl Candidates {
         (self.base + f64::from(index) * self.stride) * self.scale
     }
 
-    /// The set of the indices of all values from `low` to `high`, bit by bit.
+    /// The indices of all values from `low` to `high`, as a bit set.
     pub(super) fn between(&self, low: f64, high: f64) -> u64 {
         self.indices((low - self.origin) * self.density, (high - self.origin) * self.density)
     }
@@ -142,13 +142,13 @@ impl Candidates {
         if first > last {
             return 0;
         }
-        // Rounded up and down.
+        // `first` is rounded up, `last` down.
         let (down, last) = (first as u32, last as u32);
         let first = down + u32::from(f64::from(down) < first);
         if first <= last { (u64::MAX >> (63 - (last - first))) << first } else { 0 }
     }
 
-    /// The set of the indices of all values that are candidates within less room as well, where neither are thinned.
+    /// The indices of all values that are also candidates within less room, if neither set is thinned.
     pub(super) fn common(&self, nearer: &Self) -> u64 {
         let first = nearer.base - self.base;
         self.indices(first, first + nearer.last)

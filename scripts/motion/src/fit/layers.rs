@@ -1,7 +1,7 @@
-//! All ways with the fewest pieces, as layers of steps: those of the n-th layer are n pieces from the beginning.
+//! All paths with the fewest pieces, as layers of steps: the steps of the nth layer are n pieces from the beginning.
 //!
-//! With less room, ways to a step and from it to the end can only take more pieces. So of the ways with as many pieces, each step stays
-//! in its layer or drops out, and a search within less room examines only the remaining steps.
+//! With less room, paths to a step and from it to the end can only need more pieces. Among the paths with the same number of pieces, each
+//! step therefore stays in its layer or drops out, and a search within less room only examines the remaining steps.
 
 use std::ops::Range;
 use std::rc::Rc;
@@ -15,7 +15,7 @@ use super::problem::{Path, Problem};
 pub(super) struct Node {
     pub(super) sample: usize,
     pub(super) candidates: u64,
-    /// No line from here passes beyond this sample.
+    /// No line from here passes this sample.
     pub(super) until: usize,
 }
 
@@ -25,16 +25,16 @@ impl Node {
     }
 }
 
-/// Layers one after another, each in the order of samples.
+/// Consecutive layers, each in order of samples.
 #[derive(Default)]
 pub(super) struct Stack {
     nodes: Vec<Node>,
-    /// Where each layer begins.
+    /// The index of the first node of each layer.
     begins: Vec<usize>,
 }
 
 impl Stack {
-    /// Begins a layer; what is pushed belongs to it.
+    /// Starts a layer, to which the nodes pushed afterwards belong.
     pub(super) fn begin(&mut self) {
         self.begins.push(self.nodes.len());
     }
@@ -47,7 +47,7 @@ impl Stack {
         self.begins.len()
     }
 
-    /// Where the nodes of a layer are.
+    /// The index range of a layer's nodes.
     pub(super) fn of(&self, layer: usize) -> Range<usize> {
         self.begins[layer]..self.begins.get(layer + 1).copied().unwrap_or(self.nodes.len())
     }
@@ -60,12 +60,12 @@ impl Stack {
 pub(super) struct Layers {
     room: f64,
     candidates: Rc<[Candidates]>,
-    /// From the last sample to the first. From each of these steps, one piece leads to a step of the layer before.
+    /// The layers from the last sample to the first. From each step, one piece leads to a step of the preceding layer in this order.
     backwards: Stack,
 }
 
 impl Layers {
-    /// What leads to the end of some layers from the first sample to the last; `None` if nothing does.
+    /// The steps on complete paths from the first sample to the end of `forwards`. `None` if there is no such path.
     pub(super) fn new(
         problem: &Problem,
         room: f64,
@@ -77,7 +77,7 @@ impl Layers {
         Self::leading(problem, room, candidates.into(), (last, layer), |node| Some(*node))
     }
 
-    /// The remaining ones with less room; `None` if no way remains.
+    /// The remaining steps with less room; `None` if no path remains.
     pub(super) fn within(&self, problem: &Problem, room: f64) -> Option<Self> {
         let near = |node: &Node| {
             let near = problem.candidates(node.sample, room);
@@ -127,12 +127,12 @@ impl Layers {
         self.candidates.iter().any(Candidates::are_thinned)
     }
 
-    /// Whether they tell the ways of this room with this many steps.
+    /// Whether these layers contain all paths for this room and number of steps.
     pub(super) fn answer(&self, room: f64, most: usize) -> bool {
         room <= self.room && most == self.backwards.layers()
     }
 
-    /// The way that takes the earliest step of each layer, and of several values the lowest.
+    /// The path through the earliest step of each layer and, at equal samples, the lowest value.
     pub(super) fn path(&self, problem: &Problem) -> Path {
         let mut walk = Walk::new(problem, &self.candidates, self.room);
         let mut path = Path::with_capacity(self.backwards.layers());
@@ -152,7 +152,7 @@ impl Layers {
     }
 }
 
-/// Lines from one step after another.
+/// Lines from one step at a time.
 struct Walk<'a> {
     problem: &'a Problem<'a>,
     candidates: &'a [Candidates],
@@ -165,7 +165,7 @@ impl<'a> Walk<'a> {
         Self { problem, candidates, room, cones: Cones::default() }
     }
 
-    /// Those candidates of a step from which a piece leads to a later one.
+    /// The candidates of a step from which a piece leads to a later step.
     fn leading(&mut self, node: Node, later: &[Node]) -> Option<Node> {
         self.cones.begin(&self.candidates[node.sample], node.candidates);
         let (mut leading, mut passed) = (0, node.sample);
@@ -183,7 +183,7 @@ impl<'a> Walk<'a> {
         (leading != 0).then_some(Node { candidates: leading, ..node })
     }
 
-    /// The lowest candidate of the earliest later step that one candidate leads to; at the end the highest.
+    /// The lowest candidate of the earliest later step that a line reaches; at the last sample the highest.
     fn earliest(&mut self, from: Node, layer: &[Node]) -> Option<Node> {
         self.cones.begin(&self.candidates[from.sample], from.candidates);
         let mut passed = from.sample;
@@ -206,7 +206,7 @@ impl<'a> Walk<'a> {
         None
     }
 
-    /// Whether any line from a sample passes some later ones.
+    /// Whether any line from a sample passes these later samples.
     fn pass(&mut self, from: usize, mut samples: Range<usize>) -> bool {
         let (curve, room) = (&self.problem.curve, self.room);
         samples.all(|sample| {

@@ -1,12 +1,12 @@
 //! Steps of a device that moves linearly: breadth-first search over samples and their candidate values.
 //!
-//! From a step, the slopes that stay within the room of all samples passed are an interval that narrows sample by sample,
-//! as in Chan and Chin (International Journal of Computational Geometry and Applications 6, 1996); a candidate value
-//! whose slope lies within is one step away. The graph is that of Imai and Iri 1986 with several values a sample, so the
-//! first layer that reaches the last sample has the fewest steps.
+//! The slopes of lines from a step that stay within the room at all passed samples form an interval, which narrows sample by sample, as
+//! in Chan and Chin (International Journal of Computational Geometry and Applications 6, 1996). A candidate value whose slope is within
+//! the interval is one step away. The graph is that of Imai and Iri 1986 with several values per sample, so the first layer that reaches
+//! the last sample has the fewest steps.
 //!
-//! Exact and yet fast: `tube` tells for each sample how many pieces any way to the end still needs. A node that would
-//! exceed the number of pieces aimed at is left out. The remaining layers (`layers`) answer for all smaller rooms.
+//! The search is exact but fast: for each sample, `tube` provides a lower bound of the number of pieces to the end. A node that would
+//! exceed the target number of pieces is skipped. The remaining layers (`layers`) answer queries for all smaller rooms.
 
 use std::ops::Range;
 
@@ -17,16 +17,16 @@ use super::layers::{Layers, Node, Stack};
 use super::problem::{Path, Problem};
 use super::tube::View;
 
-/// Curves of no more samples may have a step at each.
+/// Curves of at most this many samples may have a step at each sample.
 const SAMPLES_MAX: usize = 4096;
-/// Samples of one straight piece of longer curves where a step may lie; of longer pieces every second, third and so on.
+/// Number of candidate samples per straight piece of longer curves; in longer pieces only every second, third and so on.
 const PIECE_SAMPLES_MAX: usize = 256;
-/// Candidates of a sample that are many.
+/// With more candidates per sample than this, the grid is fine.
 const FINE: u32 = 6;
 
-/// The fewest steps within the room, and how many any others need at least; `None` if there are none or more than `most`.
+/// The fewest steps within the room, and a lower bound of their number. `None` if there are no steps, or more than `most`.
 ///
-/// `known` are the layers of a larger room, or none. They are replaced by those of this one.
+/// `known` holds the layers of a larger room, if any. They are replaced by the layers of this room.
 pub(super) fn steps(
     problem: &Problem,
     room: f64,
@@ -47,7 +47,7 @@ pub(super) fn steps(
     let mut search = Search::new(problem, room, left);
     let sparse = samples > SAMPLES_MAX && search.make_sparse();
     let layers = match search.fewest(pieces_min, pieces_max) {
-        // Whether there are any steps at all must not depend on where they may lie.
+        // The existence of a solution must not depend on the choice of samples.
         None if sparse && most >= samples => {
             Search::new(problem, room, search.left).fewest(pieces_min, pieces_max)
         }
@@ -56,7 +56,7 @@ pub(super) fn steps(
     let path = layers.path(problem);
     let thinned = sparse || layers.are_thinned();
     let at_least = if thinned { pieces_min as usize + 1 } else { path.len() };
-    // What is thinned for this room may have other values for a smaller one.
+    // After thinning, a smaller room may have other candidates.
     *known = Some(layers).filter(|_| !thinned);
     Some((path, at_least))
 }
@@ -64,11 +64,11 @@ pub(super) fn steps(
 struct Search<'a> {
     problem: &'a Problem<'a>,
     room: f64,
-    /// Pieces that the way from each sample to the end has at least.
+    /// Lower bound of the number of pieces from each sample to the end.
     left: Vec<u32>,
     candidates: Vec<Candidates>,
     gates: Vec<(f64, f64)>,
-    /// Candidates not reached yet.
+    /// Candidates that have not been reached.
     open: Vec<u64>,
     /// Candidates of the next layer.
     next: Vec<u64>,
@@ -83,7 +83,7 @@ impl<'a> Search<'a> {
         Self { problem, room, left, candidates, gates, open, next }
     }
 
-    /// Leaves out samples of long pieces as places of steps; whether it did.
+    /// Excludes samples of long pieces as places of steps. Returns whether it excluded any.
     fn make_sparse(&mut self) -> bool {
         let mut sparse = false;
         let mut rest = &mut self.candidates[..];
@@ -98,13 +98,13 @@ impl<'a> Search<'a> {
         sparse
     }
 
-    /// All ways with the fewest pieces. The first search is for the number that any way needs at least.
+    /// All paths with the fewest pieces. The first search targets the lower bound of the number of pieces.
     fn fewest(&mut self, pieces_min: u32, pieces_max: u32) -> Option<Layers> {
         if pieces_min > pieces_max {
             return None;
         }
         let is_fine = self.candidates.iter().any(|candidates| candidates.all().count_ones() > FINE);
-        // Of many values, the lowest and the highest tell nearly as much as all, and soon.
+        // For fine grids, the lowest and the highest value provide nearly as much information as all values, and much faster.
         let viewed = is_fine.then(|| self.aimed(pieces_min, pieces_max, View::new(self.problem.dust)));
         if let Some(viewed) = viewed {
             let layers = viewed?;
@@ -124,7 +124,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The layers until the last sample is reached, if that takes at most this many pieces.
+    /// The layers until the last sample is reached, if that requires at most this many pieces.
     fn run(&mut self, pieces: u32, sight: &mut impl Sight) -> Option<Stack> {
         self.open.clear();
         self.open.extend(self.candidates.iter().map(Candidates::all));
@@ -162,7 +162,7 @@ impl<'a> Search<'a> {
         None
     }
 
-    /// Reaches everything that is one piece away and has at most this many pieces left to go. Returns where that is.
+    /// Marks all candidates that are one piece away and need at most this many pieces to the end. Returns the range of their samples.
     fn spread(&mut self, node: &mut Node, pieces_left: u32, sight: &mut impl Sight) -> Range<usize> {
         let Samples { times, .. } = self.problem.curve;
         let (mut first, mut until) = (usize::MAX, 0);

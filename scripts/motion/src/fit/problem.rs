@@ -1,29 +1,29 @@
-//! A curve, a grid and the ends, checked once; how far steps are from the curve.
+//! A validated curve with a grid and ends, and the distance of steps from the curve.
 
 use super::lattice::{Candidates, Lattice};
 use super::layers::Layers;
 use super::tube::Tubes;
 use super::{Ends, Fit, Grid, Samples, Unfit, linear, search};
 
-/// Times and values up to here; slopes and their products then stay finite.
+/// Limit for times and values, so that slopes and their products remain finite.
 pub(super) const EXTREME: f64 = 1e100;
-/// What a few roundings move a value by, as a part of the largest value.
+/// Error of a few roundings, relative to the largest value.
 pub(super) const ROUNDING: f64 = 64.0 * f64::EPSILON;
 
-/// Steps as sample and value.
+/// Steps, as indices of samples and values.
 pub(super) type Path = Vec<(usize, f64)>;
 
-/// A question whose parts are known to be usable.
+/// A validated query.
 pub(super) struct Problem<'a> {
     pub(super) curve: Samples<'a>,
     pub(super) lattice: Lattice,
     pub(super) ends: Ends,
-    /// Added to the room, so that a curve which touches its tolerance fits in spite of rounding.
+    /// Added to the room, so that rounding does not exclude a curve that just meets its tolerance.
     pub(super) dust: f64,
     pub(super) tubes: Tubes<'a>,
-    /// The steps at the ends alone: the fewest of all.
+    /// Steps at the ends only, which are the fewest.
     shortest: Found,
-    /// The layers of the last search, which answer for smaller rooms.
+    /// The layers of the last search, which answer queries for smaller rooms.
     layers: Option<Layers>,
 }
 
@@ -34,7 +34,7 @@ pub(super) struct Found {
     pub(super) at_least: usize,
     /// Largest distance from a sample.
     pub(super) off: f64,
-    /// Which sample.
+    /// The sample with this distance.
     pub(super) off_at: usize,
 }
 
@@ -77,7 +77,7 @@ impl<'a> Problem<'a> {
         Ok(self.fit(&found))
     }
 
-    /// The fewest steps within the room, if that takes no more than `most`.
+    /// The fewest steps within the room, if there are at most `most`.
     pub(super) fn within(&mut self, room: f64, most: usize) -> Option<Found> {
         let possible = room >= 0.0 && self.shortest.path.len() <= most;
         let room = possible.then_some(room + self.dust)?;
@@ -94,7 +94,7 @@ impl<'a> Problem<'a> {
         Some(self.measured(path, at_least))
     }
 
-    /// The candidate values of a sample, of a device that moves linearly.
+    /// The candidate values of a sample, for a device that moves linearly.
     pub(super) fn candidates(&self, sample: usize, room: f64) -> Candidates {
         let (value, room) = (self.curve.values[sample], self.curve.room_at(sample, room));
         let is_last = sample + 1 == self.curve.values.len();
@@ -115,7 +115,7 @@ impl<'a> Problem<'a> {
         self.measured(path, steps)
     }
 
-    /// Any steps from which to search for the closest: one at each sample.
+    /// Initial steps for the search of the closest ones: one at each sample.
     fn closest_start(&self) -> Found {
         let last = self.curve.times.len() - 1;
         if last == 0 {
@@ -134,7 +134,7 @@ impl<'a> Problem<'a> {
         prescribed.unwrap_or_else(|| self.lattice.nearest(self.curve.values[sample]))
     }
 
-    /// No steps at all are closer than this: the distance at both ends.
+    /// Lower bound of the distance with any steps: the distance at the ends.
     pub(super) fn off_min(&self) -> f64 {
         let last = self.curve.times.len() - 1;
         let off = |end: Option<f64>, sample: usize| {
@@ -178,7 +178,7 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// Whether the samples are numbers in the order of time.
+/// Checks that the samples are finite numbers in order of time.
 pub(super) fn check(curve: &Samples) -> Result<(), Unfit> {
     let Samples { times, values, slack, gaps } = *curve;
     if times.is_empty() && values.is_empty() {
@@ -196,7 +196,7 @@ pub(super) fn check(curve: &Samples) -> Result<(), Unfit> {
     if (0.0..=EXTREME).contains(&slack) { Ok(()) } else { Err(Unfit::Slack(slack)) }
 }
 
-/// What rounding may move a value of this curve by.
+/// Bound of the rounding error of this curve's values.
 pub(super) fn dust(curve: &Samples, ends: Ends) -> f64 {
     let values = curve.values.iter().chain(&ends.first).chain(&ends.last);
     ROUNDING * values.fold(0.0, |largest: f64, value| largest.max(value.abs()))

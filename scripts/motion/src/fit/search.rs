@@ -1,11 +1,11 @@
-//! The least error with a number of steps, by bisecting the room over the fewest steps within it.
+//! Finds the least error for a number of steps, by bisecting the room over the fewest steps within it.
 
 use super::problem::{Found, Problem};
 
-/// Halvings of the room; after these a double has no smaller half.
+/// Maximum number of bisections of the room; after these, the resolution of a double is exhausted.
 const ROUNDS_MAX: u32 = 200;
 
-/// How close to the least error is close enough.
+/// The required precision of the least error.
 #[derive(Clone, Copy)]
 pub(super) enum Precision {
     /// A relative 1e-6, or a millionth of the granularity.
@@ -14,14 +14,14 @@ pub(super) enum Precision {
     Within(f64),
 }
 
-/// The closest steps within the budget, no worse than those to start from.
+/// The closest steps within the budget, at least as close as `start`.
 pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precision: Precision) -> Found {
     let mut too_little = problem.off_min().max(bound(problem, start.off, budget, precision));
     if let Some(found) = problem.within(too_little, budget) {
         return if found.off < start.off { found } else { start };
     }
     let (mut enough, mut best) = (start.off, start);
-    // The least error is seldom far above its bound, and little room is searched much faster than much.
+    // The least error is rarely far above its bound, and a search with little room is much faster.
     let mut stride = match precision {
         Precision::Fine => problem.lattice.granularity / 4.0,
         Precision::Within(distance) => distance / 2.0,
@@ -40,7 +40,7 @@ pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precisio
             None => too_little = room,
             Some(found) => {
                 stride = f64::INFINITY;
-                // Rounding is the only way to be off by more than the room.
+                // Only rounding can cause a distance that exceeds the room.
                 enough = room.min(found.off);
                 best = found;
             }
@@ -49,7 +49,7 @@ pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precisio
     best
 }
 
-/// A room that is too little, or only just enough, for connected lines on any grid.
+/// A room that is insufficient, or barely sufficient, for connected lines on any grid.
 fn bound(problem: &Problem, enough: f64, budget: usize, precision: Precision) -> f64 {
     let close = match precision {
         Precision::Fine => problem.lattice.granularity * 1e-7,

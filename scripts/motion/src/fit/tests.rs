@@ -1,4 +1,4 @@
-//! Against all steps there are, on curves small enough to try them all.
+//! Compares with all possible steps, on curves small enough for an exhaustive search.
 
 use proptest::prelude::*;
 
@@ -40,7 +40,7 @@ impl<'a> BruteForce<'a> {
         }
     }
 
-    /// Counts the steps if they are a whole answer.
+    /// Records the steps if they are a complete solution.
     fn finish(&mut self, steps: &[(usize, f64)], worst: f64) {
         let end = steps[steps.len() - 1];
         let at_end = end.0 == self.last();
@@ -97,13 +97,13 @@ impl Case {
     }
 }
 
-/// Eighths, so that what touches a tolerance touches it exactly.
+/// Multiples of 1/8, so that values can meet a tolerance exactly.
 fn eighths(range: std::ops::Range<i32>) -> impl Strategy<Value = f64> {
     range.prop_map(|eighths| f64::from(eighths) / 8.0)
 }
 
 fn cases() -> impl Strategy<Value = Case> {
-    // Gaps as of pieces that do not quite meet: none, microscopic, or not small.
+    // Gaps between pieces that do not quite meet: none, tiny, or large.
     let gap = prop_oneof![4 => Just(0.0), 1 => Just(1.0 / 1024.0), 1 => eighths(0..4)];
     let samples = prop::collection::vec((1i32..5, eighths(-28..28), gap), 1..8);
     let end = || prop::option::weighted(0.3, -3i32..4);
@@ -167,8 +167,7 @@ proptest! {
     }
 }
 
-/// The fewest steps at the times of samples or between two of them, with values from -1 to 1, that are within the tolerance
-/// at all samples.
+/// The fewest steps within the tolerance at all samples, with values from -1 to 1, at the times of samples or halfway between them.
 fn fewest_anywhere(curve: &Samples, tolerance: f64) -> Option<usize> {
     let between = curve.times.windows(2).map(|pair| f64::midpoint(pair[0], pair[1]));
     let mut times: Vec<f64> = curve.times.iter().copied().chain(between).collect();
@@ -213,7 +212,7 @@ proptest! {
     }
 }
 
-/// The fewest pieces, each as long as any line through all its gaps allows: that of two gaps bounds the slope of all.
+/// The fewest pieces, each as long as one line can pass all its gaps: each pair of gaps bounds the slope.
 fn pieces_by_pairs(curve: &Samples, room: f64) -> usize {
     let Samples { times, values, .. } = *curve;
     let passes = |start: usize, end: usize| {
@@ -233,7 +232,7 @@ fn pieces_by_pairs(curve: &Samples, room: f64) -> usize {
     pieces
 }
 
-/// A walk whose steps are a few granularities of a fine grid.
+/// A random walk whose changes are a few granularities of a fine grid.
 fn walks() -> impl Strategy<Value = (Vec<f64>, Vec<f64>)> {
     prop::collection::vec(-16i32..17, 1..200).prop_map(|changes| {
         let values = changes.iter().scan(0, |value, change| {
@@ -260,7 +259,7 @@ proptest! {
         prop_assert!(fit.worst <= tolerance + CLOSE);
         prop_assert!(fit.at_least <= fit.steps.len() && fit.at_least >= lower_bound(&curve, tolerance).unwrap());
         let again = least_error(&curve, &grid, fit.steps.len(), Ends::default()).unwrap();
-        // What `least_error` promises of thinned values.
+        // The guarantee of `least_error` for thinned values.
         let (off, off_again) = (fit.worst - curve.slack, again.worst - curve.slack);
         prop_assert!(again.steps.len() <= fit.steps.len());
         prop_assert!(off_again <= (off + grid.granularity) * 17.0 / 16.0 + 1e-5, "{} {}", off, off_again);

@@ -1,4 +1,4 @@
-//! Straight lines through a tube around the curve, on no grid and not connected: what no steps can beat.
+//! Straight lines through a tube around the curve, without a grid and without connections: a lower bound for all steps.
 
 use std::cmp::Ordering;
 
@@ -6,21 +6,21 @@ use super::Samples;
 use super::cones::Sight;
 use super::lattice::Candidates;
 
-/// A curve with what is computed of it once for all rooms.
+/// A curve with precomputed data for all rooms.
 pub(super) struct Tubes<'a> {
     curve: Samples<'a>,
-    /// From each sample to the next.
+    /// The slope from each sample to the next.
     slopes: Vec<f64>,
-    /// Of the samples before each one.
+    /// The bends of the curve before each sample.
     bends: Vec<Bend>,
 }
 
-/// How a curve bends before a sample.
+/// The bend of a curve before a sample.
 #[derive(Clone, Copy)]
 struct Bend {
-    /// From here on to one side only.
+    /// The first sample after which the curve bends to one side only.
     since: usize,
-    /// To which: above 0 if slopes grow, below 0 if they decline.
+    /// The side: above 0 if slopes increase, below 0 if they decrease.
     side: f64,
 }
 
@@ -74,9 +74,9 @@ impl<'a> Tubes<'a> {
         left
     }
 
-    /// Visits the samples from the last to the first with their pieces, as long as the visitor wants to.
+    /// Visits the samples from the last to the first with their number of pieces, while the visitor returns true.
     ///
-    /// Longest pieces from the end backwards: a part of what one line can follow, one line can follow.
+    /// Greedily extends pieces backwards from the end: if one line can follow a section, it can also follow every part of it.
     fn backwards(&self, room: f64, mut visit: impl FnMut(usize, u32) -> bool) {
         let Some(last) = self.curve.times.len().checked_sub(1) else { return };
         let mut piece = Piece::new(self, room, last);
@@ -97,7 +97,7 @@ impl<'a> Tubes<'a> {
 
     /// The fewest groups of consecutive samples such that one line can pass each group.
     pub(super) fn groups(&self, room: f64) -> usize {
-        // A step right at a jump needs to be close to one side of it only.
+        // A step at a jump only needs to be close to one side of it.
         let mut samples = (0..self.curve.times.len()).rev().filter(|sample| self.curve.gap(*sample) == 0.0);
         let Some(last) = samples.next() else { return 1 };
         let mut piece = Piece::new(self, room, last);
@@ -112,15 +112,15 @@ impl<'a> Tubes<'a> {
     }
 }
 
-/// Samples that one line passes, from the last one backwards.
+/// Samples that one line passes, extended backwards from the last one.
 struct Piece<'a> {
     tubes: &'a Tubes<'a>,
     room: f64,
     last: usize,
     bend: Bend,
-    /// Of samples that bend to one side, the one that is farthest from the line between the first and the last.
+    /// The sample farthest from the line between the first and the last, if all bend to one side.
     farthest: usize,
-    /// Whether they bend to both sides, or jump: only then the tube is needed.
+    /// Whether they bend to both sides or jump; the tube is only needed then.
     is_winding: bool,
     tube: Tube,
 }
@@ -141,7 +141,7 @@ impl<'a> Piece<'a> {
         }
     }
 
-    /// Where a line may pass a sample, by time backwards.
+    /// The interval in which a line may pass a sample, with negative time.
     fn gap(&self, sample: usize) -> (f64, f64, f64) {
         let (low, high) = self.tubes.curve.gate(sample, self.room);
         (-self.tubes.curve.times[sample], low, high)
@@ -155,7 +155,7 @@ impl<'a> Piece<'a> {
         }
     }
 
-    /// Adds the sample before the first; false if no line passes any more.
+    /// Prepends a sample. Returns false if no line passes any longer.
     #[inline]
     fn add(&mut self, first: usize) -> bool {
         if first < self.bend.since || self.is_winding {
@@ -172,15 +172,15 @@ impl<'a> Piece<'a> {
         }
         self.farthest = farthest;
         let chord = values[first] + slope * (times[farthest] - times[first]);
-        // The best line is halfway between the chord and the tangent parallel to it.
+        // The best line is halfway between the chord and the parallel tangent.
         (chord - values[farthest]).abs() <= 2.0 * self.room
     }
 }
 
-/// The lines that pass through a growing sequence of vertical gaps (O'Rourke 1981).
+/// The lines through a growing sequence of vertical gaps (O'Rourke 1981).
 ///
-/// The steepest line touches a gap's bottom and a later gap's top, the flattest a top and a later bottom. Only corners of
-/// the convex hull of the bottoms so far, or of the tops, can carry the next such line.
+/// The steepest line touches the bottom of a gap and the top of a later one; the flattest line touches a top and a later bottom. Only
+/// corners of the convex hull of the bottoms so far, or of the tops, can be on the next such line.
 #[derive(Default)]
 struct Tube {
     steepest: Option<Line>,
@@ -189,11 +189,11 @@ struct Tube {
     bottoms: Hull,
 }
 
-/// Through a corner and a point to the right of it.
+/// A line through a corner and a point to the right of it.
 #[derive(Clone, Copy)]
 struct Line {
     corner: (f64, f64),
-    /// To the right and up, from the corner to the point.
+    /// Horizontal and vertical distance from the corner to the point.
     run: f64,
     rise: f64,
 }
@@ -203,7 +203,7 @@ impl Line {
         Self { corner, run: point.0 - corner.0, rise: point.1 - corner.1 }
     }
 
-    /// How far a point lies above the line, as a multiple of `run`: quotients take longer.
+    /// The height of a point above the line, multiplied by `run` to avoid a division.
     fn below(&self, point: (f64, f64)) -> f64 {
         (point.1 - self.corner.1) * self.run - self.rise * (point.0 - self.corner.0)
     }
@@ -218,14 +218,14 @@ impl Line {
 }
 
 impl Tube {
-    /// Begins again, in the same memory.
+    /// Starts again with the same allocation.
     fn clear(&mut self) {
         (self.steepest, self.flattest) = (None, None);
         self.tops.clear();
         self.bottoms.clear();
     }
 
-    /// Adds the gap at `x` from `low` to `high`; false if no line passes any more.
+    /// Adds the gap at `x` from `low` to `high`. Returns false if no line passes any longer.
     fn add(&mut self, (x, low, high): (f64, f64, f64)) -> bool {
         let (bottom, top) = ((x, low), (x, high));
         let above = self.steepest.is_some_and(|line| line.below(bottom) > 0.0);
@@ -245,10 +245,11 @@ impl Tube {
     }
 }
 
-/// What lines between the lowest and the highest of some values may reach: no less than those from the values themselves.
+/// The values that lines between the lowest and the highest of some values may reach: a superset of those reached from the values
+/// themselves.
 pub(super) struct View {
     tube: Tube,
-    /// What rounding may move a value by.
+    /// Bound of the rounding error of values.
     dust: f64,
 }
 
@@ -281,7 +282,7 @@ impl Sight for View {
     }
 }
 
-/// Corners from left to right; those ahead of the last touched one can no longer be touched.
+/// Corners from left to right; those before the last touched one can no longer be touched.
 #[derive(Default)]
 struct Hull {
     corners: Vec<(f64, f64)>,
@@ -294,7 +295,7 @@ impl Hull {
         self.touched = 0;
     }
 
-    /// The best line through a corner and the point; along the hull they get no worse, then worse.
+    /// The best line through a corner and the point. Along the hull, lines first get no worse, and then worse.
     fn touch(&mut self, point: (f64, f64), no_worse: impl Fn(&Line, &Line) -> bool) -> Option<Line> {
         let (first, later) = self.corners.get(self.touched..)?.split_first()?;
         let mut best = Line::through(*first, point);
@@ -309,7 +310,7 @@ impl Hull {
         Some(best)
     }
 
-    /// Adds a corner on the right and drops those that it covers.
+    /// Adds a corner on the right, and drops those that it covers.
     fn push(&mut self, point: (f64, f64), convex: impl Fn(f64) -> bool) {
         while self.corners.len() >= self.touched + 2 {
             let [.., a, b] = self.corners[..] else { break };

@@ -1,31 +1,31 @@
-//! Why a curve has no fit.
+//! Reasons why a curve has no fit.
 
 use std::fmt;
 
-/// Why a curve has no fit.
+/// The reason why a curve has no fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Unfit {
-    /// There is no sample.
+    /// The curve has no samples.
     Empty,
-    /// The sample of this index has no value or no time, one beyond 1e100 or not a number, or is not later than the one
-    /// before.
+    /// The sample with this index has no value or no time, or one that is beyond 1e100 or not a number, or it is not later than the
+    /// previous sample.
     Sample(usize),
     /// The slack is negative, beyond 1e100 or not a number.
     Slack(f64),
     /// No multiple of the granularity lies from `min` to `max`, or the granularity is not a number above 0.
     Grid,
-    /// A prescribed value beyond 1e100 or not a number, or two different ones for a single sample.
+    /// A prescribed value is beyond 1e100 or not a number, or a single sample has two different ones.
     Ends,
-    /// No number of steps is that close.
+    /// No number of steps meets the tolerance.
     Tolerance {
         /// The smallest tolerance that can be met.
         smallest: f64,
-        /// The time in milliseconds of the sample that allows no smaller one.
+        /// The time in milliseconds of the sample that determines it.
         at: f64,
     },
-    /// The ends alone take more steps.
+    /// The ends alone require more steps.
     Budget {
-        /// Steps that are needed at least.
+        /// The minimum number of steps.
         needed: usize,
     },
 }
@@ -34,10 +34,15 @@ impl fmt::Display for Unfit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Empty => write!(f, "the curve has no samples"),
-            Self::Sample(index) => write!(f, "sample {index} is no number, or no later than the one before"),
-            Self::Slack(slack) => write!(f, "{slack} is no distance from a chord"),
+            Self::Sample(index) => {
+                write!(f, "sample {index} is not a number, or not later than the previous sample")
+            }
+            Self::Slack(slack) => write!(f, "{slack} is not a valid distance from a chord"),
             Self::Grid => write!(f, "the grid has no value"),
-            Self::Ends => write!(f, "the values at the ends are no numbers, or differ at a single sample"),
+            Self::Ends => write!(
+                f,
+                "the values at the ends are not numbers, or differ although there is only one sample"
+            ),
             Self::Tolerance { smallest, at } => {
                 write!(f, "no steps are closer to the curve than {smallest}, at {at} ms")
             }

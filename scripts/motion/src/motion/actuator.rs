@@ -1,4 +1,4 @@
-//! From a movement to the steps of a device: what the device moves by itself as written, the rest with the fewest
+//! Converts a movement to steps of a device. The device's own interpolation is used as written, and the rest is fitted with the fewest
 //! steps within the tolerance.
 
 mod hold;
@@ -13,27 +13,27 @@ use urrcp::{ControlType, Device, Interpolation, Limits, Span};
 use super::{Between, Curve, Easing, Function, Knot, Shape};
 use crate::fit::{self, Ends, Fit, Grid, Samples};
 
-/// Most samples that are fitted together: longer curves are cut at a knot, and each part is fitted by itself.
+/// Maximum number of samples that are fitted together: longer curves are cut at a knot, and the parts are fitted separately.
 const RUN_SAMPLES_MAX: f64 = 16_384.0;
-/// Most samples of one way between two knots.
+/// Maximum number of samples between two knots.
 const SAMPLES_MAX: f64 = 65_536.0;
-/// Fewest samples of one way between two knots.
+/// Minimum number of samples between two knots.
 const SAMPLES_MIN: f64 = 16.0;
 
-/// The device as far as motion is concerned.
+/// The properties of a device that matter for motion.
 #[derive(Clone, Copy)]
 pub struct Actuator<'a> {
-    /// The movement of the device between two steps.
+    /// The device's interpolation between two steps.
     pub interpolation: Interpolation,
     /// The quantity that its steps set.
     pub control_type: ControlType,
     /// The limits of the device, if it has any.
     pub limits: Option<&'a Limits>,
-    /// With more steps than this a movement is given up.
+    /// A movement with more steps than this is abandoned.
     pub room: usize,
 }
 
-/// A value that a step sets, counted from the cue's start.
+/// A value that a step sets, relative to the cue's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
     /// The time of the step.
@@ -47,57 +47,57 @@ pub struct Value {
 pub struct Fitted {
     pub steps: Vec<Value>,
     interpolation: Interpolation,
-    /// The error of the last step, which may be taken back.
+    /// The error of the last step, which may be removed again.
     last_off: f64,
-    /// The largest difference from the movement as written, and when.
+    /// The largest difference from the movement as written, and its time.
     pub worst: f64,
     pub worst_at: Span,
-    /// No way of placing steps needs fewer.
+    /// Lower bound of the number of steps with any placement.
     pub at_least: usize,
-    /// Where no steps keep to the tolerance, the least that could be kept to.
+    /// The smallest feasible tolerance, if the requested one cannot be met.
     pub needed: Option<f64>,
 }
 
-/// What has been fitted before: repeated movements are fitted once.
+/// A cache of fits, so that repeated movements are fitted once.
 #[derive(Default)]
 pub struct Fits(HashMap<Vec<u64>, Arc<Result<Fit, f64>>>);
 
 impl Fits {
-    /// With what has been fitted elsewhere.
+    /// Adds fits from another cache.
     pub fn extend(&mut self, other: Self) {
         self.0.extend(other.0);
     }
 }
 
-/// How a way between two knots becomes steps.
+/// How the course between two knots is converted to steps.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Means {
-    /// The device does it by itself: a step at the knot.
+    /// The device's own interpolation: a step at the knot.
     Own,
-    /// The device stays, then takes the new value.
+    /// The device holds the old value, then takes the new one.
     Jump,
-    /// The device takes the new value, then stays.
+    /// The device takes the new value, then holds it.
     Early,
-    /// Fitted by itself: its ends are kept exactly.
+    /// Fitted separately, with exact ends.
     Alone,
-    /// Fitted together with its neighbours of the same kind.
+    /// Fitted together with adjacent courses of the same kind.
     Joined,
-    /// Of a device that holds: fitted together with its neighbours, whether they are steps or curves.
+    /// For a device that holds: fitted together with adjacent courses, both steps and curves.
     Held,
-    /// Nothing changes.
+    /// The value does not change.
     Still,
 }
 
-/// A movement, and what the device is set to at its knots.
+/// A movement, with the values that the device is set to at its knots.
 pub struct Played<'a> {
     /// The movement.
     pub curve: &'a Curve,
-    /// For each knot; empty if that is what is written.
+    /// One value per knot; empty if the written values are used.
     set: Vec<f64>,
 }
 
 impl<'a> Played<'a> {
-    /// A movement; `set` is empty if the device is set to what is written.
+    /// Creates a movement; `set` is empty if the written values are used.
     pub fn new(curve: &'a Curve, set: Vec<f64>) -> Self {
         Self { curve, set }
     }
@@ -106,7 +106,7 @@ impl<'a> Played<'a> {
         self.set.get(index).copied().unwrap_or(self.curve.knots[index].to)
     }
 
-    /// The movement through what the device is set to.
+    /// The movement through the values that the device is set to.
     pub fn as_set(&self) -> Cow<'a, Curve> {
         if self.set.is_empty() {
             return Cow::Borrowed(self.curve);
@@ -117,7 +117,7 @@ impl<'a> Played<'a> {
     }
 }
 
-/// A movement with what is asked of its steps.
+/// A movement with the requirements for its steps.
 struct Tracked<'a> {
     played: &'a Played<'a>,
     tolerance: f64,
@@ -125,7 +125,7 @@ struct Tracked<'a> {
 }
 
 impl<'a> Actuator<'a> {
-    /// `limits`: what its scripts can set.
+    /// `limits` are the values that its scripts can set.
     pub fn new(device: &Device, control_type: ControlType, limits: Option<&'a Limits>, room: usize) -> Self {
         Self { interpolation: device.interpolation, control_type, limits, room }
     }
@@ -134,7 +134,7 @@ impl<'a> Actuator<'a> {
         self.interpolation == Interpolation::Linear
     }
 
-    /// Whether the first knot is reached by moving from wherever the device is.
+    /// Whether the device moves to the first knot from any position.
     pub fn moves_from_anywhere(&self, curve: &Curve) -> bool {
         let first = curve.knots.first();
         first.is_some_and(|first| {
@@ -144,7 +144,7 @@ impl<'a> Actuator<'a> {
         })
     }
 
-    /// Whether the first knot needs a value to begin from, and has none.
+    /// Whether the first knot needs an initial value, but has none.
     pub fn lacks_beginning(&self, curve: &Curve) -> bool {
         let Some(first) = curve.knots.first() else { return false };
         let waits = match first.shape {
@@ -155,13 +155,13 @@ impl<'a> Actuator<'a> {
         first.at > Span::ZERO && !waits && !self.moves_from_anywhere(curve)
     }
 
-    /// The error that is allowed by default: max_error, or one granularity if that is more.
+    /// The default tolerance: `max_error`, or one granularity if that is larger.
     pub fn tolerance(&self) -> f64 {
         self.limits.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity))
     }
 
-    /// The fewest steps within the tolerance. Keyframes that the device can play as they are stay as they are, unless
-    /// `thinned` allows to leave some out.
+    /// Finds the fewest steps within the tolerance. Keyframes that the device can play unchanged are kept, unless `thinned` permits
+    /// omitting some.
     pub fn steps(&self, played: &Played<'_>, tolerance: f64, thinned: bool, fits: &mut Fits) -> Fitted {
         let knots = &played.curve.knots;
         let track = Tracked { played, tolerance, thinned };
@@ -176,7 +176,7 @@ impl<'a> Actuator<'a> {
             let (set_before, set) = (self.settled(played, index - 1), self.settled(played, index));
             let means = self.way(&track, index);
             let mut end = index + 1;
-            // What has stayed ends here with a step, unless the next one says that itself.
+            // A constant section ends with a step here, unless the next course implies it.
             if was_still && !matches!(means, Means::Still | Means::Jump) {
                 fitted.put(before.at, set_before, before.to);
             }
@@ -204,7 +204,7 @@ impl<'a> Actuator<'a> {
                 Means::Joined => {
                     end = self.run_end(&track, index);
                     self.fit(&track, index..end, &mut fitted, fits);
-                    // A straight piece may reach across a cut.
+                    // A straight piece may extend across a cut.
                     fitted.at_least -= usize::from(cut);
                 }
                 Means::Held => {
@@ -224,8 +224,7 @@ impl<'a> Actuator<'a> {
         fitted
     }
 
-    /// How the way to a knot becomes steps. Where there is no time for it, but the gap is within the tolerance, the
-    /// movement continues.
+    /// How the course to a knot is converted to steps. If it takes no time and its gap is within the tolerance, the movement continues.
     fn way(&self, track: &Tracked<'_>, index: usize) -> Means {
         let knots = &track.played.curve.knots;
         let means = |index: usize| self.means(knots, index, track.thinned);
@@ -236,7 +235,7 @@ impl<'a> Actuator<'a> {
         let (before, after) = ((1..index).rev().find(lasts), (index..knots.len()).find(lasts));
         let gap = (knots[index].to - knots[index - 1].to).abs();
         let granularity = self.limits.map_or(0.0, |limits| limits.granularity);
-        // The samples between have to leave room for a value on the grid.
+        // The samples between must leave room for a value on the grid.
         let closes = gap <= track.tolerance && 1.9 * track.tolerance - gap >= granularity;
         match (before.map(means), after.map(means)) {
             (Some(Means::Joined), Some(Means::Joined)) if closes => Means::Joined,
@@ -245,7 +244,7 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// Where the ways that begin with the one to `index` are no longer fitted together.
+    /// The end of the courses that are fitted together, starting with the one to `index`.
     fn run_end(&self, track: &Tracked<'_>, index: usize) -> usize {
         let knots = &track.played.curve.knots;
         let mut samples = 0.0;
@@ -262,7 +261,7 @@ impl<'a> Actuator<'a> {
         end
     }
 
-    /// What the device is set to at a knot, which is on its grid unless something else is written.
+    /// The value that the device is set to at a knot, on its grid unless a value is written.
     fn settled(&self, played: &Played<'_>, index: usize) -> f64 {
         if played.curve.knots[index].shape.is_written() {
             played.set(index)
@@ -271,8 +270,8 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// The smallest error with at most `most` steps, no smaller than the tolerance, by bisecting it; and that tolerance.
-    /// With too few steps for anything, the fewest there can be.
+    /// Finds the smallest error with at most `most` steps, but at least the tolerance, by bisection. Returns the corresponding tolerance
+    /// as well. If `most` is too small for any tolerance, the steps are the fewest possible.
     pub fn least_error(
         &self,
         played: &Played<'_>,
@@ -309,11 +308,11 @@ impl<'a> Actuator<'a> {
         self.limits.map_or(value, |limits| limits.nearest_settable(value))
     }
 
-    /// How a way becomes steps that lasts for some time.
+    /// How a course of nonzero duration is converted to steps.
     fn means(&self, knots: &[Knot], index: usize, thinned: bool) -> Means {
         use Between::{Linear, OwnReversed, Step};
         let knot = &knots[index];
-        // Only the last of equal samples is needed.
+        // Only the last of several equal samples is needed.
         let still = || knot.to == knots[index - 1].to && index + 1 < knots.len();
         match (knot.shape, self.interpolation) {
             (Shape::Meets, _) => Means::Own,
@@ -342,7 +341,7 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// Fits the ways to the knots of `run` and adds the steps after the first, which is there already.
+    /// Fits the courses to the knots of `run`, and adds the steps after the first one, which already exists.
     fn fit(&self, track: &Tracked<'_>, run: Range<usize>, fitted: &mut Fitted, fits: &mut Fits) {
         let (played, tolerance) = (track.played, track.tolerance);
         let knots = &played.curve.knots;
@@ -393,7 +392,7 @@ impl<'a> Actuator<'a> {
             sampled.slack = sampled.slack.max(curvature * (seconds / parts).powi(2) / 8.0);
             let mut part = 1.0;
             while part <= parts {
-                // On whole nanoseconds, as steps are.
+                // Rounded to whole nanoseconds, like steps.
                 let at = Span::from_millis_f64((to - from).as_millis_f64() * part / parts);
                 let s = if part < parts { at.as_millis_f64() / (to - from).as_millis_f64() } else { 1.0 };
                 let time = (from + at - begin).as_millis_f64();
@@ -407,9 +406,8 @@ impl<'a> Actuator<'a> {
         sampled
     }
 
-    /// Into how many equal parts a way is cut to be sampled: so many that a linear piece between two samples is off by
-    /// a thirty-second of the tolerance (curvature times the part's length squared over 8: de Boor, A Practical Guide to
-    /// Splines, chapter III).
+    /// The number of equal parts into which a course is sampled, so that linear interpolation has an error of at most 1/32 of the
+    /// tolerance (curvature times the part's length squared over 8: de Boor, A Practical Guide to Splines, chapter III).
     fn parts(&self, curve: &Curve, index: usize, tolerance: f64) -> f64 {
         let seconds = (curve.knots[index].at - curve.knots[index - 1].at).as_millis_f64() / 1_000.0;
         let (_, curvature) = curve.rates(index);
@@ -417,11 +415,11 @@ impl<'a> Actuator<'a> {
             return 1.0;
         }
         let parts = seconds * (4.0 * curvature / tolerance).sqrt();
-        // Parts of a microsecond are fine enough for anything that moves.
+        // Parts of 1 µs are fine enough for any device.
         parts.ceil().min(seconds * 1e6).clamp(SAMPLES_MIN, SAMPLES_MAX)
     }
 
-    /// Everything on which the fit of a run depends.
+    /// All data that the fit of a run depends on, as a key for the cache.
     fn key(&self, curve: &Curve, run: Range<usize>, tolerance: f64, ends: Ends) -> Vec<u64> {
         let limits = self.limits.map_or([0.0; 3], |l| [l.min_value, l.max_value, l.granularity]);
         let mut key =
@@ -458,21 +456,21 @@ impl<'a> Actuator<'a> {
     }
 }
 
-/// By what values on a grid are multiplied to be rounded to whole numbers: so finely that they move far less than a
+/// The factor by which grid values are scaled before rounding to whole numbers. It is so large that values change by far less than a
 /// millionth of the granularity.
 fn tidy_scale(granularity: f64) -> f64 {
     10f64.powf((-granularity.log10()).ceil().max(0.0) + 7.0)
 }
 
-/// The nearest value to which a device can be set; beyond the limits the nearest multiple of the granularity.
+/// The nearest value that a device can be set to; beyond the limits, the nearest multiple of the granularity.
 pub fn nearest_on_grid(limits: &Limits, value: f64) -> f64 {
     if limits.contains(value) { limits.nearest_settable(value) } else { limits.nearest(value) }
 }
 
-/// A value on a grid without the dust of its multiplication: fewer digits on the wire.
+/// Removes the rounding error of a value on a grid, so that it has fewer digits in messages.
 fn tidy(value: f64, scale: f64) -> f64 {
     let scaled = value * scale;
-    // Beyond this doubles have no fractions left.
+    // Larger doubles have no fraction digits.
     if scaled.abs() < 9e15 { scaled.round() / scale } else { value }
 }
 
@@ -484,7 +482,7 @@ struct Sampled {
 }
 
 impl Sampled {
-    /// Two pieces meet at the last sample but for a gap.
+    /// Two pieces meet at the last sample, with a possible gap.
     fn meets(&mut self, before: f64, after: f64) {
         let Some(last) = self.values.last_mut().filter(|_| before != after) else { return };
         *last = f64::midpoint(before, after);
@@ -500,8 +498,8 @@ impl Fitted {
         Self { steps: Vec::with_capacity(room), interpolation, ..Self::default() }
     }
 
-    /// A step, and what is written for it. Of two at one time that set the same value, one is enough; of a device that
-    /// holds its values, the later one.
+    /// Adds a step, given its written value. Two steps at the same time with the same value are merged. For a device that holds its
+    /// values, the later step replaces the earlier one.
     fn put(&mut self, at: Span, to: f64, written: f64) {
         if self.interpolation == Interpolation::Hold {
             self.take_back(at);
@@ -514,7 +512,7 @@ impl Fitted {
         }
     }
 
-    /// Drops a last step at this time.
+    /// Drops the last step if it is at this time.
     fn take_back(&mut self, at: Span) {
         if self.steps.last().is_some_and(|last| last.at == at) {
             self.steps.pop();
@@ -523,7 +521,7 @@ impl Fitted {
         }
     }
 
-    /// The last step is not taken back any more: its error counts.
+    /// Makes the last step final, and includes its error.
     fn settle(&mut self) {
         if let Some(at) = self.steps.last().map(|last| last.at) {
             let off = std::mem::take(&mut self.last_off);

@@ -1,4 +1,4 @@
-//! A movement as knots: values at times, with the way that leads to each; and what can be done with a whole movement.
+//! A movement as knots: values at times, with the shape of the course to each; and operations on whole movements.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use urrcp::Span;
 use super::{Easing, Function};
 use crate::exact::{Exact, Laps};
 
-/// One length that becomes another, and everything in it with it.
+/// A change of length that scales all times within the length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stretch {
     /// The length before.
@@ -17,7 +17,7 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// To the nearest nanosecond, so that the whole length becomes exactly the other.
+    /// Scales a time to the nearest nanosecond, so that the whole length is mapped exactly.
     pub fn of(self, at: Span) -> Span {
         let (from, to) = (i128::from(self.from.as_nanos()), i128::from(self.to.as_nanos()));
         if from == to || from <= 0 {
@@ -28,16 +28,16 @@ impl Stretch {
     }
 }
 
-/// A movement over time, counted from its cue's start.
+/// A movement over time, relative to its cue's start.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
-    /// In order of time; two at one time are a jump.
+    /// Knots in order of time. Two knots at the same time are a jump.
     pub knots: Vec<Knot>,
-    /// What [`Shape::Function`] refers to.
+    /// The functions that [`Shape::Function`] refers to.
     pub functions: Arc<[Function]>,
 }
 
-/// A value at a time, and the way there.
+/// A value at a time, and the course to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Knot {
     /// The time of the knot.
@@ -46,28 +46,28 @@ pub struct Knot {
     pub to: f64,
     /// The shape of the course to the knot.
     pub shape: Shape,
-    /// Which item of the list in the file it comes from.
+    /// The index of the item in the file's list from which it originates.
     pub item: u32,
 }
 
-/// The way to a knot from the one before.
+/// The course to a knot from the previous one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
-    /// As the device moves by itself: linearly, or not at all until the knot's time.
+    /// The device's own interpolation: linear, or constant until the knot's time.
     Own,
-    /// The same backwards: a device that holds takes the knot's value at once.
+    /// The device's own interpolation in reverse: a device that holds takes the knot's value at once.
     OwnReversed,
-    /// By an easing.
+    /// An easing.
     Eased(Easing),
-    /// The new value at once.
+    /// The new value immediately.
     Early,
-    /// Between samples of a curve, which need not be kept each.
+    /// Between samples of a curve, which may be thinned.
     Sampled(Between),
-    /// No way at all: where pieces meet, or a repeated movement begins again, but for a gap.
+    /// No time passes: two pieces meet, or a repeated movement restarts, with a possible gap.
     Meets,
-    /// offset + gain * function, over s from 0 to 1 or, reversed, from 1 to 0.
+    /// offset + gain * function(s), where s runs from 0 to 1 or, if reversed, from 1 to 0.
     Function {
-        /// Index of the function among the functions of the curve.
+        /// Index into the functions of the curve.
         index: u32,
         /// The factor of the function.
         gain: f64,
@@ -78,18 +78,18 @@ pub enum Shape {
     },
 }
 
-/// The way between two samples.
+/// The course between two samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Between {
-    /// As the device moves by itself.
+    /// The device's own interpolation.
     Own,
-    /// The same backwards.
+    /// The device's own interpolation in reverse.
     OwnReversed,
-    /// Linearly.
+    /// Linear.
     Linear,
     /// The old value until the next sample.
     Step,
-    /// The new value at once.
+    /// The new value immediately.
     Early,
 }
 
@@ -106,12 +106,12 @@ impl Between {
 }
 
 impl Shape {
-    /// Whether the value at its end is in the file, or follows from one by scaling and mirroring.
+    /// Whether the value at its end is written in the file, or follows from one by scaling and mirroring.
     pub fn is_written(self) -> bool {
         matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
     }
 
-    /// Whether devices need it to be fitted, more or less all of them.
+    /// Whether at least some devices need it to be fitted.
     pub fn is_fitted(self) -> bool {
         match self {
             Self::Function { .. } | Self::Sampled(_) => true,
@@ -130,7 +130,7 @@ impl Shape {
             Self::Function { index, gain, offset, reversed } => {
                 Self::Function { index, gain, offset, reversed: !reversed }
             }
-            // The others are symmetric about their middle.
+            // All others are symmetric about their middle.
             other => other,
         }
     }
@@ -146,7 +146,7 @@ impl Shape {
 }
 
 impl Knot {
-    /// The same later, with other numbers for items and functions.
+    /// The same knot at a later time, with offsets for the indices of items and functions.
     fn moved(&self, by: Span, item: u32, function: u32) -> Self {
         let shape = match self.shape {
             Shape::Function { index, gain, offset, reversed } => {
@@ -165,7 +165,7 @@ impl Curve {
         Self { knots, functions: functions.into() }
     }
 
-    /// How much memory it takes, in knots.
+    /// Its memory consumption, in knots.
     pub fn size(&self) -> usize {
         let coefficients = |function: &Function| match function {
             Function::Polynomial(coefficients) => coefficients.len(),
@@ -189,7 +189,7 @@ impl Curve {
         }
     }
 
-    /// All times of a curve that begins at `starts`, so that one length becomes another.
+    /// Stretches all times of a curve that begins at `starts`.
     pub fn stretch(&mut self, stretch: Stretch, starts: Span) {
         let begin = stretch.of(starts);
         for knot in &mut self.knots {
@@ -197,8 +197,8 @@ impl Curve {
         }
     }
 
-    /// Several movements one after another, each with the time from which its own times count and the number of its first item.
-    /// Until the next one begins the last value stays; where two do not meet, there is a jump.
+    /// Joins movements in sequence, each with its start and the index of its first item. The last value is held until the next movement
+    /// begins. Movements that do not meet are joined by a jump.
     pub fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
         let (mut knots, mut functions): (Vec<Knot>, Vec<Function>) = (Vec::new(), Vec::new());
         for (curve, begin, item) in parts {
@@ -224,7 +224,7 @@ impl Curve {
         Self::new(knots, functions)
     }
 
-    /// Backwards within a time of `length`, which is no shorter than the movement.
+    /// Reverses the movement within `length`, which must not be shorter than the movement.
     pub fn reverse(&mut self, length: Span) {
         let shapes: Vec<_> = self.knots.iter().map(|knot| knot.shape).collect();
         self.knots.reverse();
@@ -237,8 +237,8 @@ impl Curve {
         }
     }
 
-    /// The movement, which lasts `length` before it is laid on the clock, `times` times, a new one every lap. Where it does not end as
-    /// it begins, it jumps.
+    /// Repeats the movement, whose exact duration is `length`, `times` times in total, once per lap. If its end differs from its
+    /// beginning, it jumps.
     pub fn repeat(&mut self, times: u32, laps: &Laps, length: Exact) {
         let cycle = laps.begin(1);
         let once = self.knots.clone();
@@ -247,7 +247,7 @@ impl Curve {
         let (waits, joined) = Self::seam(&first, &last, cycle);
         for turn in 1..times {
             let begin = laps.begin(turn);
-            // Laps differ by a nanosecond.
+            // Laps may differ by a nanosecond.
             let end = if waits { laps.within(turn, length) } else { laps.begin(turn.saturating_add(1)) };
             let lay = |at: Span| if at == last.at { end } else { (begin + at).min(end) };
             if waits {
@@ -265,7 +265,7 @@ impl Curve {
         }
     }
 
-    /// How many knots repeating adds.
+    /// The number of knots that repeating adds.
     pub fn added_by_repeating(&self, times: u32, cycle: Span) -> usize {
         let (Some(first), Some(last)) = (self.knots.first(), self.knots.last()) else { return 0 };
         let (waits, joined) = Self::seam(first, last, cycle);
@@ -273,13 +273,14 @@ impl Curve {
         turn.saturating_mul(times.saturating_sub(1) as usize)
     }
 
-    /// Between two turns: whether there is a wait for the next, and whether the last knot is the first of the next.
+    /// The transition between two repetitions: whether the device waits for the next one, and whether the last knot equals the next first
+    /// knot.
     fn seam(first: &Knot, last: &Knot, cycle: Span) -> (bool, bool) {
         let waits = last.at < cycle || first.at > Span::ZERO;
         (waits, first.at == Span::ZERO && first.to == last.to)
     }
 
-    /// The largest speed and acceleration on the way to a knot, in units a second and a second squared, as bounds.
+    /// Bounds of speed and acceleration on the way to a knot, in units per second and per second squared.
     pub fn rates(&self, index: usize) -> (f64, f64) {
         let (Some(before), Some(knot)) =
             (index.checked_sub(1).and_then(|i| self.knots.get(i)), self.knots.get(index))
@@ -303,13 +304,13 @@ impl Curve {
         (slope / seconds, curvature / (seconds * seconds))
     }
 
-    /// The largest derivatives of each function, which many knots may share.
+    /// The largest derivatives of each function; many knots may share a function.
     pub fn peaks(&self) -> Vec<(f64, f64)> {
         self.functions.iter().map(Function::peak_rates).collect()
     }
 
-    /// The largest speed and acceleration on the way to a knot, in units a second and a second squared: of easings exactly,
-    /// of functions, whose [`Self::peaks`] are given, the largest of many samples.
+    /// The largest speed and acceleration on the way to a knot, in units per second and per second squared. They are exact for easings.
+    /// For functions, whose [`Self::peaks`] are passed, they are the largest of many samples.
     pub fn peak_rates(&self, index: usize, peaks: &[(f64, f64)]) -> (f64, f64) {
         let Some(knot) = self.knots.get(index) else { return (0.0, 0.0) };
         let Shape::Function { index: function, gain, .. } = knot.shape else { return self.rates(index) };
@@ -322,7 +323,7 @@ impl Curve {
         (gain.abs() * slope / seconds, gain.abs() * curvature / (seconds * seconds))
     }
 
-    /// The value on the way to a knot, s of the way there in time.
+    /// The value on the way to a knot, at the fraction s of its time.
     pub fn value(&self, index: usize, s: f64) -> f64 {
         let knot = &self.knots[index];
         let from = index.checked_sub(1).map_or(knot.to, |before| self.knots[before].to);

@@ -1,6 +1,6 @@
-//! Easings: the way from one keyframe to the next, as a function of s from 0 to 1.
+//! Easings: the course from one keyframe to the next, as a function of s from 0 to 1.
 
-/// How a value is reached.
+/// The course to a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Easing {
     /// s
@@ -33,7 +33,7 @@ impl Easing {
         }
     }
 
-    /// When [`Self::Smooth`] has a value from 0 to 1: by halving.
+    /// The time at which [`Self::Smooth`] has a value from 0 to 1, by bisection.
     pub fn smooth_time(value: f64) -> f64 {
         let (mut early, mut late) = (0.0, 1.0);
         for _ in 0..50 {
@@ -43,7 +43,7 @@ impl Easing {
         f64::midpoint(early, late)
     }
 
-    /// Largest slope for s from 0 to 1: at s = 1/2.
+    /// Largest slope for s from 0 to 1, at s = 1/2.
     pub fn slope_max(self) -> f64 {
         match self {
             Self::Linear => 1.0,
@@ -53,7 +53,7 @@ impl Easing {
         }
     }
 
-    /// Largest second derivative: of smooth 10/sqrt(3), at s = 1/2 +- sqrt(3)/6; of cubic 6, at the ends.
+    /// Largest second derivative: for smooth, 10/sqrt(3) at s = 1/2 +- sqrt(3)/6; for cubic, 6 at the ends.
     pub fn curvature_max(self) -> f64 {
         match self {
             Self::Linear | Self::Step => 0.0,
@@ -67,8 +67,7 @@ impl Easing {
 mod tests {
     use super::*;
 
-    /// Values at 0, 1/4, 1/2, 3/4 and 1, the largest slope and the largest second derivative: by hand, from the formula of the
-    /// source.
+    /// Values at 0, 1/4, 1/2, 3/4 and 1, the largest slope and the largest second derivative, derived by hand from the published formula.
     const fn known(easing: Easing) -> ([f64; 5], f64, f64) {
         match easing {
             // `linear` of CSS (css-easing-1).
@@ -96,7 +95,7 @@ mod tests {
 
     const POINTS: u32 = 4_096;
 
-    /// The values at so many points between 0 and 1, and how far apart they are.
+    /// The values at [`POINTS`] + 1 points from 0 to 1, and the distance between them.
     fn sampled(easing: Easing) -> (Vec<f64>, f64) {
         let step = 1.0 / f64::from(POINTS);
         ((0..=POINTS).map(|i| easing.at(f64::from(i) * step)).collect(), step)

@@ -1,4 +1,4 @@
-//! Functions of s from 0 to 1 that no easing describes: polynomials and waves.
+//! Functions of s from 0 to 1 other than easings: polynomials, waves, parts of formulas, and coordinates of groups.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -25,49 +25,49 @@ pub enum Function {
     Swept(Box<Swept>),
 }
 
-/// Samples of a movement without turns, and in each turn besides.
+/// Number of samples of a movement without turns, and additional samples per turn.
 const SAMPLES: f64 = 1_024.0;
 const IN_TURN: f64 = 128.0;
-/// How far beside the end of a part of a path both sides are looked at, by u.
+/// Distance from the end of a path's part at which both sides are sampled, in u.
 const BESIDE: f64 = 1e-9;
-/// How much faster than on average the minimum jerk law goes in its middle.
+/// The ratio of the peak speed of the minimum jerk law to its mean speed.
 const PEAK: f64 = 1.875;
 
-/// One coordinate of a body that is moved with a group: along a line or a parabola, about a centre, away from it; or all of these
-/// together, as a function of u, the minimum jerk law of s.
+/// A coordinate of a body that moves with a group: along a line or a parabola, around a centre, away from it, or all of these together.
+/// It is a function of u, the minimum jerk law of s.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Swept {
     /// Coefficients of 1, u and u^2.
     pub line: [f64; 3],
     /// Coefficients of 1 and u of the radius.
     pub radius: [f64; 2],
-    /// The angle in turns at u = 0, and how many turns it gains: its sine counts.
+    /// The angle in turns at u = 0; its sine is used.
     pub phase: f64,
-    /// Turns that the angle gains until u is 1.
+    /// The number of turns that the angle increases by from u = 0 to u = 1.
     pub turns: f64,
-    /// A path along which it is carried besides.
+    /// A path along which it is carried in addition.
     pub carried: Option<Carried>,
 }
 
-/// A part of a path along which a coordinate is carried: from where it is when u is 0.
+/// A part of a path along which a coordinate is carried, relative to its position at u = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Carried {
     /// The path.
     pub path: Arc<Path>,
-    /// The quantity that follows the path.
+    /// The coordinate of the path that it follows.
     pub along: Along,
-    /// Units in a metre.
+    /// Units per metre.
     pub gain: f64,
-    /// How far along the path it begins, and how far it goes, in metres.
+    /// The distance along the path at which it begins, in metres.
     pub from: f64,
-    /// The distance along the path, in metres.
+    /// The distance that it covers along the path, in metres.
     pub length: f64,
     /// Whether the angle changes with the heading of the path.
     pub turning: bool,
 }
 
 impl Carried {
-    /// What the path adds to a value that it carries, and its first two derivatives by u.
+    /// The value that the path adds, and its first two derivatives with respect to u.
     fn jet(&self, along: Along, u: f64) -> [f64; 3] {
         let [value, slope, bend] = self.path.jet(along, self.from + self.length * u);
         let [begin, ..] = self.path.jet(along, self.from);
@@ -79,7 +79,7 @@ impl Carried {
         (slope * self.length, bend * self.length * self.length)
     }
 
-    /// Where parts of the path end, by u: there its bends are sharpest.
+    /// The ends of the path's parts, in u: there its bends are sharpest.
     fn ends(&self) -> impl Iterator<Item = f64> {
         let ends = self.path.ends(self.from, self.from + self.length);
         ends.into_iter().map(|metres| ((metres - self.from) / self.length).clamp(0.0, 1.0))
@@ -87,14 +87,14 @@ impl Carried {
 }
 
 impl Swept {
-    /// The angle in radians, and its first two derivatives by u.
+    /// The angle in radians, and its first two derivatives with respect to u.
     fn angle(&self, u: f64) -> [f64; 3] {
         let turning = self.carried.as_ref().filter(|carried| carried.turning);
         let [heading, first, second] = turning.map_or([0.0; 3], |carried| carried.jet(Along::Heading, u));
         [self.turns * u + self.phase + heading, self.turns + first, second].map(|turns| TAU * turns)
     }
 
-    /// Its value and its first two derivatives by u.
+    /// The value and its first two derivatives with respect to u.
     fn jet(&self, u: f64) -> [f64; 3] {
         let [a, b, c] = self.line;
         if self.radius == [0.0; 2] && self.carried.is_none() {
@@ -113,7 +113,7 @@ impl Swept {
         ]
     }
 
-    /// Bounds of the first two derivatives by u.
+    /// Bounds of the first two derivatives with respect to u.
     fn bounds(&self) -> (f64, f64) {
         let [_, b, c] = self.line.map(f64::abs);
         let (radius, growth) =
@@ -132,12 +132,12 @@ impl Swept {
         )
     }
 
-    /// Whether nothing moves.
+    /// Whether the coordinate does not change.
     pub fn is_still(&self) -> bool {
         self.bounds().0 == 0.0
     }
 
-    /// Everything that makes it.
+    /// All data that determines it, as a key for caches.
     pub(super) fn key(&self) -> impl Iterator<Item = u64> {
         let Self { line, radius, phase, turns, carried } = self;
         let numbers = line.iter().chain(radius).chain([phase, turns]).map(|number| number.to_bits());
@@ -157,7 +157,7 @@ impl Swept {
         slope * Easing::Smooth.curvature_max() + curvature * Easing::Smooth.slope_max().powi(2)
     }
 
-    /// The same of a body with this as one coordinate, in other units: `offset + scale * value` is what it is now.
+    /// Converts it to other units: `offset + scale * new value` equals the present value.
     pub fn in_units(&self, scale: f64, offset: f64) -> Self {
         let [a, b, c] = self.line;
         Self {
@@ -168,13 +168,13 @@ impl Swept {
         }
     }
 
-    /// The largest speed and acceleration of a point with these coordinates, by s: no less than they are, and with turns up to a
-    /// thirtieth of a percent more. Along a path they are the largest where its parts end, or of many samples.
+    /// Upper bounds of the speed and acceleration of a point with these coordinates, with respect to s. With turns, they are at most a
+    /// thirtieth of a percent too large. Along a path, they are the largest at the ends of its parts or of many samples.
     pub fn together(axes: &[Self]) -> (f64, f64) {
         let turns = axes.iter().map(|axis| axis.turns.abs()).fold(0.0, f64::max);
         let carried = axes.iter().find_map(|axis| axis.carried.as_ref());
         let samples = (SAMPLES + IN_TURN * PEAK * turns).ceil();
-        // Of N samples in a turn, the largest is lower than a cosine's peak by a share of at most (pi / N)^2 / 2.
+        // With N samples per turn, the largest sample is below a cosine's peak by a relative error of at most (pi / N)^2 / 2.
         let is_bent = turns > 0.0 || carried.is_some();
         let missed = if is_bent { 1.0 + (PI / IN_TURN).powi(2) / 2.0 } else { 1.0 };
         let at = |s: f64, u: f64| {
@@ -193,7 +193,7 @@ impl Swept {
         )]
         let count = samples as u32;
         let even = (0..=count).map(|i| f64::from(i) / samples).map(|s| at(s, Easing::Smooth.at(s)));
-        // On both sides of an end, where the second derivative may jump.
+        // Both sides of an end are sampled, because the second derivative may jump there.
         let ends = carried.into_iter().flat_map(Carried::ends);
         let ends = ends.map(|u| {
             let s = Easing::smooth_time(u);
@@ -204,14 +204,14 @@ impl Swept {
     }
 }
 
-/// What lies between two times of a formula.
+/// The part of a formula between two times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FormulaPart {
     /// The formula.
     pub formula: Formula,
-    /// When the part begins, in seconds.
+    /// The start of the part, in seconds.
     pub from: f64,
-    /// When the part ends, in seconds.
+    /// The end of the part, in seconds.
     pub to: f64,
     /// Bound of the first derivative, per second.
     pub slope_max: f64,
@@ -231,14 +231,14 @@ impl Function {
         match self {
             Self::Polynomial(coefficients) => horner(coefficients, s),
             Self::Sine { cycles, phase } => (TAU * (cycles * s + phase)).sin(),
-            // Its ends exactly: behind them the formula may jump.
+            // The end is evaluated exactly, because the formula may jump after it.
             Self::Formula(part) if s >= 1.0 => part.formula.at(part.to),
             Self::Formula(part) => part.formula.at((part.from + part.length() * s).min(part.to)),
             Self::Swept(swept) => swept.jet(Easing::Smooth.at(s))[0],
         }
     }
 
-    /// A bound of the first derivative. For polynomials the sum of |k c_k|, which may exceed the largest slope.
+    /// A bound of the first derivative. For polynomials, the sum of |k c_k|, which may exceed the largest slope.
     pub fn slope_max(&self) -> f64 {
         match self {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k),
@@ -248,7 +248,7 @@ impl Function {
         }
     }
 
-    /// The largest first and second derivative: of a polynomial where it is, of a formula among many samples, of a wave its bounds.
+    /// The largest first and second derivative: exact for polynomials, the largest of many samples for formulas, and a bound for waves.
     pub fn peak_rates(&self) -> (f64, f64) {
         if let Self::Formula(part) = self {
             let (slope, curvature) = part.formula.peak_rates(part.from, part.to);
@@ -274,8 +274,8 @@ impl Function {
     }
 }
 
-/// The largest value of a polynomial from 0 to 1, whatever its sign: at an end, or where its derivative changes its sign between two of
-/// 257 places.
+/// The largest absolute value of a polynomial from 0 to 1: at an end, at one of 257 points, or where its derivative changes sign between
+/// two of them.
 fn largest(coefficients: &[f64]) -> f64 {
     let slope = derivative(coefficients);
     let at = |i: u32| f64::from(i) / 256.0;
@@ -285,7 +285,7 @@ fn largest(coefficients: &[f64]) -> f64 {
     ends.chain(turns).fold(0.0, f64::max)
 }
 
-/// Where a polynomial goes through 0 between two places, if its signs there differ: by halving.
+/// The zero of a polynomial between two points with different signs, by bisection.
 fn turning(coefficients: &[f64], mut from: f64, mut to: f64) -> Option<f64> {
     let rises = horner(coefficients, to) > 0.0;
     if (horner(coefficients, from) > 0.0) == rises {
@@ -371,7 +371,7 @@ mod tests {
                 fastest = fastest.max(((after - before) / (2.0 * step)).abs());
                 hardest = hardest.max(((after - 2.0 * now + before) / (step * step)).abs());
             }
-            // A second difference of such small steps is known to a few digits.
+            // The second difference of such small steps only has a few accurate digits.
             assert!(
                 speed >= fastest * (1.0 - 1e-6) && speed <= fastest * 1.0004,
                 "{turns}: {speed} {fastest}"

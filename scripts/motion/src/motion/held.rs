@@ -1,11 +1,11 @@
-//! Steps of a device that holds its value, for a movement that is made of steps itself: the longest runs that one value
-//! serves, which are as few as possible.
+//! Steps of a device that holds its value, for a movement that consists of steps itself: finds the longest runs that one value serves,
+//! which are the fewest.
 
-/// The bounds of several values that are held one after the other.
+/// The ranges of several values that are held together.
 #[derive(Clone, Debug)]
 struct Ranges(Vec<(f64, f64)>);
 
-/// A value that is held from one level on.
+/// A value that is held from one level until the next run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
     /// Index of the first level that it serves.
@@ -15,9 +15,9 @@ pub struct Run {
     pub worst: f64,
 }
 
-/// The fewest runs. A level that no value on the grid is close enough to is a run of its own.
+/// Finds the fewest runs. A level without a close value on the grid is a separate run.
 ///
-/// Levels are lists of as many values each, `grid` is the nearest value that the device can take.
+/// All levels have the same number of values. `grid` returns the nearest value that the device can take.
 pub fn runs<'l>(
     levels: impl Iterator<Item = &'l [f64]>,
     grid: impl Fn(f64) -> f64,
@@ -53,7 +53,7 @@ impl Ranges {
         Self(level.iter().enumerate().map(range).collect())
     }
 
-    /// The values nearest to the middles, and how far they are from the furthest level.
+    /// The grid values nearest to the middles, and their largest distance from a level.
     fn held(&self, grid: &impl Fn(f64) -> f64) -> (Vec<f64>, f64) {
         let values: Vec<f64> = self.0.iter().map(|(low, high)| grid(f64::midpoint(*low, *high))).collect();
         let off = |(value, (low, high)): (&f64, &(f64, f64))| (value - low).max(high - value);
@@ -68,7 +68,7 @@ mod tests {
 
     use super::*;
 
-    /// The fewest values in a row, each a whole number, by trying all cuts.
+    /// The smallest number of successive whole values, by trying all cuts.
     fn fewest(levels: &[f64], tolerance: f64) -> usize {
         let serves =
             |part: &[f64]| (-9..=9).any(|v| part.iter().all(|l| (l - f64::from(v)).abs() <= tolerance));

@@ -1,7 +1,7 @@
-//! Movements: what a track does over time, however it was written, and how it becomes steps of a device, `path` a way through space.
+//! Movements: the course of a track over time, in any notation, and its conversion to steps of a device.
 //!
-//! `curve` holds the one form that all movements share, `easing` and `function` the ways between two values, `actuator` the
-//! steps of a device, `path` a way through space.
+//! `curve` is the common form of all movements, `easing` and `function` are the courses between two values, `actuator` creates the steps
+//! of a device, and `path` is a way through space.
 
 mod actuator;
 mod curve;

@@ -1,22 +1,22 @@
-//! A smooth way through points in space, by how far along it one is.
+//! A smooth path through points in space, as a function of the distance along it.
 
 use std::f64::consts::TAU;
 use std::hash::{Hash as _, Hasher as _};
 
 use super::spline::{Cubic, hermite, natural};
 
-/// Parts of a piece between two points, each of which is a cubic of the distance along the path.
+/// Number of parts between two points; each part is a cubic of the distance along the path.
 const PARTS: usize = 32;
-/// Points of a closed path that are laid before its first and behind its last one. What a point adds to the slope at another falls by
-/// half or more with each point between them.
+/// Number of points of a closed path that are repeated before its first and after its last point. The effect of a point on the slope at
+/// another one at least halves with each point between them.
 const AROUND: usize = 40;
-/// Least cosine of the angle between the directions at both ends of a part.
+/// Smallest cosine of the angle between the directions at both ends of a part.
 const BEND_MIN: f64 = 0.5;
-/// Shares of the speed along the path that a speed over the ground has at least, for a heading.
+/// Smallest ratio of horizontal speed to speed along the path for which a heading is defined.
 const LEVEL_MIN: f64 = 1e-3;
-/// Most turns by which the heading changes in a part of a path that is nowhere upright.
+/// Largest change of the heading within a part, in turns, if the path is not vertical there.
 const HEADING_MAX: f64 = 0.25;
-/// Places and weights of Gauss and Legendre's rule of five points, on the interval from -1 to 1 (NIST DLMF, 3.5).
+/// Nodes and weights of the five-point Gauss-Legendre rule on the interval from -1 to 1 (NIST DLMF, 3.5).
 const GAUSS: [(f64, f64); 5] = [
     (-0.906_179_845_938_664, 0.236_926_885_056_189_1),
     (-0.538_469_310_105_683_1, 0.478_628_670_499_366_5),
@@ -25,28 +25,28 @@ const GAUSS: [(f64, f64); 5] = [
     (0.906_179_845_938_664, 0.236_926_885_056_189_1),
 ];
 
-/// A smooth way through points in space, by how far along it one is.
+/// A smooth path through points in space, as a function of the distance along it.
 ///
 /// The points are joined by a cubic spline over the square roots of their distances (Lee 1989, Choosing nodes in parametric curve
-/// interpolation): it neither stops nor has corners. It is then divided finely, and each part is the cubic with the same places
-/// and directions at its ends, as a function of the distance along the path. Open ones are straight at both ends.
+/// interpolation): it neither stops nor has corners. The spline is then divided finely. Each part is the cubic with the same positions
+/// and directions at its ends, as a function of the distance along the path. Open paths have no curvature at their ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// What it goes through, x, y and z in metres: it follows from that, and from whether it is closed.
+    /// The points, x, y and z in metres. They and `closed` determine everything else.
     points: Vec<[f64; 3]>,
     closed: bool,
-    /// How far along the path each part begins, in metres, and where the last one ends.
+    /// The distance along the path to the start of each part, and to the end of the last one, in metres.
     far: Vec<f64>,
-    /// x, y, z in metres and the heading in turns.
+    /// x, y, z in metres, and the heading in turns.
     parts: Vec<[Cubic; 4]>,
-    /// Bounds of the first two derivatives of each, by metres.
+    /// Bounds of the first two derivatives of each, per metre.
     bounds: [(f64, f64); 4],
     has_heading: bool,
-    /// Of everything that makes it.
+    /// A hash of everything that determines the path.
     digest: [u64; 2],
 }
 
-/// What a path moves.
+/// The quantity of a path that moves a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Along {
     /// The first coordinate.
@@ -55,21 +55,22 @@ pub enum Along {
     Y,
     /// The third coordinate.
     Z,
-    /// The direction over the ground, in turns from x to y; of a closed path it goes on from lap to lap.
+    /// The horizontal direction, in turns from x to y. On a closed path it continues from lap to lap.
     Heading,
 }
 
-/// A path that would turn back on the spot at one of its points.
+/// A path that would reverse on the spot at one of its points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TurnsBack {
     pub point: usize,
 }
 
 impl Path {
-    /// Through two points or more, neighbours not in one place; a closed one through three or more, and back to the first.
+    /// Creates a path through at least two points; adjacent points must differ. A closed path has at least three points, and returns to
+    /// the first.
     ///
     /// # Errors
-    /// The path would turn back on the spot.
+    /// Returns an error if the path would reverse on the spot.
     pub fn through(points: &[[f64; 3]], closed: bool) -> Result<Self, TurnsBack> {
         let (around, pieces) = if closed { (AROUND, points.len()) } else { (0, points.len() - 1) };
         let count = points.len();
@@ -96,32 +97,32 @@ impl Path {
         Ok(Self { points: points.to_vec(), closed, far, parts, bounds, has_heading: !is_steep, digest })
     }
 
-    /// In metres; of a closed path that of a lap.
+    /// The length in metres; for a closed path, that of one lap.
     pub fn length(&self) -> f64 {
         self.far.last().copied().unwrap_or(0.0)
     }
 
-    /// How far along the path a point of it is, in metres.
+    /// The distance along the path to one of its points, in metres.
     pub fn far_of(&self, point: usize) -> f64 {
         self.far.get(point * PARTS).copied().unwrap_or_else(|| self.length())
     }
 
-    /// What it goes through, x, y and z in metres.
+    /// The points, x, y and z in metres.
     pub fn points(&self) -> &[[f64; 3]] {
         &self.points
     }
 
-    /// Whether it leads back to its first point.
+    /// Whether it returns to its first point.
     pub const fn is_closed(&self) -> bool {
         self.closed
     }
 
-    /// Whether it is nowhere so steep that it has no direction over the ground.
+    /// Whether a horizontal direction is defined everywhere, because it is nowhere too steep.
     pub const fn has_heading(&self) -> bool {
         self.has_heading
     }
 
-    /// The value so far along the path, and its first two derivatives by metres. A closed path goes on in laps.
+    /// The value at a distance along the path, and its first two derivatives per metre. A closed path continues in laps.
     pub fn jet(&self, along: Along, metres: f64) -> [f64; 3] {
         let length = self.length();
         let laps = if self.closed { (metres / length).floor() } else { 0.0 };
@@ -134,20 +135,20 @@ impl Path {
         [value + lapped, slope / whole, bend / (whole * whole)]
     }
 
-    /// By how many turns the heading changes from the beginning to the end.
+    /// The change of the heading from the beginning to the end, in turns.
     fn turns(&self) -> f64 {
         let ends = self.parts.first().zip(self.parts.last());
         let heading = Along::Heading as usize;
         ends.map_or(0.0, |(first, last)| jet(&last[heading], 1.0)[0] - first[heading][0])
     }
 
-    /// Bounds of the first two derivatives by metres.
+    /// Bounds of the first two derivatives per metre.
     pub const fn bounds(&self, along: Along) -> (f64, f64) {
         self.bounds[along as usize]
     }
 
-    /// Where parts end between two distances along the path, in metres. Of many laps only those in the first one, the last one, and
-    /// those about the middle, where a body from rest to rest is fastest.
+    /// The ends of parts between two distances along the path, in metres. For many laps, only those of the first and the last lap and of
+    /// the laps around the middle, where a body that moves from rest to rest is fastest.
     pub(super) fn ends(&self, from: f64, to: f64) -> Vec<f64> {
         let length = self.length();
         let lap = |metres: f64| if self.closed { (metres / length).floor() } else { 0.0 };
@@ -159,13 +160,13 @@ impl Path {
         ends.filter(|metres| (from..=to).contains(metres)).collect()
     }
 
-    /// What tells it from others.
+    /// A key that distinguishes it from other paths.
     pub(super) const fn key(&self) -> [u64; 2] {
         self.digest
     }
 }
 
-/// 128 bits of everything that makes a path: equal ones are equal paths but for an unlikely accident.
+/// A 128-bit hash of everything that determines a path: equal hashes mean equal paths, except for unlikely collisions.
 fn digest(points: &[[f64; 3]], closed: bool) -> [u64; 2] {
     [0u8, 1].map(|seed| {
         let mut hasher = std::collections::hash_map::DefaultHasher::new();
@@ -175,7 +176,7 @@ fn digest(points: &[[f64; 3]], closed: bool) -> [u64; 2] {
     })
 }
 
-/// What a path has of parts so far.
+/// The parts of a path so far.
 #[derive(Default)]
 struct Laid {
     far: Vec<f64>,
@@ -186,7 +187,7 @@ struct Laid {
 }
 
 impl Laid {
-    /// The parts of a piece of the spline, which begins at a point.
+    /// Adds the parts of a piece of the spline that begins at a point.
     fn add(&mut self, piece: [Cubic; 3], point: usize) -> Result<(), TurnsBack> {
         if self.far.is_empty() {
             self.far.push(0.0);
@@ -196,7 +197,7 @@ impl Laid {
             let ends = [share(index), share(index + 1)];
             let length = arc(&piece, ends);
             let [from, to] = ends.map(|s| End::of(&piece, s));
-            // At the end of a piece it is the next point at which it turns.
+            // In the second half of a piece, it is the next point at which the path reverses.
             let turns_back = TurnsBack { point: point + usize::from(index >= PARTS / 2) };
             let (Some(from), Some(to)) = (from, to) else { return Err(turns_back) };
             let before = self.last.map_or(from.direction, |(direction, _)| direction);
@@ -207,7 +208,7 @@ impl Laid {
             self.is_steep |= from.is_steep || to.is_steep;
             let heading = self.last.map_or(from.heading, |(_, heading)| nearest_turn(from.heading, heading));
             let next = nearest_turn(to.heading, heading);
-            // In so small a part the heading changes as much only where it goes through the vertical.
+            // Within such a small part, the heading only changes this much when the path passes through the vertical.
             self.is_steep |= (next - heading).abs() > HEADING_MAX;
             let axis = |axis: usize| {
                 hermite([from.at[axis], to.at[axis]], [from.direction[axis], to.direction[axis]], length)
@@ -224,21 +225,21 @@ impl Laid {
 /// The path at one end of a part.
 struct End {
     at: [f64; 3],
-    /// Of length 1.
+    /// A unit vector.
     direction: [f64; 3],
-    /// In turns, and how much of that a metre.
+    /// In turns, and its change per metre.
     heading: f64,
     turning: f64,
     is_steep: bool,
 }
 
 impl End {
-    /// None where the spline stands still.
+    /// `None` if the spline has no speed here.
     fn of(piece: &[Cubic; 3], s: f64) -> Option<Self> {
         let [x, y, z] = piece.each_ref().map(|cubic| jet(cubic, s));
         let speed = norm([x[1], y[1], z[1]]);
         let level = x[1].hypot(y[1]);
-        // What is no number has no direction either.
+        // NaN has no direction either.
         if speed.is_nan() || speed <= f64::MIN_POSITIVE {
             return None;
         }
@@ -255,14 +256,15 @@ impl End {
     }
 }
 
-/// The length of the way between two values of s, in metres.
+/// The length of the path between two values of s, in metres.
 fn arc(piece: &[Cubic; 3], [from, to]: [f64; 2]) -> f64 {
     let half = (to - from) / 2.0;
     let speed = |s: f64| norm(piece.each_ref().map(|cubic| jet(cubic, s)[1]));
     GAUSS.iter().map(|(place, weight)| weight * speed(from + half * (1.0 + place))).sum::<f64>() * half
 }
 
-/// Second derivatives of cubics are largest at their ends, and first ones there or where the second is 0.
+/// Bounds of the first two derivatives. The second derivative of a cubic is largest at its ends; the first derivative, there or where the
+/// second is 0.
 fn bounds(far: &[f64], parts: &[[Cubic; 4]]) -> [(f64, f64); 4] {
     let mut bounds = [(0.0_f64, 0.0_f64); 4];
     for (part, ends) in parts.iter().zip(far.windows(2)) {
@@ -285,7 +287,7 @@ fn jet(&[a, b, c, d]: &Cubic, s: f64) -> [f64; 3] {
     [a + s * (b + s * (c + s * d)), b + s * (2.0 * c + 3.0 * s * d), 2.0 * c + 6.0 * s * d]
 }
 
-/// The same direction, as few turns as possible from another.
+/// The same direction, with the fewest turns from another.
 fn nearest_turn(heading: f64, other: f64) -> f64 {
     heading + (other - heading).round()
 }
@@ -336,7 +338,7 @@ mod tests {
             let metres = real(index) * 0.0377;
             let (sine, cosine) = (metres / 2.0).sin_cos();
             let place = at(&path, metres);
-            // Off by less than a millionth of the radius; the length by less than that of the whole.
+            // The error is less than a millionth of the radius; the relative error of the length is less than a millionth.
             assert!((place[0].hypot(place[1]) - 2.0).abs() < 2e-6, "{place:?}");
             assert!(distance(place, [2.0 * cosine, 2.0 * sine, 1.0]) < 4e-6 * (1.0 + metres), "{place:?}");
             let turns = metres / 2.0 / TAU + 0.25;

@@ -1,4 +1,4 @@
-//! Cubic splines through points: one that begins and ends at rest, and the natural one.
+//! Cubic splines through points: the clamped spline that starts and ends at rest, and the natural one.
 
 /// The polynomials between the points, each in s from 0 to 1: c0 + c1 s + c2 s^2 + c3 s^3.
 pub type Cubic = [f64; 4];
@@ -12,16 +12,16 @@ enum Ends {
     Natural,
 }
 
-/// The clamped cubic spline with zero slope at both ends: among all curves through the points that begin and end at rest,
-/// it has the least integral of the squared acceleration (de Boor, A Practical Guide to Splines, chapter IV). Slopes m_i
-/// at the points solve m_{i-1}/h_i + 2 m_i (1/h_i + 1/h_{i+1}) + m_{i+1}/h_{i+1} = 3 (d_i/h_i + d_{i+1}/h_{i+1}), with
-/// h the lengths of the intervals and d their mean slopes.
+/// The clamped cubic spline with zero slope at both ends. Among all curves through the points that start and end at rest, it has the
+/// least integral of the squared acceleration (de Boor, A Practical Guide to Splines, chapter IV). The slopes m_i at the points solve
+/// m_{i-1}/h_i + 2 m_i (1/h_i + 1/h_{i+1}) + m_{i+1}/h_{i+1} = 3 (d_i/h_i + d_{i+1}/h_{i+1}), where h are the lengths of the intervals
+/// and d their mean slopes.
 pub fn spline(times: &[f64], values: &[f64]) -> Vec<Cubic> {
     between(times, values, &slopes(times, values, Ends::Rest))
 }
 
-/// The natural cubic spline, which is straight at both ends: of the equations for its slopes, the first and the last have one
-/// interval each.
+/// The natural cubic spline, which has zero curvature at both ends. The first and the last equation for its slopes contain one interval
+/// each.
 pub(super) fn natural(times: &[f64], values: &[f64]) -> Vec<Cubic> {
     between(times, values, &slopes(times, values, Ends::Natural))
 }
@@ -47,7 +47,7 @@ fn slopes(times: &[f64], values: &[f64], ends: Ends) -> Vec<f64> {
         Ends::Rest => 1..n.saturating_sub(1),
         Ends::Natural => 0..n,
     };
-    // What the interval that ends at a point adds to its equation: to the factor of its slope, and to the right side.
+    // The contribution of the interval that ends at a point: the factor of its slope, and the right-hand side.
     let interval = |i: usize| {
         let length = times[i] - times[i - 1];
         (1.0 / length, 3.0 * (values[i] - values[i - 1]) / (length * length))
@@ -60,7 +60,7 @@ fn slopes(times: &[f64], values: &[f64], ends: Ends) -> Vec<f64> {
         above[i] = after / pivot;
         slopes[i] = (known + coming - slope * before) / pivot;
     }
-    // A last slope that is not free is 0, as is its multiplier.
+    // A prescribed last slope is 0, and so is its multiplier.
     for i in free.rev().filter(|i| i + 1 < n) {
         slopes[i] -= above[i] * slopes[i + 1];
     }
@@ -107,7 +107,7 @@ mod tests {
         }
         assert!(rates(&pieces[0], 0.0, lengths[0]).1.abs() < 1e-9);
         assert!(rates(&pieces[2], 1.0, lengths[2]).1.abs() < 1e-9);
-        // Between two points it is a line.
+        // Between two points, the spline is a straight line.
         assert_eq!(natural(&[0.0, 2.0], &[1.0, 5.0]), [[1.0, 4.0, 0.0, 0.0]]);
     }
 }

@@ -1,5 +1,5 @@
-//! Where each robot of a cue stands among them: by its number, by its place in the fleet, or at random. And values that are spread
-//! over them: `{from: 0, to: 90, across: group}`.
+//! The position of each robot of a cue among all of them: by its number, by its place in the fleet, or at random. Also values that are
+//! spread over the robots: `{from: 0, to: 90, across: group}`.
 
 use std::sync::Arc;
 
@@ -14,20 +14,20 @@ use downbeat_space::space::Coordinate;
 use downbeat_yaml::finding::{Code, Pending, names};
 use downbeat_yaml::node::Node;
 
-/// Places are told apart to the nanometre.
+/// Places are distinguished to the nanometre.
 const UNITS_A_METRE: f64 = 1e9;
-/// No robot is farther away, in metres.
+/// Upper bound for coordinates and distances, in metres.
 const FARTHEST: f64 = 1e8;
-/// Most robots without a place that a finding names.
+/// Maximum number of robots without a place that a finding names.
 const NAMED_MAX: usize = 8;
 
 keys! {
-    /// A number or a time of its own for each robot of the cue, from the first to the last.
+    /// An individual number or time for each robot of the cue, from the first to the last.
     pub(crate) struct SpreadKeys as "spread" {
-        /// Of the first robot, and of one alone.
+        /// The value of the first robot, and of a single robot.
         #[required]
         from: kinds::SPREAD_END,
-        /// Of the last robot.
+        /// The value of the last robot.
         #[required]
         to: kinds::SPREAD_END,
         /// The robots of the cue.
@@ -42,23 +42,23 @@ keys! {
     }
 }
 
-/// The robots of the cue that is read.
+/// The robots of the cue that is being read.
 #[derive(Debug, Default)]
 pub struct Group {
-    /// By their index in the fleet, in the order of the cue.
+    /// The indices in the fleet, in the order of the cue.
     pub robots: Vec<usize>,
     /// All robots of the fleet.
     pub fleet: Vec<Standing>,
-    /// What has been asked of them before.
+    /// Results that are already computed for these robots.
     shares: Vec<(Across, Arc<[Fraction]>)>,
 }
 
-/// A robot and where it stands.
+/// A robot with its place.
 #[derive(Debug)]
 pub struct Standing {
     /// The id of the robot.
     pub id: RobotId,
-    /// x, y and z; none without a body.
+    /// x, y and z; `None` without a body.
     pub axes: Option<[Axis; 3]>,
 }
 
@@ -71,14 +71,14 @@ pub struct Axis {
     pub at: Whereabouts,
 }
 
-/// Whether a coordinate is known when a cue begins.
+/// The position on an axis at the start of a cue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Whereabouts {
-    /// In metres.
+    /// The position in metres.
     Known(f64),
-    /// The coordinate is not known.
+    /// The position is not known.
     Unknown,
-    /// A group moved it that has no ways, or none that is known: mostly the compiler tells why.
+    /// A group moved the robot, and its ways do not exist or are not known. In most cases, the compiler reports the cause.
     Lost,
 }
 
@@ -98,21 +98,21 @@ pub enum By {
     Index,
     /// A coordinate of their place: 0 for x, 1 for y, 2 for z.
     Axis(usize),
-    /// How far they are from a point, in metres.
+    /// Their distance from a point, in metres.
     Point([f64; 3]),
     /// Chance, with a seed.
     Random(f64),
 }
 
-/// Which of them are first.
+/// The robots that come first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Direction {
     #[default]
     Forward,
     Backward,
-    /// Those in the middle.
+    /// The robots in the middle come first.
     Outward,
-    /// Those at both ends.
+    /// The robots at both ends come first.
     Inward,
 }
 
@@ -130,7 +130,7 @@ pub(crate) const DIRECTION_WORDS: [(&str, Direction); 4] = [
     ("outward", Direction::Outward),
     ("inward", Direction::Inward),
 ];
-const EXPECTED_POINT: &str = "a point in metres, as [0, 0, 1.5]";
+const EXPECTED_POINT: &str = "a point in metres, such as [0, 0, 1.5]";
 
 #[derive(Clone, Copy)]
 pub(crate) enum Word {
@@ -140,7 +140,7 @@ pub(crate) enum Word {
 }
 
 impl Group {
-    /// Of a fleet, before any cue.
+    /// A group in this fleet, before any cue.
     pub fn of(fleet: Vec<Standing>) -> Self {
         Self { fleet, ..Self::default() }
     }
@@ -150,7 +150,7 @@ impl Group {
         self.robots.len()
     }
 
-    /// From here on, these robots.
+    /// Replaces the robots of the current cue.
     pub fn enter(&mut self, robots: Vec<usize>) {
         self.robots = robots;
         self.shares.clear();
@@ -158,7 +158,7 @@ impl Group {
 }
 
 impl Axis {
-    /// Marks the coordinate as unknown from here on if a device moves it.
+    /// Marks the coordinate as lost if a device moves it.
     pub fn lose(&mut self) {
         if matches!(self.of, Coordinate::Device { .. }) {
             self.at = Whereabouts::Lost;
@@ -181,7 +181,7 @@ impl Standing {
         self.axes.iter().flatten().any(|axis| axis.at == Whereabouts::Lost)
     }
 
-    /// In nanometres.
+    /// The place in nanometres.
     fn place(&self) -> Option<[i128; 3]> {
         Some(self.metres()?.map(nanometres))
     }
@@ -215,8 +215,8 @@ impl Across {
                 Word::Index => Some(By::Index),
                 Word::Axis(axis) => Some(By::Axis(axis)),
                 Word::Random if seed.is_none() => {
-                    let hint = Some("choose any number: `seed: 7`".to_owned());
-                    reader.add(Code::MissingKey, at.place(), "`random` without a seed", "a key `seed`", hint);
+                    let hint = Some("add a seed with any number: `seed: 7`".to_owned());
+                    reader.add(Code::MissingKey, at.place(), "`random` needs a seed", "a key `seed`", hint);
                     None
                 }
                 Word::Random => read_seed.map(By::Random),
@@ -225,13 +225,13 @@ impl Across {
         if let (Some(at), Some(by)) = (seed, by)
             && !matches!(by, By::Random(_))
         {
-            let message = "a `seed` where nothing is random";
+            let message = "`seed` has no effect without `by: random`";
             reader.add(Code::UnknownKey, at.key_place(), message, "`by: random` next to it", None);
         }
         Some(Self { by: by?, direction: direction? })
     }
 
-    /// Where each robot of the cue stands along it, from 0 on; in metres, where places are asked for.
+    /// The position of each robot of the cue in this order, from 0; in metres if the order depends on places.
     pub fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
         let own = self.own(reader, at)?;
         let metres = matches!(self.by, By::Axis(_) | By::Point(_));
@@ -245,7 +245,7 @@ impl Across {
         })
     }
 
-    /// Which place each robot has in the order, from 0 on. Robots that stand alike share one.
+    /// The rank of each robot in this order, from 0. Robots at the same position share a rank.
     pub fn ranks(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<usize>> {
         let own = self.own(reader, at)?;
         let mut sorted = own.clone();
@@ -257,7 +257,7 @@ impl Across {
         Some(self.directed(&ranks).iter().map(whole).collect())
     }
 
-    /// What a robot is ordered by: whole numbers.
+    /// The criterion of each robot, as an integer.
     fn own(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<i128>> {
         let Group { robots, fleet, .. } = &reader.group;
         let count = robots.len();
@@ -316,7 +316,7 @@ impl Across {
         all.iter().map(one).collect()
     }
 
-    /// The part of the way from the first robot to the last at which each of them stands, from 0 to 1.
+    /// The position of each robot between the first and the last, from 0 to 1.
     fn shares(self, reader: &mut Reader, at: &At<'_>) -> Option<Arc<[Fraction]>> {
         if let Some((_, known)) = reader.group.shares.iter().find(|(across, _)| *across == self) {
             return Some(known.clone());
@@ -337,7 +337,7 @@ impl Across {
     }
 }
 
-/// Each as a part of the largest; 0 if all are.
+/// Each value as a fraction of the largest; 0 if the largest is 0.
 pub fn parts(all: &[Fraction]) -> Vec<Fraction> {
     let most = all.iter().max().copied().unwrap_or_default();
     let part = |value: &Fraction| if most == Fraction::ZERO { Fraction::ZERO } else { *value / most };
@@ -359,13 +359,13 @@ fn point(reader: &mut Reader, at: &At<'_>) -> Option<[f64; 3]> {
 fn no_place(at: &At<'_>, without: &[&Standing]) -> Pending {
     let shown = names(without.iter().take(NAMED_MAX).map(|robot| robot.id.as_str()));
     let message = match without.len() {
-        1 => format!("the place of robot {shown} is not known"),
+        1 => format!("the position of robot {shown} is unknown"),
         count if count > NAMED_MAX => {
-            format!("the places of robots {shown} and {} more are not known", count - NAMED_MAX)
+            format!("the positions of robots {shown} and {} more are unknown", count - NAMED_MAX)
         }
-        _ => format!("the places of robots {shown} are not known"),
+        _ => format!("the positions of robots {shown} are unknown"),
     };
-    let expected = "robots with a `body` in the fleet file, whose devices have a default value or are moved by a cue above this one";
+    let expected = "robots with a `body` in the fleet file whose devices have a default value or are moved by a cue above this one";
     let hint = if without.iter().any(|robot| robot.axes.is_none()) {
         "add `body: {x: 1.2}` to the robot in the fleet file, or order by `index`"
     } else {
@@ -383,7 +383,7 @@ fn no_place(at: &At<'_>, without: &[&Standing]) -> Pending {
     }
 }
 
-/// Whether a node is meant as a value that is spread over the robots.
+/// Whether a node is intended as a value that is spread over the robots.
 pub fn is_spread(node: &Node) -> bool {
     let Node::Map(entries) = node else { return false };
     let has = |name: &str| entries.iter().any(|(key, _)| key == name);
@@ -391,7 +391,7 @@ pub fn is_spread(node: &Node) -> bool {
 }
 
 impl Reader {
-    /// Reads something for one robot; and whether it is something else for others.
+    /// Reads something for one robot. Also returns whether the result depends on the robot.
     pub fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
         let before = self.robots.current.replace(robot);
         self.robots.asked = false;
@@ -400,7 +400,7 @@ impl Reader {
         (found, std::mem::take(&mut self.robots.asked))
     }
 
-    /// `{from: 0, to: 90, across: group}` for the robot whose movement is read, as an expression.
+    /// `{from: 0, to: 90, across: group}` as an expression, for the robot whose movement is read.
     pub fn spread(&mut self, at: &At<'_>) -> Option<String> {
         let SpreadKeys { from, to, across, by, seed, direction, ease } = self.keys(at, "a spread")?;
         let across = across.and_then(|at| self.word(&at, &ACROSS_WORDS));
@@ -410,8 +410,9 @@ impl Reader {
         let from = from_at.and_then(|at| self.written(&at));
         let to = to_at.and_then(|at| self.written(&at));
         let Some(robot) = self.robots.current else {
-            let message = "a value spread over the robots, and this is for all of them";
-            let hint = Some("use it in what each robot does: tracks, parameters, scale".to_owned());
+            let message = "a value that is spread over the robots is not supported here";
+            let hint =
+                Some("use it where each robot can have its own value: tracks, parameters, scale".to_owned());
             self.add(Code::WrongType, at.place(), message, "a value that all robots share", hint);
             return None;
         };
@@ -433,7 +434,7 @@ impl Reader {
         Some(format!("({from}) + (({to}) - ({from})) * {share}"))
     }
 
-    /// A number or a time as it stands in an expression.
+    /// A number or a time in the notation of expressions.
     fn written(&mut self, at: &At<'_>) -> Option<String> {
         match self.defined(at)? {
             Node::Number(value) if value.is_finite() => Some(value.to_string()),

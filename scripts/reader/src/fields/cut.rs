@@ -1,4 +1,4 @@
-//! Values that a comma cuts in two, as YAML reads it: `0,5` and `max(1, 2)` within braces.
+//! Values that YAML cuts in two at a comma: `0,5` and `max(1, 2)` within braces.
 
 use super::{At, Reader};
 use downbeat_motion::expression;
@@ -7,12 +7,12 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 impl Reader {
-    /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.
+    /// YAML reads `{at: 0,3s}` as the number 0 and a key `3s`: one fault, one finding.
     pub(super) fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), others: &[&str]) {
         let Some(rest) = others.first() else { return };
         let place = at.entry(rest, 0, &Node::Null).key_place();
         let message =
-            format!("a comma ends the value of `{}`, and `{}` is left over", shortened(key), shortened(rest));
+            format!("the value of `{}` ends at the comma, and `{}` remains", shortened(key), shortened(rest));
         let (expected, hint) = match others {
             [_] => ("a decimal point", format!("write a decimal point: `{whole}.{}`", shortened(rest))),
             _ => (
@@ -24,19 +24,20 @@ impl Reader {
         self.wrong.push(at.place().of_key(key));
     }
 
-    /// `{to: max(1, 2)}` is the text `max(1` and a key `2)`: one fault, one finding.
+    /// YAML reads `{to: max(1, 2)}` as the text `max(1` and a key `2)`: one fault, one finding.
     pub(super) fn cut_in_brackets(&mut self, at: &At<'_>, key: &str, text: &str) {
         let place = at.entry(key, 0, &Node::Null).place();
-        let message = format!("a comma ends the expression `{}`", shortened(text));
+        let message = format!("the expression `{}` is cut off by a comma", shortened(text));
         let hint = Some(
-            "within `{` and `[`, write an expression that has a comma in quotes: `\"max(1, 2)\"`".to_owned(),
+            "within `{` and `[`, put an expression that contains a comma in quotes: `\"max(1, 2)\"`"
+                .to_owned(),
         );
         self.add(Code::Expression, place.clone(), message, "an expression in quotes", hint);
         self.wrong.push(place);
     }
 }
 
-/// The entry and its number if a decimal comma made this key of its decimals.
+/// The entry and its number, if a decimal comma turned its decimals into this key.
 pub(super) fn cut_by_comma<'a>(
     (key, value): &'a (String, Node),
     rest: &str,
@@ -56,14 +57,14 @@ pub(super) fn cut_by_comma<'a>(
     }
 }
 
-/// The keys at the beginning that are numbers without a value: at least the first.
+/// The leading keys that are numbers without a value; the first key is always included.
 pub(super) fn numbers_alone(entries: &[(String, Node)]) -> Vec<&str> {
     let is_number = |(key, node): &&(String, Node)| *node == Node::Null && key.parse::<f64>().is_ok();
     let count = entries.iter().take_while(is_number).count().max(1);
     entries.iter().take(count).map(|(key, _)| key.as_str()).collect()
 }
 
-/// How many brackets are open at the end of a text.
+/// The number of brackets that are open at the end of a text.
 fn is_open(text: &str) -> usize {
     text.chars().fold(0, |open: usize, c| match c {
         '(' => open + 1,
@@ -72,7 +73,8 @@ fn is_open(text: &str) -> usize {
     })
 }
 
-/// Whether a comma within the brackets of an expression ended the value, which leaves the rest as a key.
+/// The entry whose value ended at a comma within the brackets of an expression, so that the rest became a key. `None` if that is not the
+/// case.
 pub(super) fn cut_in_brackets<'a>(
     (key, value): &'a (String, Node),
     node: &Node,

@@ -1,4 +1,4 @@
-//! Expressions in a document: variables are put in, and what is wrong is found at its character.
+//! Expressions in a document: substitutes variables, and reports errors at their characters.
 
 #[cfg(test)]
 mod tests;
@@ -18,13 +18,13 @@ use downbeat_yaml::shown::shortened;
 
 pub use tried::tried;
 
-/// Longest expression that a variable may become when others are put into it.
+/// Maximum length of a variable's expression after other variables are substituted.
 const WRITTEN_MAX: usize = 2_000;
-/// Most bars and beats, and most nanoseconds, that are laid on the clock.
+/// Limits of bars and beats, and of nanoseconds, for conversion to time.
 const BEATS_MAX: f64 = 1e9;
 const NANOS_MAX: f64 = 1e20;
 
-/// The number of a robot among those of its cue, from 0.
+/// The position of a robot in its cue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
     /// The position of the robot in the cue, counted from 0.
@@ -33,22 +33,23 @@ pub struct Robot {
     pub count: usize,
 }
 
-/// Whose movement is read, and what of it depends on that.
+/// The robot whose movement is read, and the parts of the movement that depend on it.
 #[derive(Debug, Default)]
 pub struct Robots {
     pub current: Option<Robot>,
-    /// Whether `$index` or `$count` was asked for.
+    /// Whether `$index` or `$count` was used.
     pub asked: bool,
-    /// What came out where it was: robots for which that is the same share a movement.
+    /// The results of expressions that used them. Robots with equal results share a movement.
     pub results: Vec<u64>,
 }
 
-/// How `$index` is not to be used.
-const ONE_ROBOT: &str = "use it in what each robot does: tracks, parameters, scale, mirror, repeat";
+/// A hint for a wrong use of `$index`.
+const ONE_ROBOT: &str =
+    "use it where each robot can have its own value: tracks, parameters, scale, mirror, repeat";
 
 struct Here<'r> {
     reader: &'r mut Reader,
-    /// The value of a variable names no others.
+    /// Whether this is the value of a variable, which cannot use other variables.
     inner: bool,
 }
 
@@ -64,7 +65,7 @@ impl Known for Here<'_> {
                 Ok(Quantity::Amount(Amount::of(number, Unit::PLAIN)))
             }
             (None, None) if matches!(name, "index" | "count") => {
-                let message = format!("`${name}` differs from robot to robot, and this is for all of them");
+                let message = format!("`${name}` differs between robots and is not supported here");
                 Err(Fault::new(span, message, "a value that all robots share").hint(ONE_ROBOT))
             }
             (None, _) => Err(self.reader.unknown(name, span)),
@@ -93,7 +94,7 @@ impl Here<'_> {
         if !self.reader.evaluations.take(expression.steps.len()) {
             return Err(too_many(span));
         }
-        // What is wrong within is told at the name.
+        // Faults within the value are reported at the name.
         let mut inner = Here { reader: self.reader, inner: true };
         evaluate(&expression, &mut inner).map_err(|fault| Fault {
             span,
@@ -111,7 +112,7 @@ fn no_quantity(node: &Node, name: &str, span: Span) -> Fault {
 fn too_many(span: Span) -> Fault {
     let most = downbeat_yaml::budget::EVALUATIONS_MAX;
     let fault = Fault::new(span, "too many expressions", format!("at most {most} steps in all"));
-    Fault { code: Code::TooMuch, ..fault.hint("cut the scenario into several") }
+    Fault { code: Code::TooMuch, ..fault.hint("split the scenario into several scenarios") }
 }
 
 impl Reader {
@@ -122,7 +123,7 @@ impl Reader {
             return Fault { code: Code::Variable, ..fault.hint_or(Some(self.move_up(name))) };
         }
         let known = || self.scope.names().chain(["index", "count"]);
-        let message = format!("no variable `{}` is known here", shortened(name));
+        let message = format!("unknown variable `{}`", shortened(name));
         let expected = match self.scope.names().next() {
             Some(_) => format!("one of the variables {}", names(self.scope.names())),
             None => "a name under `variables`".to_owned(),
@@ -135,7 +136,7 @@ impl Reader {
         let [number, bars, beats] = [amount.number, amount.bars, amount.beats].map(Num::f64);
         if number.abs() > NANOS_MAX || bars.abs() > BEATS_MAX || beats.abs() > BEATS_MAX {
             let expected = format!("at most {}", downbeat_yaml::budget::longest());
-            return Err(Fault::new(span, "too long a time", expected));
+            return Err(Fault::new(span, "the time is too long", expected));
         }
         let clock = Exact::of_nanos(amount.number.as_fraction());
         if !amount.is_musical() {
@@ -144,7 +145,7 @@ impl Reader {
         match self.music.length(amount.bars.as_fraction(), amount.beats.as_fraction()) {
             Ok(length) => Ok(clock.plus(length)),
             Err(why) => {
-                let expected = "a `tempo`, and a fixed start where it changes";
+                let expected = "a `tempo`, and a cue with a fixed start where the tempo changes";
                 let fault = Fault::new(span, why.message("beats and bars"), expected).hint(why.hint());
                 Err(Fault { code: Code::Music, ..fault })
             }
@@ -181,7 +182,7 @@ impl Reader {
         found
     }
 
-    /// The value of an expression that stands here, or within the text that stands here.
+    /// The value of an expression at this place, or within the text at this place.
     pub fn quantity(&mut self, at: &At<'_>, text: &str) -> Option<Quantity> {
         let text = text.trim();
         let told = self.evaluations.is_overdrawn();
@@ -196,7 +197,7 @@ impl Reader {
         }
     }
 
-    /// Whether both ends of a spread are of one kind, as far as they have values.
+    /// Whether both ends of a spread are of the same kind, as far as they have values.
     pub fn is_alike(&mut self, to: &At<'_>, ends: [&str; 2]) -> bool {
         let unit = |value: Result<Quantity, Fault>| match value {
             Ok(Quantity::Amount(amount)) => Some(amount.unit),
@@ -208,11 +209,11 @@ impl Reader {
         }
         let message = format!("a spread from {} to {}", from.name(), other.name());
         let hint = from.hint_of_two(other).map(str::to_owned);
-        self.add(Code::Expression, to.place(), message, "two of the same kind", hint);
+        self.add(Code::Expression, to.place(), message, "two values of the same kind", hint);
         false
     }
 
-    /// Adds a finding at the characters of a text that stands here, or at all of what stands here.
+    /// Adds a finding at the characters of a part of the node's text, or at the whole node.
     fn faulty(&mut self, at: &At<'_>, text: &str, fault: Fault) {
         if fault.is_told() {
             return;
@@ -238,12 +239,12 @@ impl Reader {
     }
 
     fn wrong_quantity(&mut self, at: &At<'_>, text: &str, found: &str, expected: &str, hint: Option<&str>) {
-        let message = format!("the expression gives {found}");
+        let message = format!("the result of the expression is {found}");
         let fault = Fault::new(Self::whole(text), message, expected).hint_or(hint.map(str::to_owned));
         self.faulty(at, text.trim(), fault);
     }
 
-    /// A plain number; an angle counts in radians.
+    /// A plain number; an angle is converted to radians.
     pub fn number_of(&mut self, at: &At<'_>, text: &str, expected: &str) -> Option<f64> {
         if slips::is_rate(text) {
             self.wrong_type(at, expected);
@@ -291,9 +292,9 @@ impl Reader {
             Unit::PERCENT => Some(if expected.contains("factor") {
                 format!("write `{}`", amount.number.f64())
             } else {
-                "a percentage is a part of something, as in `50% * 90`".to_owned()
+                "multiply the percentage by a value: `50% * 90`".to_owned()
             }),
-            Unit::TIME => Some("divide the time by another one: `$a / 1s`".to_owned()),
+            Unit::TIME => Some("divide the time by another time: `$a / 1s`".to_owned()),
             _ => None,
         };
         self.wrong_quantity(at, text, amount.unit.name(), expected, hint.as_deref());
@@ -305,14 +306,14 @@ impl Reader {
         match self.quantity(at, text)? {
             Quantity::Truth(truth) => Some(truth),
             Quantity::Amount(amount) => {
-                let hint = Some("compare it: `$index % 2 == 1`");
+                let hint = Some("use a comparison: `$index % 2 == 1`");
                 self.wrong_quantity(at, text, amount.unit.name(), "true or false", hint);
                 None
             }
         }
     }
 
-    /// A length of time that is not negative.
+    /// A duration that is not negative.
     pub fn time_of(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let amount = match self.quantity(at, text)? {
             Quantity::Amount(amount) if amount.unit == Unit::TIME => amount,
@@ -320,7 +321,7 @@ impl Reader {
                 let hint = match amount.unit {
                     Unit::PLAIN if duration::of_two_numbers(text).is_some() => duration::of_two_numbers(text),
                     Unit::PLAIN => Some("multiply by a time: `$index * 500ms`".to_owned()),
-                    Unit::PERCENT => Some("a percentage is a part of something, as in `50% * 8s`".to_owned()),
+                    Unit::PERCENT => Some("multiply the percentage by a value: `50% * 8s`".to_owned()),
                     _ => duration::hint(text),
                 };
                 self.wrong_quantity(at, text, amount.unit.name(), duration::EXPECTED, hint.as_deref());
@@ -342,14 +343,14 @@ impl Reader {
             let span = length.rounded();
             let hint = duration::hint(text);
             let found = format!("the negative time {span}");
-            self.wrong_quantity(at, text, &found, "a time from 0 on", hint.as_deref());
+            self.wrong_quantity(at, text, &found, "a time of at least 0", hint.as_deref());
             return None;
         }
         self.no_longer(at, text, length)
     }
 
-    /// The value of a variable or a parameter: an expression that names others becomes a value at once, or, where it differs from
-    /// robot to robot, an expression that names none but `$index` and `$count`.
+    /// The value of a variable or a parameter. An expression with variables is evaluated at once. If it differs between robots, the
+    /// result is an expression that only uses `$index` and `$count`.
     pub fn defined(&mut self, at: &At<'_>) -> Option<Node> {
         if let Node::Text(text) = at.node
             && names_variables(text)
@@ -377,13 +378,13 @@ impl Reader {
             return self.put_in(text, &expression);
         }
         match self.value_of(&expression) {
-            // The tempo may be known later, or only where the cue has its start.
+            // The tempo may only be known later, or at the start of the cue.
             Err(fault) if fault.code == Code::Music => self.put_in(text, &expression),
             value => node_of(value?, Self::whole(text)),
         }
     }
 
-    /// The same expression with the values of its variables in the place of their names.
+    /// The same expression with its variables replaced by their values.
     fn put_in(&self, text: &str, expression: &Expression) -> Result<Node, Fault> {
         let chars: Vec<char> = text.chars().collect();
         let (mut written, mut done) = (String::new(), 0);
@@ -402,7 +403,7 @@ impl Reader {
                 None => return Err(self.unknown(name, span)),
             }
             if written.chars().count() > WRITTEN_MAX {
-                let message = "an expression that becomes too long with its variables";
+                let message = "the expression becomes too long with its variables";
                 return Err(Fault::new(span, message, format!("at most {WRITTEN_MAX} characters")));
             }
         }
@@ -410,7 +411,7 @@ impl Reader {
         Ok(Node::Text(written))
     }
 
-    /// A formula of the time, with its variables put in.
+    /// A formula of time, with its variables substituted.
     pub fn formula(&mut self, at: &At<'_>) -> Option<Formula> {
         let text = match self.scalar(at)?.into_owned() {
             Node::Number(value) if value.is_finite() => value.to_string(),
@@ -443,7 +444,7 @@ impl Reader {
     }
 }
 
-/// What a variable keeps of a value.
+/// The form in which a variable stores a value.
 fn node_of(value: Quantity, span: Span) -> Result<Node, Fault> {
     let amount = match value {
         Quantity::Truth(truth) => return Ok(Node::Bool(truth)),

@@ -1,33 +1,33 @@
-//! The keys of a map, each of which is declared once: its name, what it means, which values it takes, and whether it is required.
-//! [`Reader::keys`](crate::fields::Reader::keys) reads a map into the struct that [`keys!`](crate::keys!) makes, whose fields have the
-//! values that the file gives. The schemas, the tables of keys in the documentation and the dictionary of the fuzzer are generated from
-//! the same declarations, so that they cannot differ from the reader.
+//! The keys of a map. Each is declared once: its name, its meaning, its values, and whether it is required.
+//! [`Reader::keys`](crate::fields::Reader::keys) reads a map into the struct that [`keys!`](crate::keys!) generates, whose fields hold
+//! the values in the file. The schemas, the tables of keys in the documentation, and the dictionary of the fuzzer are generated from the
+//! same declarations, so they always match the reader.
 
 use std::ops::RangeInclusive;
 
 use super::At;
 
-/// The keys that one kind of map may have, as [`keys!`](crate::keys!) declares them.
+/// The keys that one kind of map may have, declared by [`keys!`](crate::keys!).
 pub trait Keys<'a>: Sized {
     /// Their names in files.
     const NAMES: &'static [&'static str];
     /// Whether each of them is required.
     const REQUIRED: &'static [bool];
 
-    /// From their values, in the order of the names.
+    /// Creates the struct from the values, in the order of the names.
     fn of(values: Vec<Option<At<'a>>>) -> Self;
 }
 
 /// A declared map.
 #[derive(Debug)]
 pub struct Declaration {
-    /// The name under which a schema defines it. `None`: where it is used.
+    /// The name of its definition in a schema. `None` if it is defined inline at each use.
     pub definition: Option<&'static str>,
-    /// What it is, line by line.
+    /// A description, line by line.
     pub doc: &'static [&'static str],
     /// Its keys, in the order in which messages list them.
     pub keys: &'static [Key],
-    /// What else holds of its keys, such as which of them exclude each other: part of a JSON schema.
+    /// Additional constraints on its keys, such as mutual exclusion: part of a JSON schema.
     pub also: Option<&'static str>,
 }
 
@@ -36,47 +36,47 @@ pub struct Declaration {
 pub struct Key {
     /// Its name in a file.
     pub name: &'static str,
-    /// What it means, line by line. Empty if its kind says that. Only the documentation has what follows an empty line.
+    /// Its meaning, line by line. Empty if its kind describes it. Lines after an empty line appear only in the documentation.
     pub doc: &'static [&'static str],
-    /// What holds without it.
+    /// The default value.
     pub default: &'static [Option<&'static str>],
-    /// Whether it has to be there.
+    /// Whether the key is required.
     pub required: bool,
-    /// Which values it takes.
+    /// The values that it accepts.
     pub kind: &'static Kind,
 }
 
 impl Key {
-    /// What holds without it, if something does.
+    /// The default value, if there is one.
     #[must_use]
     pub fn default(&self) -> Option<&'static str> {
         self.default.iter().copied().flatten().next()
     }
 }
 
-/// Which values a key takes.
+/// The values that a key accepts.
 #[derive(Debug)]
 pub enum Kind {
-    /// A kind that several keys share. A schema defines it once, under its name in small letters.
+    /// A kind that several keys share. A schema defines it once, under its name in lower case.
     Named {
-        /// Its name.
+        /// The name of the kind.
         name: &'static str,
-        /// What it is, line by line.
+        /// A description, line by line.
         doc: &'static [&'static str],
-        /// Which values it takes.
+        /// The values that it accepts.
         kind: &'static Self,
     },
     /// A map with declared keys.
     Keys(fn() -> &'static Declaration),
-    /// The same, and all values are of one kind.
+    /// A map with declared keys whose values are all of one kind.
     KeysOf(fn() -> &'static Declaration, &'static Self),
-    /// The same, and other keys, which are names of the user, with values of one kind.
+    /// A map with declared keys, and with other keys that are names of the user, whose values are of one kind.
     KeysAnd(fn() -> &'static Declaration, &'static Self),
     /// A map from names of the user to values of one kind.
     Entries(&'static Self),
-    /// The same with one entry or more.
+    /// A map like `Entries` with at least one entry.
     SomeEntries(&'static Self),
-    /// A list of that many values of one kind.
+    /// A list of values of one kind, with a length in this range.
     List(&'static Self, RangeInclusive<usize>),
     /// A list with one value of each kind.
     Tuple(&'static [&'static Self]),
@@ -84,7 +84,7 @@ pub enum Kind {
     Words(&'static [&'static str]),
     /// One of several kinds.
     AnyOf(&'static [&'static Self]),
-    /// What a JSON schema says of it.
+    /// A JSON schema.
     Schema(&'static str),
 }
 
@@ -108,7 +108,7 @@ macro_rules! words {
     };
 }
 
-/// The [`Kind`] of a value of which only a schema says what it is.
+/// The [`Kind`] of a value that only a JSON schema describes.
 #[macro_export]
 macro_rules! schema {
     ($json:tt) => {
@@ -126,7 +126,7 @@ macro_rules! named {
     };
 }
 
-/// Declares a struct with a field for each key of a map. A key that is a word of Rust is written as in `r#move`.
+/// Declares a struct with a field for each key of a map. A key that is a keyword of Rust is written with `r#`, such as `r#move`.
 ///
 /// ```
 /// use downbeat_reader::keys::Keys;
@@ -164,7 +164,7 @@ macro_rules! keys {
             /// A map with these keys.
             $visible const KIND: $crate::keys::Kind = $crate::keys::Kind::Keys(Self::declaration);
 
-            /// The keys, with what is declared of them.
+            /// The declaration of the keys.
             $visible fn declaration() -> &'static $crate::keys::Declaration {
                 static DECLARATION: $crate::keys::Declaration = $crate::keys::Declaration {
                     definition: $crate::optional!($($definition)?),
@@ -194,7 +194,7 @@ macro_rules! keys {
     };
 }
 
-/// A value that may be left out.
+/// An optional value.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! optional {
@@ -242,7 +242,7 @@ macro_rules! doc_of {
     };
 }
 
-/// The name in files of a name in Rust.
+/// Converts a name in Rust to the name in files.
 #[doc(hidden)]
 #[must_use]
 pub const fn written(name: &'static str) -> &'static str {

@@ -1,4 +1,4 @@
-//! Kinds of values that many keys take.
+//! Kinds of values that many keys share.
 
 use super::keys::Kind;
 use super::{BY_WORDS, DIRECTION_WORDS, SpreadKeys};
@@ -6,13 +6,13 @@ use crate::{named, schema, words};
 
 /// Any text.
 pub static TEXT: Kind = schema!({"type": "string"});
-/// A number as it is.
+/// A literal number.
 pub static PLAIN_NUMBER: Kind = schema!({"type": "number"});
-/// A number above 0 as it is.
+/// A literal number above 0.
 pub static POSITIVE: Kind = schema!({"type": "number", "exclusiveMinimum": 0});
-/// A value of its own for each robot of a cue.
+/// An individual value for each robot of a cue.
 pub static SPREAD: Kind = SpreadKeys::KIND;
-/// `true` or `false` as it is.
+/// A literal `true` or `false`.
 pub static BOOLEAN: Kind = schema!({"type": "boolean"});
 
 named! {
@@ -25,12 +25,11 @@ named! {
     /// The value of a variable or parameter: `$name`, or `-$name` for its negative.
     pub static VARIABLE = schema!({"type": "string", "pattern": "^-?\\$\\w[\\w-]*$"});
 
-    /// A calculation: `$a + 5`, `2 * $height`, `sin(360 * $index / $count)`, `8s / 4`, `if($index < 3, 10, 20)`. `$index` counts the
-    /// robots of the cue from 0, `$count` is how many they are.
+    /// A calculation: `$a + 5`, `2 * $height`, `sin(360 * $index / $count)`, `8s / 4`, `if($index < 3, 10, 20)`. `$index` is the number
+    /// of the robot in the cue, from 0; `$count` is the number of robots in the cue.
     pub static EXPRESSION = schema!({"type": "string", "pattern": "[$(*/%+<>=]|.\\s*-|^-?pi$|^not "});
 
-    /// A length of time with its unit: `200us`, `250ms`, `1.5s`, `1m30s`, `2h`, `00:01:30`; with a tempo also `3 beats`,
-    /// `1 bar 2 beats`.
+    /// A duration with its unit: `200us`, `250ms`, `1.5s`, `1m30s`, `2h`, `00:01:30`; with a tempo also `3 beats`, `1 bar 2 beats`.
     pub static TIME = Kind::AnyOf(&[
         &schema!({
             "type": "string",
@@ -57,7 +56,7 @@ named! {
     /// A number, a time or an expression.
     pub static SPREAD_END = Kind::AnyOf(&[&PLAIN_NUMBER, &TIME]);
 
-    /// What the robots are ordered by: their number (default), a coordinate of their place, their distance from a point, or chance.
+    /// The criterion that orders the robots: their number (default), a coordinate of their place, their distance from a point, or chance.
     pub static BY = Kind::AnyOf(&[&words!(BY_WORDS), &PLACE]);
 
     /// Which robots are first: those at the beginning (default), at the end, in the middle, at both ends.

@@ -1,4 +1,4 @@
-//! What is being read because something else uses it: moves within moves, cues of sequences.
+//! Items that are being read because something else uses them: moves within moves, cues of sequences.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ pub struct Name {
 /// A parameter that has neither a default nor a value.
 #[derive(Clone, Debug)]
 pub struct Unset {
-    /// Where it is used.
+    /// The place that uses the parameter.
     pub place: Place,
     /// The move that has the parameter.
     pub of_move: String,
@@ -27,28 +27,28 @@ pub struct Unset {
     pub parameter: String,
 }
 
-/// Which moves and sequences are being read, one within another.
+/// The moves and sequences that are being read, nested in one another.
 #[derive(Debug)]
 pub struct Nesting {
-    /// The innermost last, each as messages name it: `the move `wave``.
+    /// From the outermost to the innermost, each as named in messages: `the move `wave``.
     pub inside: Vec<String>,
-    /// The copy of a file whose names are seen first.
+    /// The copy of a file whose names take precedence.
     pub copy: usize,
-    /// Moves that the movement being read plays.
+    /// Budget of moves that the current movement plays.
     pub plays: Budget,
-    /// The same for all movements.
+    /// Budget of moves that all movements play.
     pub all_plays: Budget,
-    /// Cues that sequences make.
+    /// Budget of cues that sequences generate.
     pub cues: Budget,
-    /// Cues that sequences make which nothing uses.
+    /// The number of cues of unused sequences.
     unused_cues: usize,
-    /// Sequences that are being read.
+    /// The number of sequences that are being read.
     pub sequences: usize,
-    /// Robots for cues of a sequence that name none.
+    /// The robots for cues of a sequence that do not name any.
     pub robots: Option<Arc<[Name]>>,
-    /// Where the cue that was read last begins, as far as that is fixed.
+    /// The start of the cue that was read last, as far as it is fixed.
     pub began: Beginning,
-    /// The message about uses that lead back to themselves, with the number of the finding.
+    /// Messages about circular uses, each with the index of its finding.
     pub circles: HashMap<String, usize>,
 }
 
@@ -75,8 +75,8 @@ impl Nesting {
         self.sequences > 0
     }
 
-    /// Room for a sequence that nothing uses: its cues are none of the scenario. Returns the room that is left for those; none if enough
-    /// unused ones have been looked at.
+    /// Starts an unused sequence, whose cues are not part of the scenario, with its own budget. Returns the remaining budget of the
+    /// scenario's cues, for [`Self::end_unused`]. `None` if enough unused cues have been checked.
     pub fn unused_sequence(&mut self) -> Option<Budget> {
         if self.unused_cues > SEQUENCE_CUES_MAX {
             return None;
@@ -84,18 +84,18 @@ impl Nesting {
         Some(std::mem::replace(&mut self.cues, Budget::new(SEQUENCE_CUES_MAX)))
     }
 
-    /// Its cues have been read.
+    /// Ends an unused sequence: restores the budget, and counts the cues of the sequence.
     pub fn end_unused(&mut self, room: Budget) {
         let unused = std::mem::replace(&mut self.cues, room);
         self.unused_cues += unused.most() - unused.left();
     }
 
-    /// For the movement that is read next.
+    /// Resets the budget for the next movement.
     pub fn renew_plays(&mut self) {
         self.plays = Budget::new(PLAYS_MAX);
     }
 
-    /// Whether the movement plays more moves than are read.
+    /// Whether the movement plays more moves than the limits allow.
     pub const fn has_too_many_plays(&self) -> bool {
         self.plays.is_overdrawn() || self.all_plays.is_overdrawn()
     }

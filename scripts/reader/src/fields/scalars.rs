@@ -1,4 +1,4 @@
-//! Single values: numbers, times, words, truth values, and the variables that stand for them.
+//! Scalar values: numbers, times, words, truth values, and the variables that represent them.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 impl Reader {
-    /// The node itself, or the value of the variable that is there. Expressions are left as they are.
+    /// The node itself, or the value of the variable at this place. Expressions remain unchanged.
     pub fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if self.is_variable(text) => self.variable(at, text).map(Cow::Owned),
@@ -24,7 +24,7 @@ impl Reader {
         }
     }
 
-    /// The same in places that allow no expression: any text that begins like a variable is one.
+    /// The same for places that do not allow expressions: any text that begins like a variable is a variable.
     fn plain_scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
@@ -34,12 +34,12 @@ impl Reader {
         }
     }
 
-    /// Whether a text is only a variable or its negative.
+    /// Whether a text is a single variable or its negative.
     pub fn is_variable(&self, text: &str) -> bool {
         let Some(name) = text.strip_prefix('$').or_else(|| text.strip_prefix("-$")) else { return false };
         let is_word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_');
         match self.scope.get(name) {
-            // A time is negated as an expression.
+            // The negative of a time is an expression.
             Some(Node::Text(value)) if text.starts_with('-') => {
                 !expression::is_one(value) && duration::parse_duration(value).is_none()
             }
@@ -48,7 +48,7 @@ impl Reader {
         }
     }
 
-    /// The place that gives the value of the parameter at this node, if it is a parameter of a move or a sequence.
+    /// The place that assigns the parameter at this node, if it is a parameter of a move or a sequence.
     pub fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
         let Node::Text(text) = at.node else { return None };
         self.scope.place(text.strip_prefix('$')?).cloned()
@@ -60,15 +60,15 @@ impl Reader {
             None => (false, &text[1..]),
         };
         match (self.scope.get(name), negated) {
-            // The fault of its value is already reported.
+            // The fault of its value has already been reported.
             (Some(Node::Null), _) => {}
             (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
             (Some(value), false) => return Some(value.clone()),
             (Some(_), true) => {
-                let message = format!("a minus needs a number, and `{}` is not a number", shortened(name));
+                let message = format!("a minus needs a number, but `{}` is not a number", shortened(name));
                 self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
             }
-            // The names as a whole have a finding already.
+            // The variables as a whole have already been reported.
             (None, _) if self.is_wrong("variables") => {}
             (None, _) if self.later.contains(name) => {
                 let message = format!("the variable `{}` is used before it is defined", shortened(name));
@@ -86,17 +86,17 @@ impl Reader {
                         "a name under `variables`".to_owned(),
                     ),
                 };
-                let message = format!("no variable `{}` is known here", shortened(name));
+                let message = format!("unknown variable `{}`", shortened(name));
                 self.add(Code::Variable, at.place(), message, expected, hint);
             }
         }
         None
     }
 
-    /// A hint for a variable that is used above its definition, or in it.
+    /// A hint for a variable that is used above or within its definition.
     pub fn move_up(&self, name: &str) -> String {
         format!(
-            "define `{}` above the variables that use it, by numbers or by variables above it",
+            "define `{}` above the variables that use it, with numbers or variables defined above it",
             shortened(name)
         )
     }
@@ -125,7 +125,7 @@ impl Reader {
         }
     }
 
-    /// A number, or an expression that amounts to one; anything else is a finding.
+    /// A number, or an expression that evaluates to one; anything else is a finding.
     pub fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         match self.scalar(at)?.as_ref() {
             Node::Number(value) if value.is_finite() => Some(*value),
@@ -169,7 +169,7 @@ impl Reader {
         None
     }
 
-    /// `true` or `false`, or an expression that is either; anything else is a finding.
+    /// `true` or `false`, or an expression that evaluates to either; anything else is a finding.
     pub fn truth(&mut self, at: &At<'_>) -> Option<bool> {
         match self.scalar(at)?.as_ref() {
             Node::Bool(value) => Some(*value),
@@ -181,12 +181,12 @@ impl Reader {
         }
     }
 
-    /// A length of time, in seconds and their kind or in beats and bars, as measured by the clock from the start of the cue.
+    /// A duration in seconds and related units, or in beats and bars, converted to clock time at the start of the cue.
     pub fn duration(&mut self, at: &At<'_>) -> Option<Span> {
         self.exact(at).map(|length| self.music.start.lay(length))
     }
 
-    /// The same before it is rounded.
+    /// The same before rounding.
     pub fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
         if self.is_template(at, duration::EXPECTED) {
             return None;
@@ -201,12 +201,9 @@ impl Reader {
                 let text = self.spread(at)?;
                 return self.time_of(at, &text);
             }
-            Node::Null => (
-                "found nothing where a time belongs".to_owned(),
-                Some("write a time, such as `0s`".to_owned()),
-            ),
+            Node::Null => ("missing time".to_owned(), Some("write a time, such as `0s`".to_owned())),
             other => {
-                (format!("found {} where a time belongs", other.kind()), slips::one_time(&at.place(), other))
+                (format!("found {} instead of a time", other.kind()), slips::one_time(&at.place(), other))
             }
         };
         self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
@@ -218,12 +215,12 @@ impl Reader {
         Laps { length, from: self.music.start }
     }
 
-    /// A length of time from a part of a text.
+    /// A duration that is part of a text.
     pub fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
         self.exact_time(at, text).map(|length| self.music.start.lay(length))
     }
 
-    /// The same before it is rounded.
+    /// The same before rounding.
     pub fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let text = text.trim();
         if let Some(name) = text.strip_prefix('$').filter(|_| self.is_variable(text)) {
@@ -251,17 +248,17 @@ impl Reader {
         match self.music.span(text) {
             Some(Ok(length)) => return self.no_longer(at, text, length),
             Some(Err(why)) => {
-                let expected = "a `tempo`, and a fixed start where it changes";
+                let expected = "a `tempo`, and a cue with a fixed start where the tempo changes";
                 self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
             }
             None if expression::is_one(text) && !text.starts_with("-.") => return self.time_of(at, text),
             None => {
-                let found = format!("the time `{}` cannot be read", shortened(text));
+                let found = format!("invalid time `{}`", shortened(text));
                 let is_number = text.parse::<f64>().is_ok_and(|value| value >= 0.0);
                 let hint = match is_number {
                     true => Some(format!("add the unit: `{text}s` or `{text}ms`")),
                     false if self.scope.get(text).is_some() => {
-                        Some(format!("the variable is written `${text}`"))
+                        Some(format!("write the variable as `${text}`"))
                     }
                     false => slips::time(&at.place(), text).or_else(|| duration::hint(text)),
                 };
@@ -271,13 +268,13 @@ impl Reader {
         None
     }
 
-    /// Beats and bars may be more than a time can hold.
+    /// Checks the limit of times, which beats and bars may exceed.
     pub fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
         if length.rounded_down() <= longest() {
             return Some(length);
         }
-        let message = format!("`{}` is too long a time", shortened(text));
-        let hint = Some("write less, or a faster `tempo`".to_owned());
+        let message = format!("the time `{}` is too long", shortened(text));
+        let hint = Some("use a shorter time, or a faster `tempo`".to_owned());
         self.add(Code::BadDuration, at.place(), message, format!("at most {}", longest()), hint);
         None
     }
@@ -292,12 +289,12 @@ impl Reader {
         self.duration(at)
     }
 
-    /// One of a few words.
+    /// One of the given words.
     pub fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
         self.word_or(at, words, |_| None)
     }
 
-    /// The same, with special hints for some words that are not among them.
+    /// The same, with special hints for some other words.
     pub fn word_or<T: Copy>(
         &mut self,
         at: &At<'_>,

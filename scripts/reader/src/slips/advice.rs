@@ -1,12 +1,11 @@
-//! Advice for keys of other programs that no other key replaces: QLab, MoveIt, Skybrush, Blender and others.
+//! Advice for keys of other programs that have no equivalent: QLab, MoveIt, Skybrush, Blender and others.
 
-/// The map that contains the keys by mistake, the keys, and what to do instead; `{key}` and `{given}` stand for the key and its
-/// value.
+/// The map that contains the keys by mistake, the keys, and the advice; `{key}` and `{given}` are replaced by the key and its value.
 pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",
         &["fade", "fade_in", "fade_out", "transition", "crossfade"],
-        "write `ease: smooth` in each keyframe, whose `at` says when it is reached",
+        "write `ease: smooth` in each keyframe; `at` is the time at which its value is reached",
     ),
     (
         "a cue",
@@ -26,7 +25,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",
         &["acceleration", "max_acceleration_scaling_factor", "max_velocity"],
-        "leave it out: the keyframes say how fast it moves, and `limits` in the fleet file bound it",
+        "leave it out: the keyframes determine the speed, and `limits` in the fleet file restrict it",
     ),
     ("a cue", &["ease", "easing"], "write it in each keyframe: `{at: 1s, to: 45, ease: {given}}`"),
     (
@@ -37,14 +36,14 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",
         &["takeoff", "take_off", "land", "goto", "position", "pose", "goal", "hover"],
-        "`shift: [0, 0, 1]` moves robots by metres, and `form: NAME` to the places of a formation; both need `over: 4s`",
+        "use `shift: [0, 0, 1]` to move robots by metres, or `form: NAME` to move them to a formation; both need `over: 4s`",
     ),
     (
         "a cue",
         &["joint_names", "points", "trajectory", "planning_group", "named_target", "target"],
-        "write `tracks: {DEVICE: [{at: 1s, to: 45}]}`; `downbeat import joint-trajectory` converts trajectories of ROS",
+        "write `tracks: {DEVICE: [{at: 1s, to: 45}]}`; `downbeat import joint-trajectory` converts ROS trajectories",
     ),
-    ("a cue", &["play"], "define a move that plays others under `moves`, and name it: `move: NAME`"),
+    ("a cue", &["play"], "define a move that plays others under `moves`, and refer to it: `move: NAME`"),
     (
         "a cue",
         &["exclusive", "lock", "mutex", "resource"],
@@ -58,12 +57,12 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",
         &["go", "trigger", "hotkey", "on", "midi", "osc"],
-        "an act waits, a cue does not: write `wait: operator` next to the `cues` of an act",
+        "only an act can wait: write `wait: operator` next to the `cues` of an act",
     ),
     (
         "a cue",
         &["armed", "enabled", "disabled", "active", "muted", "mute", "skip"],
-        "leave it out: every cue plays; `#` before its lines makes it a comment",
+        "leave it out: every cue plays; to disable a cue, write `#` before its lines",
     ),
     (
         "a cue",
@@ -106,12 +105,12 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a keyframe",
         &["by", "delta", "add", "relative", "offset", "change"],
-        "write the value that is reached, `to: 45`: no keyframe counts from the one before it",
+        "write the target value, `to: 45`: keyframes are not relative to the previous one",
     ),
     (
         "a keyframe",
         &["from"],
-        "leave it out: a keyframe begins at the value of the one before it, the first of them `{at: 0s, to: {given}}`",
+        "leave it out: a keyframe starts at the value of the previous one; for the first one, add `{at: 0s, to: {given}}`",
     ),
     (
         "a keyframe",
@@ -121,7 +120,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a keyframe",
         &["handle_left", "handle_right", "handles", "tangent", "in_tangent", "out_tangent"],
-        "leave it out: `ease: smooth` begins and ends softly, and a `spline` leads through points without a stop",
+        "leave it out: `ease: smooth` eases in and out, and a `spline` passes through points without a stop",
     ),
     (
         "a track",
@@ -131,15 +130,15 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a wave",
         &["shape", "form", "type", "waveform"],
-        "leave it out: a wave is a sine; a `formula` has other shapes",
+        "leave it out: a wave is always a sine; use a `formula` for other shapes",
     ),
-    ("a wave", &["cycles", "times", "count", "repeat"], "write how long they last together, as in `for: 8s`"),
+    ("a wave", &["cycles", "times", "count", "repeat"], "write their total duration, as in `for: 8s`"),
     ("a wave", &["bpm", "tempo"], "write `period: 1 beat`, with the `tempo` at the top of the scenario"),
-    ("`along`", &["circle", "points"], "define the path under `paths`, and name it: `path: NAME`"),
+    ("`along`", &["circle", "points"], "define the path under `paths`, and refer to it: `path: NAME`"),
     (
         "`form`",
         &["circle", "line", "grid", "v", "sphere", "text", "svg", "cloud", "points"],
-        "define the formation under `formations`, and name it: `to: NAME`",
+        "define the formation under `formations`, and refer to it: `to: NAME`",
     ),
     (
         "the scenario",
@@ -150,28 +149,28 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "the scenario",
         &["fps", "frame_rate", "frame_start", "frame_end", "timebase"],
-        "leave it out: times carry their unit, as in `1.5s`",
+        "leave it out: times have a unit, as in `1.5s`",
     ),
     (
         "the scenario",
         &["joint_names", "points", "trajectory", "joint_trajectory"],
-        "`downbeat import joint-trajectory` makes `cues:` of a trajectory of ROS",
+        "use `downbeat import joint-trajectory` to convert a ROS trajectory to `cues:`",
     ),
     (
         "the scenario",
         &["robots", "groups", "drones", "swarm", "devices", "joints"],
-        "write it in the fleet file, and name its robots in each cue",
+        "write it in the fleet file, and list its robots in each cue",
     ),
     (
         "the scenario",
         &["repeat", "loop", "loops"],
-        "write it in a cue; an act follows itself with `next` and an `otherwise` that leads elsewhere",
+        "write it in a cue; to repeat an act, write its own name under `next`, and another act under `otherwise`",
     ),
     ("an act", &["repeat", "loop"], "write it in the cues of the act"),
     (
         "an act",
         &["at", "after", "with", "before", "start", "previous", "parallel"],
-        "acts follow each other in the order of the file, or as `next` says",
+        "acts follow each other in the order of the file, or as set with `next`",
     ),
     (
         "an act",
@@ -189,7 +188,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "`line`",
         &["from", "to", "start", "end"],
-        "write how long it is, `length: 6`, and where its middle is, next to it: `at: [0, 0, 1]`",
+        "write its length, `length: 6`, and its centre next to the shape: `at: [0, 0, 1]`",
     ),
     (
         "the formation",
@@ -202,7 +201,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
         "write `svg: FILE.svg` with a `size`, or list the places as `points`",
     ),
     ("the formation", &["heading", "yaw", "angle", "orientation"], "write `rotate: {given}`, in degrees"),
-    ("robot", &["position", "pose", "origin", "location"], "write where it stands: `body: {x: 1, y: 2}`"),
+    ("robot", &["position", "pose", "origin", "location"], "write its position: `body: {x: 1, y: 2}`"),
     ("robot", &["port"], "write it in the address: `address: tls://HOST:{given}`"),
     (
         "robot",
@@ -215,17 +214,13 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
         "write it for each device in the description of the robot, the file that `init` names",
     ),
     ("robot", &["group", "groups"], "write it next to `robots`: `groups: {NAME: [ROBOT, ROBOT]}`"),
-    (
-        "robot",
-        &["count", "number"],
-        "write an entry for each robot: each has a name and an address of its own",
-    ),
+    ("robot", &["count", "number"], "write an entry for each robot, each with its own name and address"),
     (
         "robot",
         &["type", "color", "colour", "namespace", "enabled", "name", "description", "comment"],
         "leave it out, or write a comment: `# {key}: {given}`",
     ),
-    ("a body", &["position", "pose", "origin"], "write its coordinates by themselves: `x: 1, y: 2, z: 0`"),
+    ("a body", &["position", "pose", "origin"], "write its coordinates as separate keys: `x: 1, y: 2, z: 0`"),
     (
         "a body",
         &["height", "width", "length", "shape", "box", "sphere", "diameter"],

@@ -1,15 +1,15 @@
-//! Hints for movements that are no list of keyframes.
+//! Hints for movements that are not a list of keyframes.
 
 use downbeat_yaml::at::At;
 use downbeat_yaml::duration::parse_duration;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// Times and values that a beginner writes in a form other than a list of keyframes.
+/// Times and values in a form other than a list of keyframes, as beginners write them.
 pub struct OtherForm {
     /// A description of the form.
     pub found: &'static str,
-    /// Hints to write them as that list, in brackets and in lines.
+    /// Hints to write them as that list, in brackets and in block style.
     pub hints: [String; 2],
 }
 
@@ -59,7 +59,7 @@ pub fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     let first = keyframes.as_ref().and_then(|all| all.first()).map_or("{at: 0s, to: 0}", String::as_str);
     let in_lines = match at.node {
         Node::List(items) if items.iter().all(is_whole_or_single) => {
-            "time and value are one entry: write two spaces in place of the dash before the second of them"
+            "time and value belong to one entry: replace the dash before the second one with two spaces"
                 .to_owned()
         }
         _ => format!("write each keyframe as an entry of a list: `- {first}`"),
@@ -67,18 +67,18 @@ pub fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     Some(OtherForm { found, hints: [format!("write `[{shown}]`"), in_lines] })
 }
 
-/// A time as the key of a map: `1s`, or `1` for a second.
+/// A time that is the key of a map: `1s`, or `1` for one second.
 fn time_of_key(key: &str) -> Option<String> {
     let is_number = key.parse::<f64>().is_ok_and(|seconds| seconds >= 0.0 && seconds.is_finite());
     if is_number { Some(format!("{key}s")) } else { parse_duration(key).map(|_| key.to_owned()) }
 }
 
-/// `at: 1s` in a list, without braces, is a map of one key.
+/// `at: 1s` as a list item, without braces, is a map with one key.
 fn is_single(node: &Node) -> bool {
     matches!(node, Node::Map(entries) if matches!(entries.as_slice(), [(key, _)] if ["at", "to", "ease"].contains(&key.as_str())))
 }
 
-/// Whether a time and a value, each by itself, follow each other.
+/// Whether a time is followed by a value, or vice versa, as separate items.
 fn are_halves(items: &[Node]) -> bool {
     let key = |node: &Node| match node {
         Node::Map(entries) if is_single(node) => entries.first().map(|(key, _)| key.clone()),

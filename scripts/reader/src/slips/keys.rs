@@ -1,4 +1,4 @@
-//! Hints for keys: words of other programs, keys of another map, keys that are left out.
+//! Hints for keys: names from other programs, keys that belong to another map, missing keys.
 
 use super::Units;
 use super::advice::ADVICE;
@@ -7,7 +7,7 @@ use downbeat_yaml::finding::did_you_mean_this;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// Other words for the keys of a map: the map, the words, and the key.
+/// Synonyms for the keys of a map: the map, the synonyms, and the key.
 const KEYS: [(&str, &[&str], &str); 76] = [
     ("a keyframe", &["value", "position", "positions", "pos", "angle", "target", "val", "goal"], "to"),
     ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
@@ -87,7 +87,7 @@ const KEYS: [(&str, &[&str], &str); 76] = [
     ("`samples`", &["column"], "value"),
 ];
 
-/// A hint for a key that a map does not have.
+/// A hint for an unknown key of a map.
 pub fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String> {
     let known = KEYS.iter().find(|(place, words, _)| is_named(what, place) && words.contains(&key));
     if let Some((.., meant)) = known {
@@ -116,7 +116,7 @@ pub fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String>
         (
             "`line`" | "`circle`" | "`v`" | "`sphere`" | "`grid`",
             "count" | "number" | "n" | "robots" | "drones",
-        ) => Some("leave it out: there is a place for each robot of the cue".to_owned()),
+        ) => Some("leave it out: the formation has one place for each robot of the cue".to_owned()),
         ("a tempo", "bar" | "from_bar" | "start") => Some(format!("write `at: bar {given}`")),
         ("`wait`", "operator" | "done") if *value == Node::Null => Some(format!("write `for: {key}`")),
         ("`circle`", "diameter") => Some(match value {
@@ -136,7 +136,7 @@ fn of_devices(what: &str, key: &str) -> Option<String> {
     }
 }
 
-/// Advice for a key that no other key replaces.
+/// Advice for a key that has no equivalent.
 fn advice(what: &str, key: &str, given: &str) -> Option<String> {
     let found = ADVICE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., advice)| advice.replace("{key}", key).replace("{given}", given))
@@ -158,11 +158,10 @@ pub fn parameter(
     };
     let is_use =
         plays && ["a cue", "an override", "an entry of `play`"].contains(&what) && !cue_keys.contains(&key);
-    is_use
-        .then(|| format!("a value for a parameter is written `parameters: {{{}: {value}}}`", shortened(key)))
+    is_use.then(|| format!("write the value of a parameter as `parameters: {{{}: {value}}}`", shortened(key)))
 }
 
-/// Keys of other maps: the map that contains them by mistake, the keys, and the right place.
+/// Keys that belong to other maps: the map that contains them by mistake, the keys, and the right place.
 const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     (
         "an act",
@@ -200,24 +199,24 @@ const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     ("robot", &["clock_offset", "drift", "jitter", "ntp_error", "fault", "readings"], "under `simulate`"),
 ];
 
-/// The right place for a key of another map.
+/// The right place for a key that belongs to another map.
 fn elsewhere(what: &str, key: &str) -> Option<&'static str> {
     let found = ELSEWHERE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., belongs)| *belongs)
 }
 
-/// Whether a map is of this kind: ``robot `left` `` is a `robot`.
+/// Whether a map is of this kind: ``robot `left` `` is of kind `robot`.
 fn is_named(what: &str, place: &str) -> bool {
     what.strip_prefix(place).is_some_and(|rest| rest.is_empty() || rest.starts_with(" `"))
 }
 
-/// `control_type` for `control`: a key that is one word of what was written.
+/// Suggests `control` for `control_type`: a known key that is one word of the unknown key.
 pub fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
     let mut known = known.into_iter().filter(|name| name.len() > 3);
     known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
 }
 
-/// A hint for a key that beginners leave out.
+/// A hint for a key that beginners often omit.
 pub fn missing(what: &str, key: &str) -> Option<&'static str> {
     match (what, key) {
         ("the scenario", "scenario") => {
@@ -227,13 +226,15 @@ pub fn missing(what: &str, key: &str) -> Option<&'static str> {
             Some("list the robots, as in `robots: {arm-1: {init: arm.yaml, address: sim}}`")
         }
         (_, "address") => {
-            Some("`address: sim` simulates the robot; `address: tcp://HOST:PORT` reaches a real one")
+            Some("use `address: sim` to simulate the robot, or `address: tcp://HOST:PORT` for a real one")
         }
-        (_, "init") => Some("name the file that describes the robot, as in `init: robots/arm.yaml`"),
+        (_, "init") => {
+            Some("add the path of the file that describes the robot, as in `init: robots/arm.yaml`")
+        }
         ("a keyframe", _) => Some("a keyframe has both, as in `{at: 1s, to: 45}`"),
-        ("a spread", "across") => Some("say over what it is spread, as in `across: group`"),
-        ("a wave", "for") => Some("say how long it lasts, as in `for: 8s`"),
-        ("`grid`", "spacing") => Some("say how far neighbours are apart in metres, as in `spacing: 1`"),
+        ("a spread", "across") => Some("add what the values are spread over, as in `across: group`"),
+        ("a wave", "for") => Some("add the duration, as in `for: 8s`"),
+        ("`grid`", "spacing") => Some("add the distance between neighbours in metres, as in `spacing: 1`"),
         _ => None,
     }
 }

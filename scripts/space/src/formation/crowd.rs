@@ -1,22 +1,22 @@
-//! Places that are near to each other.
+//! Finds places that are close to each other.
 
 use super::{Point, middle_of};
 
-/// Two places, by their indices, and how far apart they are in metres.
+/// The indices of two places, and their distance in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
     pub places: [usize; 2],
     pub distance: f64,
 }
 
-/// The two places that are nearest to each other; none if there are fewer than two.
+/// Returns the two places that are closest to each other; `None` if there are fewer than two.
 pub fn nearest_pair(places: &[Point]) -> Option<Pair> {
     let (axis, order) = along_longest_axis(places);
     let mut best: Option<Pair> = None;
     for (index, &a) in order.iter().enumerate() {
         for &b in &order[index + 1..] {
             let most = best.map_or(f64::INFINITY, |best| best.distance);
-            // All that follow in this order are further along the axis.
+            // All following places in this order are further along the axis.
             if places[b][axis] - places[a][axis] > most {
                 break;
             }
@@ -32,7 +32,7 @@ pub fn nearest_pair(places: &[Point]) -> Option<Pair> {
     best
 }
 
-/// Every two points that are nearer to each other than `reach` metres, by their indices.
+/// Returns the indices of every two points that are closer to each other than `reach` metres.
 pub fn pairs_within(points: &[Point], reach: f64) -> impl Iterator<Item = (usize, usize)> {
     let (axis, order) = along_longest_axis(points);
     (0..order.len()).flat_map(move |index| {
@@ -43,7 +43,7 @@ pub fn pairs_within(points: &[Point], reach: f64) -> impl Iterator<Item = (usize
     })
 }
 
-/// The axis along which points are spread the most, and their order along it.
+/// Returns the axis of the largest extent of the points, and their order along it.
 fn along_longest_axis(points: &[Point]) -> (usize, Vec<usize>) {
     let (_, lengths) = middle_of(points);
     let axis = (0..3).rev().max_by(|a, b| lengths[*a].total_cmp(&lengths[*b])).unwrap_or(0);

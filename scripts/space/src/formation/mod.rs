@@ -1,6 +1,6 @@
-//! Formations: places in space for any number of bodies, in metres. `placing` moves a shape to where it stands.
+//! Formations: places in space for any number of bodies, in metres. `placing` moves a shape to its position.
 //!
-//! What a scenario says of them is read by `scenario::formations`; which body takes which place is decided elsewhere.
+//! `scenario::formations` reads them from a scenario; the assignment of bodies to places is made elsewhere.
 
 pub mod cloud;
 mod crowd;
@@ -24,12 +24,12 @@ pub use spread::Triangle;
 pub use strokes::Strokes;
 pub use tried::tried;
 
-/// Most places of a formation.
+/// Maximum number of places of a formation.
 pub const PLACES_MAX: usize = 10_000;
 
-/// Places that are nearer to each other, in metres, count as one.
+/// Places that are closer to each other, in metres, are equal.
 pub const SAME: f64 = 1e-6;
-/// Metres by which two places may seem nearer than they are.
+/// Rounding error of the distance of two places, in metres.
 pub const ROUNDING: f64 = 1e-9;
 
 /// A place, or a vector: x, y, z in metres.
@@ -44,10 +44,10 @@ pub struct Formation {
     pub placing: Placing,
 }
 
-/// Where the places are, before they are turned and moved.
+/// The arrangement of places before they are turned and moved.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
-    /// These places.
+    /// Explicit places.
     Points(Arc<[Point]>),
     /// On a line.
     Line(Line),
@@ -59,7 +59,7 @@ pub enum Shape {
     Vee(Vee),
     /// On a sphere.
     Sphere(Ball),
-    /// Along these lines.
+    /// Along these strokes.
     Strokes(Arc<Strokes>),
     /// Some of these points, as far from each other as possible.
     Cloud(Arc<[Point]>),
@@ -67,7 +67,7 @@ pub enum Shape {
     Surface(Arc<[Triangle]>),
 }
 
-/// A file that is not what it should be.
+/// A file with an invalid content or format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unfit {
     /// The fault.
@@ -84,11 +84,11 @@ pub struct TooManyPlaces {
 }
 
 impl Formation {
-    /// The places for this many bodies, in metres, in the order of the shape. A shape with places of its own has all of these
-    /// ([`Self::own_count`]), whatever the count, and a cloud has no more than its points: it is for the caller to compare.
+    /// Returns the places for `count` bodies, in metres, in the order of the shape. A shape with its own places ([`Self::own_count`])
+    /// returns all of them, regardless of `count`, and a cloud never has more places than points: the caller must compare the numbers.
     ///
     /// # Errors
-    /// There are more than [`PLACES_MAX`].
+    /// There are more than [`PLACES_MAX`] places.
     pub fn places(&self, count: usize) -> Result<Vec<Point>, TooManyPlaces> {
         let count = self.own_count().unwrap_or(count);
         if count > PLACES_MAX {
@@ -108,7 +108,7 @@ impl Formation {
         Ok(places.into_iter().map(|place| self.placing.of(place)).collect())
     }
 
-    /// How many places it has, if that does not follow from the number of bodies.
+    /// Returns its number of places, if that does not depend on the number of bodies.
     pub fn own_count(&self) -> Option<usize> {
         match &self.shape {
             Shape::Points(points) => Some(points.len()),

@@ -1,15 +1,15 @@
-//! How a shape is scaled and turned about its middle, and where this is.
+//! The scale and rotation of a shape about its middle, and the position of the middle.
 
 use super::Point;
 
-/// From a shape's own frame to the stage.
+/// The transformation from a shape's own frame to the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placing {
-    /// The point of the shape that is scaled and turned about.
+    /// The centre of scaling and rotation, in the shape's frame.
     middle: Point,
-    /// Where the middle goes, in metres.
+    /// Position of the middle on the stage, in metres.
     at: Point,
-    /// Rows of the rotation, times the factor.
+    /// Rows of the rotation matrix, multiplied by the factor.
     rows: [Point; 3],
 }
 
@@ -20,17 +20,17 @@ impl Default for Placing {
 }
 
 impl Placing {
-    /// A shape of which this point stays where it is.
+    /// Keeps this point of a shape in place.
     pub fn about(middle: Point) -> Self {
         Self { middle, at: middle, ..Self::default() }
     }
 
-    /// With its middle there, in metres.
+    /// Moves the middle to a position, in metres.
     pub fn moved(self, at: Point) -> Self {
         Self { at, ..self }
     }
 
-    /// Scaled by a factor, and turned: roll, pitch and yaw about fixed axes in degrees, as in URDF.
+    /// Scales by a factor, and turns by roll, pitch and yaw about fixed axes in degrees, as in URDF.
     pub fn turned(self, rpy: Point, factor: f64) -> Self {
         let ([sr, sp, sy], [cr, cp, cy]) = (rpy.map(sine), rpy.map(cosine));
         let rows = [
@@ -41,22 +41,22 @@ impl Placing {
         Self { rows: rows.map(|row| row.map(|part| part * factor)), ..self }
     }
 
-    /// Scaled by a factor about the same middle.
+    /// Scales by a factor about the same middle.
     pub fn scaled(self, factor: f64) -> Self {
         Self { rows: self.rows.map(|row| row.map(|part| part * factor)), ..self }
     }
 
-    /// Where the middle is, in metres.
+    /// Returns the position of the middle, in metres.
     pub const fn middle_on_stage(&self) -> Point {
         self.at
     }
 
-    /// Where a point of the shape is on the stage.
+    /// Returns the position of a point of the shape on the stage.
     pub fn of(&self, point: Point) -> Point {
         let from_middle: Point = std::array::from_fn(|axis| point[axis] - self.middle[axis]);
         std::array::from_fn(|axis| {
             let row = &self.rows[axis];
-            // Sums of zeros keep no sign.
+            // Adding zero removes the sign of negative zeros.
             self.at[axis]
                 + (0.0 + row[0] * from_middle[0] + row[1] * from_middle[1] + row[2] * from_middle[2])
         })
@@ -77,7 +77,7 @@ fn cosine(degrees: f64) -> f64 {
     sine(degrees.rem_euclid(360.0) + 90.0)
 }
 
-/// The middle of the smallest box around points, and the lengths of its sides.
+/// Returns the middle of the bounding box of points, and the lengths of its sides.
 pub fn middle_of(points: &[Point]) -> (Point, Point) {
     let extreme = |axis: usize, pick: fn(f64, f64) -> f64| {
         points.iter().map(|point| point[axis]).reduce(pick).unwrap_or(0.0)

@@ -1,4 +1,4 @@
-//! Shapes that have places for any number of bodies: flat ones lie on the floor, with their middle at 0.
+//! Shapes for any number of bodies: flat ones lie on the floor, with their middle at 0.
 
 use std::f64::consts::{PI, TAU};
 
@@ -9,11 +9,11 @@ use super::Point;
 pub enum Line {
     /// Metres between neighbours.
     Spacing(f64),
-    /// Metres from the first to the last.
+    /// Metres from the first to the last place.
     Length(f64),
 }
 
-/// Around the middle, from the x axis on and counterclockwise as seen from above.
+/// Around the middle, starting at the x axis, counterclockwise as seen from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ring {
     /// Metres from the middle.
@@ -27,9 +27,9 @@ pub enum Ring {
 pub struct Grid {
     /// Metres between columns, rows and layers.
     pub spacing: Point,
-    /// By default as many as make the grid a square.
+    /// By default, as many as make the grid square.
     pub columns: Option<u32>,
-    /// By default all that are needed, in one layer.
+    /// By default, as many as needed, in one layer.
     pub rows: Option<u32>,
 }
 
@@ -49,7 +49,7 @@ pub struct Ball {
     pub radius: f64,
 }
 
-/// Steps of the numbers from 0 that lie around 0: -1, 0, 1 of three, -0.5, 0.5 of two.
+/// Returns numbers in steps of 1 that are centred at 0: -1, 0, 1 for three, -0.5, 0.5 for two.
 #[expect(clippy::cast_precision_loss, reason = "there are few places")]
 fn around(index: usize, count: usize) -> f64 {
     index as f64 - (count.saturating_sub(1)) as f64 / 2.0
@@ -108,7 +108,7 @@ impl Grid {
 }
 
 impl Vee {
-    /// The tip, then one place of the left arm and one of the right arm after another.
+    /// The tip, then one place of the left arm and one of the right arm in turn.
     pub(super) fn places(self, count: usize) -> Vec<Point> {
         let (across, along) = (self.angle / 2.0).to_radians().sin_cos();
         let place = |index: usize| {
@@ -120,12 +120,13 @@ impl Vee {
     }
 }
 
-/// What the golden ratio leaves of a turn: successive places are turned by it, so that no two are above each other.
+/// The fraction of a turn given by the golden ratio: each place is turned by it relative to the previous one, so that no two are above
+/// each other.
 const GOLDEN_TURN: f64 = 0.618_033_988_749_894_8;
 
 impl Ball {
-    /// The Fibonacci lattice: heights in the middles of equal slices, which have equal areas, each place a golden turn
-    /// further than the one before (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132, 2006; González, Math. Geosci. 42, 2010).
+    /// Returns the Fibonacci lattice: heights in the middles of equal slices, which have equal areas, with each place a golden turn
+    /// further than the previous one (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132, 2006; González, Math. Geosci. 42, 2010).
     pub(super) fn places(self, count: usize) -> Vec<Point> {
         let place = |index: usize| {
             let height = 1.0 - (2.0 * real(index) + 1.0) / real(count);

@@ -1,7 +1,7 @@
 //! Places that are spread evenly along strokes: lines of letters, paths of a drawing.
 //!
-//! Strokes are cut where they meet. Each end and each meeting point gets a place, if there are enough; the others are spread
-//! between them so that the largest distance along a stroke is as small as possible.
+//! Strokes are cut where they meet. If there are enough places, each end and each meeting point gets one; the others are spread between
+//! them so that the largest distance along a stroke is minimal.
 
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, HashMap};
@@ -10,14 +10,15 @@ use super::Point;
 use super::crowd::{distance, nearest_pair};
 use super::spread::thinned;
 
-/// Points that are nearer to each other are one, as a part of the longest side.
+/// Points closer than this share of the longest side are equal.
 const SAME: f64 = 1e-5;
-/// Comparisons of ends with parts of strokes, to find where strokes meet: drawings with more are cut at common ends only.
+/// Maximum number of comparisons of ends with parts of strokes when searching where strokes meet; larger drawings are cut only at common
+/// ends.
 const COMPARISONS_MAX: usize = 20_000_000;
 
-/// Places of other strokes are too near if they are nearer than this part of the distance along a stroke.
+/// Places of different strokes are too close below this share of the distance along a stroke.
 const CROWDED: f64 = 0.5;
-/// Points along strokes for each place, of which the ones furthest from each other are taken.
+/// Points along strokes per place; those furthest from each other are taken.
 const SAMPLES: usize = 16;
 
 /// Strokes, cut where they meet.
@@ -28,11 +29,11 @@ pub struct Strokes {
     parts: Vec<Part>,
 }
 
-/// A line between two knots, or a closed one without any.
+/// A line between two knots, or a closed one without knots.
 #[derive(Clone, Debug, PartialEq)]
 struct Part {
     points: Vec<Point>,
-    /// How far along the line each point is.
+    /// Distance of each point along the line.
     far: Vec<f64>,
     ends: Option<[usize; 2]>,
 }
@@ -44,7 +45,7 @@ struct Open {
 }
 
 impl Strokes {
-    /// Of polylines; those that end where they begin are closed, those of one point are dots.
+    /// Builds strokes from polylines. A polyline that ends where it begins is closed; one with a single point is a dot.
     pub fn of(lines: &[Vec<Point>]) -> Self {
         let points: Vec<Point> = lines.iter().flatten().copied().collect();
         let (_, sides) = super::middle_of(&points);
@@ -78,7 +79,7 @@ impl Strokes {
         {
             (far, places) = (nearest(&regular), regular);
         }
-        // Strokes may cross or run side by side, and there may be fewer places than ends.
+        // Strokes may cross or be parallel, and there may be fewer places than ends.
         if far < CROWDED * self.length() / real(count.max(1)) {
             let apart = thinned(&self.along(SAMPLES * count), count);
             if nearest(&apart) > far {
@@ -92,7 +93,7 @@ impl Strokes {
         self.parts.iter().map(Part::length).sum()
     }
 
-    /// A place at each knot, and the others between them.
+    /// Places one at each knot, and the others between them.
     fn with_all_knots(&self, count: usize) -> Option<Vec<Point>> {
         let mut left = count.checked_sub(self.knots.len())?;
         let mut inner = vec![0usize; self.parts.len()];
@@ -135,7 +136,7 @@ impl Strokes {
         Some(places)
     }
 
-    /// Evenly along all parts one after another, wherever they end.
+    /// Spreads places evenly along all parts one after another, regardless of their ends.
     fn along(&self, count: usize) -> Vec<Point> {
         let length = self.length();
         if length <= 0.0 {
@@ -166,7 +167,7 @@ impl Part {
         self.far.last().copied().unwrap_or(0.0)
     }
 
-    /// The point so far along the line.
+    /// Returns the point at a distance along the line.
     fn at(&self, far: f64) -> Point {
         let next = self.far.partition_point(|at| *at < far).clamp(1, self.points.len() - 1);
         let (from, to) = (self.far[next - 1], self.far[next]);
@@ -176,7 +177,7 @@ impl Part {
     }
 }
 
-/// Ends and meeting points, each once.
+/// Ends and meeting points, without duplicates.
 struct Knots {
     near: f64,
     all: Vec<Point>,
@@ -218,7 +219,7 @@ fn without_repeats(line: &[Point], near: f64) -> Vec<Point> {
     kept
 }
 
-/// The same line with a point wherever a knot is on it.
+/// Adds a point to the line wherever a knot is on it.
 fn with_knots(line: &[Point], knots: &Knots) -> Vec<Point> {
     let mut with = vec![line[0]];
     for pair in line.windows(2) {
@@ -240,7 +241,7 @@ fn with_knots(line: &[Point], knots: &Knots) -> Vec<Point> {
     with
 }
 
-/// Cuts a line at its knots. A closed one begins at its first knot.
+/// Cuts a line at its knots. A closed line begins at its first knot.
 fn cut(line: &[Point], knots: &mut Knots, closed: bool, parts: &mut Vec<Part>) {
     let mut line = line.to_vec();
     if closed {
@@ -288,7 +289,7 @@ impl PartialOrd for Open {
 }
 
 impl Ord for Open {
-    /// The largest gap first, of equal ones the first part.
+    /// The largest gap first; for equal gaps, the first part.
     fn cmp(&self, other: &Self) -> Ordering {
         self.gap.total_cmp(&other.gap).then(other.part.cmp(&self.part))
     }

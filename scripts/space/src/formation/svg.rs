@@ -1,5 +1,5 @@
-//! The paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms; texts and pictures are left out,
-//! and nothing that the drawing names is read.
+//! The paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms. Texts and pictures are ignored, and
+//! external files are never read.
 
 use usvg::roxmltree::{Document, ParsingOptions};
 use usvg::tiny_skia_path::{PathSegment, Point as Flat};
@@ -8,25 +8,25 @@ use usvg::{Group, ImageHrefResolver, Node, Options, Tree};
 use super::Unfit;
 use super::text::FlatStroke;
 
-/// Largest drawing.
+/// Maximum size of a drawing.
 const BYTES_MAX: usize = 16 * 1024 * 1024;
-/// Most points of all polylines.
+/// Maximum number of points of all polylines.
 const POINTS_MAX: usize = 200_000;
-/// Largest number of a path's data. Beyond that, an arc of a circle is cut into more pieces than the library can take off its list in a day.
+/// Largest number in a path's data. Beyond that, the library would cut a circular arc into more pieces than it can process in a day.
 const NUMBER_MAX: f64 = 1e9;
-/// Lines that replace a curve: the error is below a thousandth of its length.
+/// Number of lines that replace a curve: the error is below a thousandth of its length.
 const CHORDS: u8 = 32;
-/// The stack of the thread that reads a drawing: groups within groups are read by recursion, 1024 of them at most.
+/// Stack size of the thread that reads a drawing: nested groups are read recursively, at most 1024 levels deep.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
 
 const SVG: &str = "http://www.w3.org/2000/svg";
 
-const EXPECTED: &str = "an SVG drawing with at least one path that is seen";
+const EXPECTED: &str = "an SVG drawing with at least one visible path";
 
-/// The paths that are seen, with the y axis up, in the unit of the drawing.
+/// Returns the visible paths, with the y axis upward, in the unit of the drawing.
 ///
 /// # Errors
-/// It is no SVG, has no paths, or too many.
+/// The file is not SVG, has no paths, or has too many.
 pub fn read(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     if bytes.len() > BYTES_MAX {
         let message = format!("the drawing has {} bytes", bytes.len());
@@ -38,7 +38,7 @@ pub fn read(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
             thread.spawn_scoped(scope, || lines_of(bytes)).map(std::thread::ScopedJoinHandle::join)
         })
     };
-    // What the library cannot read shall not end this program.
+    // A drawing that crashes the library must not end this program.
     match read() {
         Ok(Ok(lines)) => lines,
         _ => Err(Unfit { message: "the drawing cannot be read".to_owned(), expected: EXPECTED }),
@@ -51,13 +51,13 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
         resolve_string: Box::new(|_, _| None),
     };
     let options = Options { image_href_resolver: nothing(), ..Options::default() };
-    let unfit = |error| Unfit { message: format!("this is no SVG drawing: {error}"), expected: EXPECTED };
+    let unfit = |error| Unfit { message: format!("this is not an SVG drawing: {error}"), expected: EXPECTED };
     let text = std::str::from_utf8(bytes).map_err(|_| unfit(usvg::Error::NotAnUtf8Str))?;
     let parsing = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
     let document = Document::parse_with_options(text, parsing).map_err(|error| unfit(error.into()))?;
     let paths = document.descendants().filter_map(|node| node.attribute("d"));
     if let Some(number) = paths.flat_map(numbers).find(|number| number.abs() > NUMBER_MAX) {
-        let message = format!("a path of the drawing has the number {number:e}");
+        let message = format!("a path of the drawing contains the number {number:e}");
         return Err(Unfit { message, expected: "numbers of at most a billion in paths" });
     }
     let tree = Tree::from_xmltree(&document, &options).map_err(unfit)?;
@@ -68,9 +68,9 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
         return Err(Unfit { message, expected: "a simpler drawing" });
     }
     if pen.lines.is_empty() {
-        // The tree has no texts, for it has no fonts.
+        // The tree contains no texts, because no fonts are loaded.
         let message = if document.descendants().any(|node| node.has_tag_name((SVG, "text"))) {
-            "the drawing has no paths, only texts, which are not read: convert them to paths"
+            "the drawing has no paths, only texts, which are not supported: convert them to paths"
         } else {
             "the drawing has no paths"
         };
@@ -79,12 +79,12 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     Ok(pen.lines)
 }
 
-/// The numbers of a path's data, whatever its commands. They need no spaces between them: `1.5.5-2e3` is 1.5, 0.5 and -2000. Two flags of an
-/// arc may be taken for one number with what follows.
+/// Returns the numbers of a path's data, regardless of its commands. They need no spaces between them: `1.5.5-2e3` is 1.5, 0.5 and -2000.
+/// Two flags of an arc may be parsed as one number with the following digits.
 fn numbers(data: &str) -> impl Iterator<Item = f64> {
     let of_number = |c: char| c.is_ascii_digit() || "+-.eE".contains(c);
     data.split(move |c| !of_number(c)).flat_map(|run| {
-        // A sign begins a number, unless it is that of an exponent.
+        // A sign begins a number unless it belongs to an exponent.
         let run = run.to_ascii_lowercase().replace("e+", "e").replace("e-", "e~").replace('-', "+");
         let numbers = run.split('+').flat_map(|number| {
             let mut parts = number.split('.');
@@ -155,7 +155,7 @@ impl Pen {
         }
     }
 
-    /// A Bézier curve, by de Casteljau's algorithm.
+    /// Approximates a Bézier curve, by de Casteljau's algorithm.
     fn curve(&mut self, controls: &[Flat]) {
         for chord in 1..=CHORDS {
             let share = f64::from(chord) / f64::from(CHORDS);
@@ -171,7 +171,7 @@ impl Pen {
     }
 }
 
-/// With the y axis up.
+/// Flips the y axis upward.
 fn flat(point: Flat) -> [f64; 2] {
     [f64::from(point.x), -f64::from(point.y)]
 }

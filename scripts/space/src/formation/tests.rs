@@ -114,7 +114,7 @@ fn a_sphere_is_covered_evenly() {
     for count in [2, 7, 30, 300, 3_000] {
         let places = of(Shape::Sphere(Ball { radius: 3.0 })).places(count).unwrap();
         assert!(places.iter().all(|place| (crowd::distance(*place, [0.0; 3]) - 3.0).abs() < 1e-9));
-        // The nearest two of n even places are about sqrt(4 pi / n) apart; the lattice reaches most of that.
+        // The nearest two of n evenly spaced places are about sqrt(4 pi / n) apart; the lattice reaches most of that.
         let even = 3.0 * (4.0 * std::f64::consts::PI / f64::from(u32::try_from(count).unwrap())).sqrt();
         let nearest = nearest_pair(&places).unwrap().distance;
         assert!(nearest > 0.75 * even, "{count}: {nearest} of {even}");
@@ -129,7 +129,7 @@ fn a_drawing_of_texts_alone_is_told_to_have_no_paths_but_texts() {
     };
     assert_eq!(
         drawing("<text x='1' y='5'>hi</text>"),
-        "the drawing has no paths, only texts, which are not read: convert them to paths"
+        "the drawing has no paths, only texts, which are not supported: convert them to paths"
     );
     assert_eq!(drawing(""), "the drawing has no paths");
 }

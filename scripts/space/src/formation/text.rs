@@ -1,16 +1,16 @@
-//! Texts as strokes. The letters are Downbeat's own: `letters.txt` has the middle line of each stroke, not an outline, so that a
-//! letter is one row of robots wide.
+//! Texts as strokes. The letters are Downbeat's own: `letters.txt` contains the centre line of each stroke, not an outline, so that
+//! strokes are one robot wide.
 
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
 /// Height of a capital letter, in the unit of the letters.
 pub const LETTER_HEIGHT: f64 = 6.0;
-/// Between two letters.
+/// Distance between two letters.
 const GAP: f64 = 2.0;
-/// Of a space.
+/// Width of a space.
 const SPACE: f64 = 3.0;
-/// From line to line.
+/// Distance between lines.
 const LINE_HEIGHT: f64 = 10.0;
 
 /// A stroke on the plane: the points of a polyline.
@@ -38,14 +38,14 @@ fn letter(line: &str) -> Option<(char, Letter)> {
     Some((name.chars().next()?, Letter { width: width.parse().ok()?, strokes }))
 }
 
-/// Every character that has strokes, in order.
+/// Returns every character that has strokes, in order.
 pub fn letters() -> String {
     let mut all: Vec<char> = LETTERS.keys().copied().collect();
     all.sort_unstable();
     all.into_iter().collect()
 }
 
-/// The strokes of a text, small letters as capital ones, lines below each other with a common middle.
+/// Returns the strokes of a text. Lower-case letters become capitals, and lines are centred below each other.
 ///
 /// # Errors
 /// The first character that has no strokes.

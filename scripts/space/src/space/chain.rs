@@ -1,7 +1,7 @@
-//! An arm: where its links are, and how far and how curved their points move at most while its joints move linearly.
+//! An arm: the places of its links, and upper bounds of the movement and curvature of their points while its joints move linearly.
 //!
-//! A joint's frame is that of the link before, moved by `xyz` and turned by `rpy` about fixed axes; the joint then turns about
-//! its `axis`, or slides along it, as in URDF (<http://wiki.ros.org/urdf/XML/joint>).
+//! A joint's frame is that of the previous link, moved by `xyz` and turned by `rpy` about fixed axes. The joint then turns about its
+//! `axis`, or slides along it, as in URDF (<http://wiki.ros.org/urdf/XML/joint>).
 
 use parry3d_f64::math::{Pose, Rotation, Vector};
 
@@ -23,12 +23,12 @@ struct Link {
     radius: f64,
 }
 
-/// How a point moves over a way at most, about the base of its body.
+/// Upper bounds of the movement of a point between two places, relative to the base of its body.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sway {
     /// The length of its path, in metres.
     pub(super) length: f64,
-    /// The second derivative of its place by the share of the way, in metres.
+    /// The second derivative of its place by the share of the movement, in metres.
     pub(super) bend: f64,
 }
 
@@ -52,7 +52,8 @@ impl Chain {
         self.links.iter().map(|link| link.radius)
     }
 
-    /// How far the tip or a joint may be from the base, in metres, if no joint goes further than these values, either way.
+    /// Returns the largest distance of the tip or a joint from the base, in metres, if the absolute values of the joints do not exceed
+    /// `largest`.
     pub(super) fn reach(&self, largest: &[f64]) -> f64 {
         let far = |(link, value): (&Link, &f64)| {
             let slides = if link.kind == JointKind::Prismatic { *value } else { 0.0 };
@@ -61,7 +62,7 @@ impl Chain {
         self.tip.length() + self.links.iter().zip(largest).map(far).sum::<f64>()
     }
 
-    /// Where each joint is, and the tip: one more than there are joints; none without joints.
+    /// Returns the places of all joints and of the tip; empty without joints.
     pub(super) fn points(&self, place: &Place) -> Vec<Vector> {
         if self.is_empty() {
             return Vec::new();
@@ -77,11 +78,11 @@ impl Chain {
         points
     }
 
-    /// How the points of each link move at most between two places: no further than one of its ends may.
+    /// Returns upper bounds of the movement of each link's points between two places; they are the bounds of its ends.
     ///
-    /// A point `p` depends on joints `i`, which turn about axes `z` through their origins `o`. Then `dp/di = z × (p - o)`. The
-    /// second derivative by joints `i` and `j`, `j` the one that is further out, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` if
-    /// `j` slides (Siciliano and others, Robotics, 2009, section 3.1). What does not move in between keeps its lengths.
+    /// A point `p` depends on joints `i`, which turn about axes `z` through their origins `o`. Then `dp/di = z × (p - o)`. The second
+    /// derivative by joints `i` and `j`, `j` being the outer one, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` if `j` slides (Siciliano
+    /// and others, Robotics, 2009, section 3.1). Parts between joints that do not move keep their lengths.
     pub(super) fn sways(&self, from: &Place, to: &Place) -> Vec<Sway> {
         if self.is_empty() {
             return Vec::new();
@@ -102,7 +103,7 @@ impl Chain {
 }
 
 impl Sway {
-    /// The larger one of each.
+    /// Returns the larger value of each.
     fn or(self, other: Self) -> Self {
         Self { length: self.length.max(other.length), bend: self.bend.max(other.bend) }
     }
@@ -117,16 +118,16 @@ impl Link {
     }
 }
 
-/// A joint that moves over a way.
+/// A joint that moves between two places.
 #[derive(Clone, Copy, Debug)]
 struct Turn {
     by: f64,
     kind: JointKind,
-    /// Where it is at both ends of the way.
+    /// Its place at both ends of the movement.
     at: [Vector; 2],
 }
 
-/// The joints that move, from the base on.
+/// The moving joints, starting at the base.
 #[derive(Default)]
 struct Moving {
     turns: Vec<Turn>,
@@ -139,12 +140,12 @@ impl Moving {
         }
     }
 
-    /// Of a point beyond all of them, from where it is at both ends of the way.
+    /// Returns the bounds for a point beyond all of them, given its places at both ends of the movement.
     fn sway(&self, mut point: [Vector; 2]) -> Sway {
         let mut before: f64 = self.turning().sum();
         let (mut sway, mut reach) = (Sway::default(), 0.0);
         for turn in self.turns.iter().rev() {
-            // Only this joint changes this distance: it stays, or is convex in what a sliding joint adds.
+            // Only this joint changes this distance: it is constant, or convex in the movement of a sliding joint.
             reach += (0..2).map(|end| point[end].distance(turn.at[end])).fold(0.0, f64::max);
             let by = turn.by.abs();
             match turn.kind {

@@ -1,9 +1,9 @@
-//! The closest approach of two bodies over an act, also between their steps.
+//! The closest approach of two bodies during an act, including the time between their steps.
 //!
-//! A tree of boxes over time holds each body: the root over the whole act, two halves below it, and so on. A pair is followed
-//! only into times in which their boxes come closer than the best that is known (branch and bound). Within a leaf the coordinates
-//! of both bodies change linearly from knot to knot; `way` bounds the distance there, until it is known to a tenth of a millimetre.
-//! Two balls have a closed form.
+//! A tree of boxes over time contains each body: the root covers the whole act, its children one half each, and so on. The search follows
+//! a pair only into times in which their boxes come closer than the best approach so far (branch and bound). Within a leaf, the
+//! coordinates of both bodies change linearly from knot to knot; `way` bounds the distance there, down to an accuracy of a tenth of a
+//! millimetre. Two balls have a closed form.
 
 use parry3d_f64::math::Vector;
 
@@ -11,11 +11,11 @@ use super::path::{self, Knot, Path};
 use super::solid::Solid;
 use super::way::{Best, Way};
 
-/// Knots in a leaf of the tree, about.
+/// Approximate number of knots per leaf of the tree.
 const LEAF: usize = 8;
 const DEPTH_MAX: u32 = 12;
 
-/// The closest of something.
+/// The closest approach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Approach {
     /// In seconds from the act's start.
@@ -24,18 +24,18 @@ pub struct Approach {
     pub distance: f64,
 }
 
-/// A body that moves, with the boxes that hold its parts.
+/// A moving body, with the boxes that contain its parts.
 #[derive(Clone, Debug)]
 pub struct Mover {
     path: Path,
     solid: Solid,
-    /// In the order of a heap: 1 is the root, 2n and 2n + 1 are the halves of n. Empty where nothing is known.
+    /// In heap order: 1 is the root, 2n and 2n + 1 are the halves of n. Empty boxes if nothing is known.
     boxes: Vec<Held>,
     depth: u32,
     ends: f64,
 }
 
-/// A box that holds the cores of a body's parts over some time.
+/// A box that contains the cores of a body's parts over some time.
 #[derive(Clone, Copy, Debug)]
 struct Held {
     least: [f64; 3],
@@ -53,13 +53,14 @@ impl Held {
         self
     }
 
-    /// With all that a body's cores pass from one knot to the next.
+    /// Adds everything that a body's cores pass between two knots.
     fn passing(self, solid: &Solid, from: &Knot, to: &Knot) -> Self {
         if solid.ball().is_some() {
             let middles = [from, to].map(|knot| [0, 1, 2].map(|i| knot.place.base[i]));
             return middles.iter().fold(self, |held, middle| held.with(middle, middle));
         }
-        // A point of a path is at most half its length from one of the ends; it bends away from the straight way by an eighth.
+        // A point of a path is at most half its length away from one of the ends, and deviates from the straight line by an eighth of the
+        // bend.
         let sways = solid.sways(&from.place, &to.place);
         let aside = sways.iter().map(|sway| (sway.length / 2.0).min(sway.bend / 8.0)).fold(0.0, f64::max);
         let parts = [from, to].into_iter().flat_map(|knot| solid.parts(&knot.place));
@@ -68,20 +69,20 @@ impl Held {
         })
     }
 
-    /// Infinite if one of them holds nothing.
+    /// Returns the distance; infinite if one of the boxes is empty.
     fn distance(&self, other: &Self) -> f64 {
         let apart = |i: usize| (self.least[i] - other.most[i]).max(other.least[i] - self.most[i]).max(0.0);
         (0..3).map(|i| apart(i).powi(2)).sum::<f64>().sqrt()
     }
 }
 
-/// How deep trees are for paths of so many knots. All bodies of an act have trees of one depth.
+/// Returns the depth of the trees for paths with this number of knots. All bodies of an act have trees of the same depth.
 pub fn depth(knots: usize) -> u32 {
     (knots / LEAF).max(1).ilog2().min(DEPTH_MAX)
 }
 
 impl Mover {
-    /// Over an act that lasts until `ends`, in seconds.
+    /// Creates the mover for an act that lasts until `ends`, in seconds.
     pub fn new(path: Path, solid: Solid, ends: f64, depth: u32) -> Self {
         let leaves = 1_usize << depth;
         let mut boxes = vec![Held::NOTHING; 2 * leaves];
@@ -90,7 +91,7 @@ impl Mover {
             let from = from.max(path.known_from());
             if from <= to {
                 let knots: Vec<Knot> = path.within(from, to).collect();
-                // One knot alone is a way that goes nowhere.
+                // A single knot is treated as a movement without change.
                 let ways = knots.iter().zip(knots.iter().skip(1).chain(knots.last()));
                 boxes[leaves + leaf] =
                     ways.fold(Held::NOTHING, |held, (from, to)| held.passing(&solid, from, to));
@@ -116,7 +117,7 @@ fn time(leaf: usize, leaves: usize, ends: f64) -> f64 {
     ends * leaf as f64 / leaves as f64
 }
 
-/// The closest that two bodies come, if that is less than `below`. Both have trees of one depth.
+/// Returns the closest approach of two bodies if it is less than `below`. Both have trees of the same depth.
 pub fn closest(a: &Mover, b: &Mover, below: f64) -> Option<Approach> {
     debug_assert_eq!((a.depth, a.ends), (b.depth, b.ends));
     let best = Best { approach: Approach { at: f64::NAN, distance: below }, found: false };
@@ -145,7 +146,7 @@ impl Search<'_> {
         if node >= leaves {
             return self.leaf(node - leaves, leaves);
         }
-        // The better half first: it may rule the other one out.
+        // The better half first: it may exclude the other one.
         let mut halves = [2 * node, 2 * node + 1];
         if self.least(halves[1]) < self.least(halves[0]) {
             halves.reverse();
@@ -161,18 +162,18 @@ impl Search<'_> {
     }
 }
 
-/// Within a leaf, in order of time.
+/// Returns the moments within a leaf, in order of time.
 fn moments(a: &Mover, b: &Mover, leaf: usize, leaves: usize) -> Vec<path::Both> {
     let from = time(leaf, leaves, a.ends).max(a.path.known_from()).max(b.path.known_from());
     let mut moments = path::together(&a.path, &b.path, from, time(leaf + 1, leaves, a.ends));
-    // One moment alone is a way that goes nowhere, as where nothing moves.
+    // A single moment, for example if nothing moves, is treated as a movement without change.
     if let [only] = moments.as_slice() {
         moments.push(only.clone());
     }
     moments
 }
 
-/// When two bodies first touch, in seconds; a graze by less than a tenth of a millimetre may be missed.
+/// Returns the time of the first contact of two bodies, in seconds; a graze by less than a tenth of a millimetre may be missed.
 pub fn first_contact(a: &Mover, b: &Mover) -> Option<f64> {
     contact_in(a, b, 1)
 }

@@ -1,21 +1,21 @@
-//! Where robots come to that are driven by speeds: the integral of how fast they go ahead and turn.
+//! The places of robots that are driven by speeds: the integral of their forward speed and turn rate.
 //!
-//! A body goes ahead at `v` along its yaw, and turns at `w`: `x' = v cos yaw`, `y' = v sin yaw`, `yaw' = w` (the unicycle;
-//! Siciliano and others, Robotics, 2009, section 11.2). While both stay the same, it moves on an arc, which has a closed form.
-//! While they change linearly, Simpson's rule takes it from moment to moment. The path becomes a polyline in x, y and yaw, and
-//! what a point of the body may be off from it is stated with it.
+//! A body moves forward at `v` along its yaw, and turns at `w`: `x' = v cos yaw`, `y' = v sin yaw`, `yaw' = w` (the unicycle; Siciliano
+//! and others, Robotics, 2009, section 11.2). While both are constant, it moves on an arc, which has a closed form. While they change
+//! linearly, Simpson's rule integrates from moment to moment. The path becomes a polyline in x, y and yaw, with a bound of the deviation
+//! of the body's points.
 
 use super::path::{Axis, Peak, moments};
 use super::{Drive, Steering};
 
-/// Points of the polyline are as close to each other as keeps the body this close to it, in metres.
+/// Largest distance of the body from the polyline, in metres; determines the spacing of its points.
 const CHORD: f64 = 5e-5;
-/// What Simpson's rule may be off after a whole act, in metres.
+/// Largest error of Simpson's rule over a whole act, in metres.
 const DRIFT: f64 = 1e-5;
-/// Most points of an act, about. If there were more, the body may be further off from its polyline, as is stated with it.
+/// Approximate maximum number of points of an act. If more would be needed, the deviation from the polyline is larger, and reported.
 const POINTS_MAX: f64 = 200_000.0;
 
-/// Where a driven body is.
+/// The pose of a driven body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// In metres.
@@ -24,24 +24,24 @@ pub struct Pose {
     pub y: f64,
     /// The heading, in radians.
     pub yaw: f64,
-    /// What x and y may be off, in metres.
+    /// Largest error of x and y, in metres.
     pub drift: f64,
 }
 
-/// How a driven body moves in an act.
+/// The movement of a driven body in an act.
 #[derive(Clone, Debug)]
 pub struct Driven {
     /// x, y and yaw.
     pub axes: [Axis; 3],
-    /// How far a point of the body may be off from them, in metres.
+    /// Largest deviation of a point of the body from them, in metres.
     pub margin: f64,
-    /// Where it is in the end; `None` if it still moves.
+    /// The final pose; `None` if it still moves.
     pub end: Option<Pose>,
     /// The largest speed and the largest acceleration of its middle.
     pub peaks: [Option<Peak>; 2],
 }
 
-/// Ahead in m/s, and to the left in rad/s.
+/// Forward speed in m/s, and turn rate to the left in rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Twist {
     ahead: f64,
@@ -52,7 +52,7 @@ impl Twist {
     const REST: Self = Self { ahead: 0.0, turn: 0.0 };
 }
 
-/// A time in which both speeds change linearly.
+/// An interval in which both speeds change linearly.
 #[derive(Clone, Copy, Debug)]
 struct Leg {
     from: f64,
@@ -62,14 +62,14 @@ struct Leg {
 }
 
 impl Pose {
-    /// x and y in metres, yaw in radians.
+    /// Creates a pose from x and y in metres and yaw in radians.
     pub const fn at([x, y, yaw]: [f64; 3]) -> Self {
         Self { x, y, yaw, drift: 0.0 }
     }
 }
 
 impl Drive {
-    /// What two signals mean: those of the wheels in m/s, or the speed in m/s and the turn in rad/s.
+    /// Converts two signals: those of the wheels in m/s, or the speed in m/s and the turn rate in rad/s.
     fn twist(&self, [first, second]: [f64; 2]) -> Twist {
         match &self.steering {
             Steering::Wheels { track, .. } => {
@@ -79,8 +79,8 @@ impl Drive {
         }
     }
 
-    /// The path from a pose until `ends`, in seconds. `signals`: both devices, from 0 on, in m/s and rad/s. `lever`: how far
-    /// the points of the body are from its middle at most. `None` where the path is beyond all numbers.
+    /// Returns the path from a pose until `ends`, in seconds. `signals`: both devices, starting at 0, in m/s and rad/s. `lever`: largest
+    /// distance of the body's points from its middle. `None` if the path exceeds the range of numbers.
     pub fn path(&self, start: Pose, signals: &[Axis; 2], ends: f64, lever: f64) -> Option<Driven> {
         let (legs, rests) = self.legs(signals, ends);
         let wanted: f64 = legs.iter().map(|leg| leg.parts(ends, lever)).sum();
@@ -100,7 +100,7 @@ impl Drive {
         })
     }
 
-    /// And whether both speeds are 0 in the end.
+    /// Also returns whether both speeds are 0 at the end.
     fn legs(&self, signals: &[Axis; 2], ends: f64) -> (Vec<Leg>, bool) {
         let mut twists: Vec<(f64, Twist)> = Vec::new();
         moments(signals, 0.0, |at, values| twists.push((at, self.twist([values[0], values[1]]))));
@@ -132,7 +132,7 @@ impl Leg {
         self.begin.turn.abs().max(self.end.turn.abs())
     }
 
-    /// How the speeds change, in m/s² and rad/s².
+    /// Returns the changes of the speeds, in m/s² and rad/s².
     fn rates(&self) -> Twist {
         let seconds = self.seconds();
         Twist {
@@ -141,18 +141,18 @@ impl Leg {
         }
     }
 
-    /// A bound of its acceleration, along its way and across it.
+    /// Returns an upper bound of its acceleration, along its path and across it.
     fn acceleration(&self) -> f64 {
         self.rates().ahead.hypot(self.speed() * self.turn())
     }
 
-    /// The most that a point of the body is off from a straight way that took so many seconds: linear interpolation is off by
-    /// an eighth of the second derivative, times the time squared.
+    /// Returns the largest deviation of a point of the body from a straight line over `seconds`: the error of linear interpolation is an
+    /// eighth of the second derivative times the time squared.
     fn sag(&self, seconds: f64, lever: f64) -> f64 {
         (self.acceleration() + lever * self.rates().turn.abs()) * seconds * seconds / 8.0
     }
 
-    /// A bound of the fourth derivative of the velocity, whose direction `g` is that of the yaw: with the turn `w` and its
+    /// Returns a bound of the fourth derivative of the velocity, whose direction `g` is that of the yaw: with the turn rate `w` and its
     /// change `c`, `g'' = (ic - w²) g`, `g''' = -(3wc + iw³) g`, `g'''' = (w⁴ - 3c² - 6icw²) g`.
     fn fourth(&self) -> f64 {
         let (v, w, rates) = (self.speed(), self.turn(), self.rates());
@@ -160,12 +160,12 @@ impl Leg {
         v * (w.powi(4) + 6.0 * w * w * c + 3.0 * c * c) + 4.0 * a * (3.0 * w * c + w.powi(3))
     }
 
-    /// The error of Simpson's rule over so many seconds.
+    /// Returns the error of Simpson's rule over `seconds`.
     fn drift(&self, seconds: f64) -> f64 {
         if self.is_constant() { 0.0 } else { seconds.powi(5) / 2_880.0 * self.fourth() }
     }
 
-    /// Into how many parts it is divided.
+    /// Returns the number of parts into which it is divided.
     fn parts(&self, ends: f64, lever: f64) -> f64 {
         let seconds = self.seconds();
         let for_chords = (self.sag(seconds, lever) / CHORD).sqrt();
@@ -174,7 +174,7 @@ impl Leg {
         for_chords.max(for_drift).max(1.0)
     }
 
-    /// Speed and yaw after some seconds.
+    /// Returns the speeds and the yaw after some seconds.
     fn after(&self, seconds: f64, yaw: f64) -> (Twist, f64) {
         let rates = self.rates();
         let twist = Twist {
@@ -184,13 +184,13 @@ impl Leg {
         (twist, yaw + f64::midpoint(self.begin.turn, twist.turn) * seconds)
     }
 
-    /// How far it gets in x and y between two moments of it.
+    /// Returns the movement in x and y between two of its moments.
     fn way(&self, [from, to]: [f64; 2], yaw: f64) -> [f64; 2] {
         let middle = f64::midpoint(from, to);
         let (twist, course) = self.after(middle, yaw);
         if self.is_constant() {
             let half = twist.turn * (to - from) / 2.0;
-            // sin x / x, which is 1 to the last digit where x² / 6 is less than that.
+            // sin x / x is 1 to the last digit if x² / 6 is below that resolution.
             let chord = if half.abs() < 1e-8 { 1.0 } else { half.sin() / half };
             let long = twist.ahead * (to - from) * chord;
             return [long * course.cos(), long * course.sin()];
@@ -207,7 +207,7 @@ impl Leg {
 /// The poses along a path, in order of time.
 struct Course {
     points: Vec<(f64, Pose)>,
-    /// The most that a point of the body is off between two of them, in metres.
+    /// The largest deviation of a point of the body between two of them, in metres.
     sag: f64,
 }
 
@@ -238,7 +238,7 @@ fn peak(legs: &[Leg], rate: fn(&Leg) -> f64) -> Option<Peak> {
     peaks.max_by(|a, b| a.rate.total_cmp(&b.rate))
 }
 
-/// Within a leg, or where the speed changes at once: over the mean of the times before and after.
+/// Returns the largest acceleration, within a leg or at a jump of the speed; a jump is divided by the mean of the adjacent times.
 fn acceleration(legs: &[Leg]) -> Option<Peak> {
     let jump = |pair: &[Leg]| {
         let middles = [&pair[0], &pair[1]].map(|leg| f64::midpoint(leg.from, leg.to));

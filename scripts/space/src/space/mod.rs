@@ -1,8 +1,9 @@
-//! Bodies in space: where robots are while they move, how close they come to each other, and which volumes they stay in.
+//! Bodies in space: their movements, their distances from each other, and the volumes in which they must stay.
 //!
-//! The fleet file says which device of a robot means which coordinate (`body`), and what has to hold (`space`). `path` follows a
-//! body through the steps of an act, `drive` integrates speeds, `chain` follows an arm. `closest` and `way` find the closest
-//! approach, also between the steps; `compile/check_space.rs` turns what they find into findings. Lengths are in metres, angles in radians, times in seconds.
+//! The fleet file maps the devices of a robot to coordinates (`body`) and contains the limits (`space`). `path` follows a body through
+//! the steps of an act, `drive` integrates speeds, `chain` follows an arm. `closest` and `way` find the closest approach, including the
+//! time between steps; `compile/check_space.rs` turns the results into findings. Lengths are in metres, angles in radians, times in
+//! seconds.
 
 mod chain;
 mod closest;
@@ -27,18 +28,18 @@ pub use path::{Axis, Knot, Path, Peak, Played, peaks};
 pub use solid::Solid;
 pub use volume::furthest_out;
 
-/// What has to hold in the space that all robots share.
+/// The limits in the space that all robots share.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Space {
     /// Least distance between any two bodies, from surface to surface.
     pub distance: Option<f64>,
-    /// Where all bodies have to stay.
+    /// The volume in which all bodies must stay.
     pub keep_in: Option<Volume>,
-    /// Where no body may be, by name.
+    /// Volumes in which no body may be, by name.
     pub keep_out: BTreeMap<String, Volume>,
 }
 
-/// A box whose sides are parallel to the axes; infinite where nothing is said.
+/// A box whose sides are parallel to the axes; infinite where no limit is given.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Volume {
     /// The least x, y and z.
@@ -47,79 +48,79 @@ pub struct Volume {
     pub most: [f64; 3],
 }
 
-/// What a robot's devices mean in space, and how large it is.
+/// The position and size of a robot in space, as a function of its devices.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Body {
-    /// x, y, z, and the rotation about z, counted from x to y. Of a body with a drive, x, y and the rotation are where it starts.
+    /// x, y, z, and the rotation about z, counted from x to y. For a body with a drive, x, y and the rotation are its start.
     pub coordinates: [Coordinate; 4],
-    /// What drives it, if that is speeds.
+    /// Its drive, if it is driven by speeds.
     pub drive: Option<Drive>,
-    /// Its size about x, y and z. A ball of radius 0 is nothing if the body has joints, otherwise a point.
+    /// Its shape, centred at x, y and z. If the body has joints, a ball of radius 0 is no shape; otherwise it is a point.
     pub shape: Shape,
-    /// Its arm, from the base to the tip; most bodies have none.
+    /// Its arm, from the base to the tip; empty for most bodies.
     pub joints: Vec<Joint>,
     /// The end of the last link, in metres in the frame of the last joint.
     pub tip: [f64; 3],
-    /// Largest speed of its middle, whatever the direction.
+    /// Largest speed of its middle in any direction.
     pub speed: Option<f64>,
-    /// Largest acceleration of its middle, whatever the direction.
+    /// Largest acceleration of its middle in any direction.
     pub acceleration: Option<f64>,
 }
 
-/// How a body moves whose devices are driven by speed: ahead along its yaw, and about itself.
+/// The movement of a body whose devices are driven by speed: forward along its yaw, and about itself.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Drive {
-    /// What its devices mean.
+    /// The meaning of its devices.
     pub steering: Steering,
     /// x and y in metres and yaw in radians at the beginning of the first act.
     pub start: [f64; 3],
 }
 
-/// The speeds that drive a body. The value of a coordinate is one speed here, with a scale from the device's unit.
+/// The speeds that drive a body. Here, the value of a coordinate is a speed, with a scale from the device's unit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Steering {
-    /// Two wheels, or tracks, side by side: the body goes ahead at the mean of their speeds, and turns at their difference over
-    /// the distance between them.
+    /// Two wheels or tracks side by side: the body moves forward at the mean of their speeds. It turns at their difference divided by the
+    /// distance between them.
     Wheels {
-        /// How fast the left wheel rolls, in m/s.
+        /// Rolling speed of the left wheel, in m/s.
         left: Coordinate,
-        /// How fast the right wheel rolls, in m/s.
+        /// Rolling speed of the right wheel, in m/s.
         right: Coordinate,
         /// The distance between the wheels, in metres.
         track: f64,
     },
-    /// The robot itself translates what it is sent into the speeds of its wheels.
+    /// The robot itself converts the received values to wheel speeds.
     Twist {
-        /// How fast it goes ahead, in m/s.
+        /// Forward speed, in m/s.
         speed: Coordinate,
-        /// How fast it turns from x to y, in rad/s.
+        /// Turn rate from x to y, in rad/s.
         turn: Coordinate,
     },
 }
 
 /// A joint of an arm, with the link from it to the next joint or to the tip.
 ///
-/// Its frame is that of the link before (for the first joint that of the body, which turns with `yaw`), moved by `xyz` and turned
-/// by `rpy`, as in URDF. The link is a capsule: all points within `radius` of the line to where the next joint is.
+/// Its frame is that of the previous link (for the first joint, that of the body, which turns with `yaw`), moved by `xyz` and turned by
+/// `rpy`, as in URDF. The link is a capsule: all points within `radius` of the line to the next joint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Joint {
     /// Its name: that of its device, or of the joint in a URDF.
     pub name: String,
-    /// How it moves.
+    /// Kind of its movement.
     pub kind: JointKind,
-    /// Where it is, in metres in the frame of the link before.
+    /// Its position, in metres in the frame of the previous link.
     pub xyz: [f64; 3],
-    /// Roll, pitch and yaw about the fixed axes x, y and z of the link before, one after another, in radians.
+    /// Roll, pitch and yaw about the fixed axes x, y and z of the previous link, one after another, in radians.
     pub rpy: [f64; 3],
-    /// What it turns about or slides along, of length 1, in its own frame.
+    /// Its axis of rotation or translation, of length 1, in its own frame.
     pub axis: [f64; 3],
-    /// How far it has turned, in radians, or slid, in metres.
+    /// Its rotation in radians, or its translation in metres.
     pub value: Coordinate,
     /// The radius about its link, in metres.
     pub radius: f64,
 }
 
-/// How a joint moves.
+/// The kind of movement of a joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub enum JointKind {
     /// It turns about its axis.
@@ -129,23 +130,23 @@ pub enum JointKind {
     Prismatic,
 }
 
-/// Where a coordinate comes from.
+/// The source of a coordinate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Coordinate {
     /// It never changes.
     Fixed(f64),
     /// `offset + scale * value of the device`.
     Device {
-        /// Which device of the robot.
+        /// The device of the robot.
         device: DeviceId,
-        /// Metres, or radians, in one unit of the device.
+        /// Metres, or radians, per unit of the device.
         scale: f64,
-        /// Where the device's zero is.
+        /// The coordinate at the device's zero.
         offset: f64,
     },
 }
 
-/// The size of a body, about its middle.
+/// The shape of a body about its middle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Shape {
     /// A ball; a point if its radius is 0.
@@ -161,7 +162,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Of the ball about its middle that holds it, in metres.
+    /// Returns the radius of the enclosing ball about its middle, in metres.
     pub fn outer_radius(&self) -> f64 {
         match *self {
             Self::Ball { radius } => radius,
@@ -169,7 +170,7 @@ impl Shape {
         }
     }
 
-    /// Half of what it is wide at least, in metres: whatever way it is turned, no other one comes nearer to its middle.
+    /// Returns half of its least width, in metres: in any rotation, no other body comes closer to its middle.
     pub fn inner_radius(&self) -> f64 {
         match *self {
             Self::Ball { radius } => radius,
@@ -178,64 +179,64 @@ impl Shape {
     }
 }
 
-/// What the bodies of an act do, where the fleet file describes bodies.
+/// The bodies' movements in an act, if the fleet file describes bodies.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct InSpace {
-    /// The closest that two of them come.
+    /// The closest approach of two bodies.
     pub closest: Option<Closest>,
-    /// How fast each of them moves.
+    /// The largest speed and acceleration of each body.
     pub bodies: Vec<BodyUse>,
-    /// The paths of those that are driven by speeds, to be drawn.
+    /// The paths of bodies that are driven by speeds, for drawing.
     pub driven: Vec<DrivenPath>,
-    /// Robots that play and whose place is not known all the time. They count for nothing here as long as it is not.
+    /// Robots that play and whose place is unknown all the time. While it is unknown, they are ignored here.
     pub unknown: Vec<RobotId>,
 }
 
-/// Where a body is that is driven by speeds. Between two points it moves evenly, to within [`DrivenPath::DRAWN`].
+/// The path of a body that is driven by speeds. It moves evenly between two points, with an accuracy of [`DrivenPath::DRAWN`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrivenPath {
-    /// Of which robot.
+    /// Id of the robot.
     pub robot: RobotId,
     /// In order of time.
     pub points: Vec<DrivenPoint>,
 }
 
-/// Where a body is at a time.
+/// The pose of a body at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenPoint {
-    /// From the act's start.
+    /// Since the act's start.
     pub at: Span,
     /// x and y in metres, and yaw in radians.
     pub pose: [f64; 3],
 }
 
 impl DrivenPath {
-    /// Metres by which, or radians, a picture of the path may be off. The checks follow the body more closely.
+    /// Permitted deviation of a drawing of the path, in metres or radians. The checks follow the body more closely.
     pub const DRAWN: f64 = 2e-3;
 }
 
-/// How fast the middle of a body moves at most in an act, in all directions together.
+/// The largest speed and acceleration of a body's middle in an act, over all directions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BodyUse {
-    /// Of which robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// In metres a second, without what the rounding of steps may have added.
+    /// In metres per second, without the possible increase by rounding of steps.
     #[serde(rename = "speed_m_s")]
     pub speed: f64,
-    /// In metres a second squared, without the same.
+    /// In metres per second squared, without the possible increase by rounding of steps.
     #[serde(rename = "acceleration_m_s2")]
     pub acceleration: f64,
 }
 
-/// What rounding may add to a rate.
+/// Factor by which rounding may increase a rate.
 pub const DUST: f64 = 1.0 + 1e-6;
 
-/// The closest that two bodies come in an act.
+/// The closest approach of two bodies in an act.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Closest {
-    /// Between whom.
+    /// The ids of both robots.
     pub robots: [RobotId; 2],
-    /// From the act's start.
+    /// Since the act's start.
     #[serde(rename = "at_ms")]
     pub at: Span,
     /// From surface to surface, in metres; 0 if they touch or overlap.
@@ -244,13 +245,14 @@ pub struct Closest {
 }
 
 impl Space {
-    /// Whether anything has to hold.
+    /// Whether any limit is set.
     #[must_use]
     pub fn is_checked(&self) -> bool {
         self.distance.is_some() || self.keep_in.is_some() || !self.keep_out.is_empty()
     }
 
-    /// How near the middles of any two of these bodies may come at most, in metres: with the radii of the two smallest.
+    /// Returns the least permitted distance between the middles of any two of these bodies, in metres, using the radii of the two
+    /// smallest.
     pub fn between_middles<'b>(&self, bodies: impl Iterator<Item = &'b Body>) -> f64 {
         let mut radii: Vec<f64> = bodies.map(|body| body.shape.inner_radius()).collect();
         radii.sort_unstable_by(f64::total_cmp);

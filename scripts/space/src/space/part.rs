@@ -1,4 +1,4 @@
-//! The convex parts of a body, where they are at one moment: points, segments and boxes, each with a radius about it.
+//! The convex parts of a body at one moment: points, segments and boxes, each with a radius about it.
 
 use parry3d_f64::math::{Pose, Vector};
 use parry3d_f64::query::PointQuery;
@@ -7,7 +7,7 @@ use parry3d_f64::query::details::{
 };
 use parry3d_f64::shape::{Cuboid, Segment, SupportMap};
 
-/// Closer than this, in metres, two cores have no direction in which they are apart.
+/// Below this distance, in metres, no direction separates two cores.
 const TOUCH: f64 = 1e-12;
 
 /// All points within a radius of a core: a ball, a capsule, or a box.
@@ -17,7 +17,7 @@ pub(super) struct Part {
     pub(super) radius: f64,
 }
 
-/// What a part is without its radius.
+/// A part without its radius.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Core {
     Point(Vector),
@@ -25,17 +25,17 @@ pub(super) enum Core {
     Box(Pose, Cuboid),
 }
 
-/// How far apart two parts are.
+/// The distance of two parts.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gap {
-    /// From surface to surface; 0 where they touch or overlap.
+    /// From surface to surface; 0 if they touch or overlap.
     pub(super) distance: f64,
-    /// The direction from the first core to the second, of length 1; none where they touch.
+    /// The direction from the first core to the second, of length 1; `None` if they touch.
     pub(super) normal: Option<Vector>,
 }
 
 impl Part {
-    /// A box about its core, with its least and its largest coordinates.
+    /// Returns the bounding box of its core, as the least and the largest coordinates.
     pub(super) fn hull(&self) -> [Vector; 2] {
         match &self.core {
             Core::Point(point) => [*point; 2],
@@ -48,7 +48,7 @@ impl Part {
         }
     }
 
-    /// The middle and the radius of a ball that holds it.
+    /// Returns the middle and the radius of an enclosing ball.
     fn ball(&self) -> (Vector, f64) {
         match &self.core {
             Core::Point(point) => (*point, self.radius),
@@ -59,18 +59,18 @@ impl Part {
         }
     }
 
-    /// How far apart the balls that hold two parts are: the parts are no closer.
+    /// Returns the distance of the enclosing balls of two parts, a lower bound of their distance.
     pub(super) fn at_least(&self, other: &Self) -> f64 {
         let ((a, reach), (b, other_reach)) = (self.ball(), other.ball());
         (a.distance(b) - reach - other_reach).max(0.0)
     }
 
-    /// How far apart two parts are along a direction of length 1, from the first one to the second: no less than this.
+    /// Returns the distance along a direction of length 1, from the first part to the second: a lower bound of their distance.
     pub(super) fn apart(&self, other: &Self, normal: Vector) -> f64 {
         -other.furthest(-normal) - self.furthest(normal) - self.radius - other.radius
     }
 
-    /// How far the core reaches in a direction of length 1.
+    /// Returns the extent of the core in a direction of length 1.
     fn furthest(&self, direction: Vector) -> f64 {
         match &self.core {
             Core::Point(point) => point.dot(direction),
@@ -93,7 +93,7 @@ fn support(pose: &Pose, cuboid: &Cuboid, direction: Vector) -> Vector {
     pose.transform_point(cuboid.local_support_point(pose.rotation.inverse() * direction))
 }
 
-/// The points at which two cores are closest to each other; none where they overlap.
+/// Returns the points at which two cores are closest to each other; `None` if they overlap.
 fn closest_points(a: &Core, b: &Core) -> Option<[Vector; 2]> {
     match (a, b) {
         (Core::Point(a), Core::Point(b)) => Some([*a, *b]),
@@ -102,7 +102,7 @@ fn closest_points(a: &Core, b: &Core) -> Option<[Vector; 2]> {
         (Core::Segment(a), Core::Segment(b)) => of_segments(a, b),
         (Core::Point(a), Core::Box(pose, b)) => Some([*a, b.project_point(pose, *a, true).point]),
         (Core::Box(pose, a), Core::Point(b)) => Some([a.project_point(pose, *b, true).point, *b]),
-        // Not `query::distance`: what it does with two cuboids is too long by up to half their size (parry3d 0.31.1).
+        // Not `query::distance`: for two cuboids, its result is too long by up to half their size (parry3d 0.31.1).
         (Core::Box(pose, a), Core::Box(other, b)) => of_supports(pose, a, other, b),
         (Core::Segment(a), Core::Box(pose, b)) => of_supports(&Pose::identity(), a, pose, b),
         (Core::Box(pose, a), Core::Segment(b)) => of_supports(pose, a, &Pose::identity(), b),

@@ -5,7 +5,7 @@ use urrcp::{ControlType, Interpolation, Millis, Script};
 use super::Coordinate;
 use super::place::Place;
 
-/// A value at a time, in seconds from the act's start. Two at one time are a jump.
+/// A value at a time, in seconds since the act's start. Two values at one time are a jump.
 type Point = (f64, f64);
 
 /// One coordinate over an act.
@@ -13,25 +13,25 @@ type Point = (f64, f64);
 pub struct Axis {
     /// In order of time, at least one.
     points: Vec<Point>,
-    /// Largest error of a value: the steps may be off by it from the movement as written.
+    /// Largest error of a value: the deviation of the steps from the movement as written.
     error: f64,
 }
 
-/// What one device does in an act.
+/// The movement of one device in an act.
 pub struct Played<'a> {
-    /// Each with its start, from the act's start.
+    /// Each script with its start, since the act's start.
     pub scripts: &'a [(Millis, &'a Script)],
-    /// What its values are: all of its steps have to be of this type.
+    /// The control type of all values; steps of another type are not allowed.
     pub control_type: ControlType,
-    /// How the device moves between two steps.
+    /// The movement of the device between two steps.
     pub interpolation: Interpolation,
-    /// Where it is at the act's start, if that is known.
+    /// Its position at the act's start, if known.
     pub begin: Option<f64>,
-    /// Largest difference of its steps from the movement as written.
+    /// Largest deviation of its steps from the movement as written.
     pub error: f64,
 }
 
-/// Nothing, by position.
+/// No movement, by position.
 impl Default for Played<'_> {
     fn default() -> Self {
         let control_type = ControlType::Position;
@@ -40,17 +40,17 @@ impl Default for Played<'_> {
 }
 
 impl Axis {
-    /// Its largest value, whatever the sign.
+    /// Returns its largest absolute value.
     pub fn largest(&self) -> f64 {
         self.points.iter().map(|(_, value)| value.abs()).fold(0.0, f64::max)
     }
 
-    /// Linear from value to value; in order of time, at least one.
+    /// Creates an axis that is linear between values; in order of time, at least one.
     pub(super) fn through(points: Vec<Point>) -> Self {
         Self { points, error: 0.0 }
     }
 
-    /// `None` if it is nowhere known: nothing says where the device is, or it is driven by another control type.
+    /// Returns `None` if the coordinate is never known: the position of the device is unknown, or it is driven by another control type.
     pub fn of(coordinate: &Coordinate, played: &Played<'_>) -> Option<Self> {
         let (scale, offset) = match coordinate {
             Coordinate::Fixed(value) => return Some(Self { points: vec![(0.0, *value)], error: 0.0 }),
@@ -59,10 +59,10 @@ impl Axis {
         let mut points: Vec<Point> = played.begin.map(|begin| (0.0, begin)).into_iter().collect();
         let linear = played.interpolation == Interpolation::Linear;
         for (start, script) in played.scripts {
-            // Cues that overlap are told elsewhere: here, time only goes on.
+            // Overlapping cues are reported elsewhere: here, time only increases.
             let not_before = points.last().map_or(0.0, |(at, _)| *at);
             let start = (start.get() / 1_000.0).max(not_before);
-            // It stays where it is until the script starts.
+            // The device keeps its value until the script starts.
             points.extend(points.last().map(|(_, last)| (start, *last)));
             for step in script.steps() {
                 if step.setpoint.control_type != played.control_type {
@@ -84,7 +84,7 @@ impl Axis {
         self.points[0].0
     }
 
-    /// The mean speed between two values. What is set at once moves there since the value before.
+    /// Returns the mean speeds between values. An instantaneous change is attributed to the time since the previous value.
     fn speeds(&self) -> Vec<Stretch> {
         let ends = self.points.iter().enumerate();
         let last_of_its_time =
@@ -103,13 +103,13 @@ impl Axis {
     }
 }
 
-/// A time with one rate of a coordinate.
+/// An interval with a constant rate of a coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stretch {
     from: f64,
     to: f64,
     rate: f64,
-    /// How far the rate may be off because steps are.
+    /// Possible error of the rate because of deviations of the steps.
     doubt: f64,
 }
 
@@ -119,7 +119,7 @@ impl Stretch {
     }
 }
 
-/// The change of speed where two ways meet, over the mean of their lengths: the second divided difference.
+/// Returns the changes of speed where two intervals meet, divided by the mean of their lengths: the second divided difference.
 fn changes(speeds: &[Stretch]) -> Vec<Stretch> {
     let change = |pair: &[Stretch]| {
         let (from, to) = (pair[0].middle(), pair[1].middle());
@@ -136,15 +136,15 @@ fn changes(speeds: &[Stretch]) -> Vec<Stretch> {
 /// The largest speed or acceleration of a body's middle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Peak {
-    /// From when to when, in seconds from the act's start.
+    /// Its start, in seconds from the act's start.
     pub from: f64,
-    /// When it ends, in seconds from the act's start.
+    /// Its end, in seconds from the act's start.
     pub to: f64,
-    /// What it is at least: steps are off from the movement as written, and may add to a rate.
+    /// Lower bound of the rate: deviations of steps from the movement as written may increase a rate.
     pub rate: f64,
 }
 
-/// The largest speed and the largest acceleration in x, y and z together.
+/// Returns the largest speed and the largest acceleration in x, y and z together.
 pub fn peaks(axes: &[Axis]) -> [Option<Peak>; 2] {
     let speeds: [Vec<Stretch>; 3] = std::array::from_fn(|i| axes[i].speeds());
     let accelerations = speeds.each_ref().map(|speeds| changes(speeds));
@@ -173,7 +173,7 @@ fn largest(rates: &[Vec<Stretch>; 3]) -> Option<Peak> {
     peak
 }
 
-/// The values of all axes whenever one of them has a point, from a time on: just before that moment, and just after it.
+/// Visits the values of all axes whenever one of them has a point, starting at `from`: just before that moment, and just after it.
 pub(super) fn moments(axes: &[Axis], from: f64, mut visit: impl FnMut(f64, &[f64])) {
     let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
     times.retain(|at| *at >= from);
@@ -192,7 +192,7 @@ pub(super) fn moments(axes: &[Axis], from: f64, mut visit: impl FnMut(f64, &[f64
     }
 }
 
-/// Where a body is at a time.
+/// The place of a body at a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knot {
     /// In seconds from the act's start.
@@ -201,7 +201,7 @@ pub struct Knot {
     pub place: Place,
 }
 
-/// Where a body is from the moment at which all its coordinates are known.
+/// The places of a body from the moment at which all its coordinates are known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
     /// In order of time, at least one; two at one time are a jump.
@@ -209,8 +209,8 @@ pub struct Path {
 }
 
 impl Path {
-    /// `axes`: x, y, z, yaw and the joints. `sure`: where the body is at the act's start is more than an assumption, so that a
-    /// jump from there is a way, too.
+    /// `axes`: x, y, z, yaw and the joints. `sure`: whether the place at the act's start is more than an assumption, so that a jump from
+    /// there is a movement as well.
     pub fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut knots: Vec<Knot> = Vec::new();
@@ -220,34 +220,34 @@ impl Path {
             }
         });
         if from > 0.0 || !sure {
-            // Before the first moment nothing was known: there is no way to it.
+            // Nothing was known before the first moment, so no movement leads to it.
             let first = knots.iter().take_while(|knot| knot.at == from).count();
             knots.drain(..first.saturating_sub(1));
         }
         Self { knots }
     }
 
-    /// Of a body that stays where it is.
+    /// Creates the path of a stationary body.
     pub fn resting(place: Place, ends: f64) -> Self {
         Self { knots: vec![Knot { at: 0.0, place: place.clone() }, Knot { at: ends, place }] }
     }
 
-    /// From when on it is known, in seconds.
+    /// Returns the time from which it is known, in seconds.
     pub fn known_from(&self) -> f64 {
         self.knots[0].at
     }
 
-    /// The time of the last knot.
+    /// Returns the time of the last knot.
     pub fn ends(&self) -> f64 {
         self.knots[self.knots.len() - 1].at
     }
 
-    /// The knots in order of time.
+    /// Returns the knots in order of time.
     pub fn knots(&self) -> &[Knot] {
         &self.knots
     }
 
-    /// The knots within a time, and where the body is at its ends.
+    /// Returns the knots within an interval, and the places of the body at its ends.
     pub(super) fn within(&self, from: f64, to: f64) -> impl Iterator<Item = Knot> + '_ {
         let first = self.knots.partition_point(|knot| knot.at < from);
         let last = self.knots.partition_point(|knot| knot.at <= to);
@@ -258,14 +258,15 @@ impl Path {
     }
 }
 
-/// Where two bodies are at one moment.
+/// The places of two bodies at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Both {
     pub(super) at: f64,
     pub(super) places: [Place; 2],
 }
 
-/// The moments of a time at which one of two bodies has a knot, and its ends. Between two of them both move linearly.
+/// Returns the moments of an interval at which one of two bodies has a knot, and its ends. Between two moments, both bodies move
+/// linearly.
 pub(super) fn together(a: &Path, b: &Path, from: f64, to: f64) -> Vec<Both> {
     let mut paths = [a, b].map(|path| path.within(from, to).collect::<Vec<Knot>>());
     if from > to || paths.iter().any(Vec::is_empty) {
@@ -286,14 +287,14 @@ pub(super) fn together(a: &Path, b: &Path, from: f64, to: f64) -> Vec<Both> {
     moments
 }
 
-/// Where a body is just before a moment and just after it.
+/// The places of a body just before a moment and just after it.
 struct Sides {
     before: Place,
     after: Place,
 }
 
 impl Sides {
-    /// `knots` reach from the moment or earlier to the moment or later.
+    /// `knots` must cover the moment.
     fn at(knots: &mut Vec<Knot>, at: f64) -> Self {
         let first = knots.partition_point(|knot| knot.at < at);
         let last = knots.partition_point(|knot| knot.at <= at);
@@ -308,7 +309,7 @@ impl Sides {
     }
 }
 
-/// Between the knot before `index` and that one.
+/// Returns the place between the knot before `index` and that one.
 fn between(knots: &[Knot], at: f64, index: usize) -> Place {
     let (Some(before), after) = (index.checked_sub(1), knots.get(index)) else {
         return knots[0].place.clone();
@@ -318,15 +319,15 @@ fn between(knots: &[Knot], at: f64, index: usize) -> Place {
     before.place.towards(&after.place, (at - before.at) / (after.at - before.at))
 }
 
-/// Runs along the points of an axis.
+/// Iterates over the points of an axis.
 struct Cursor<'a> {
     points: &'a [Point],
-    /// The first point that is not before the time asked for last.
+    /// The first point that is not before the last requested time.
     next: usize,
 }
 
 impl Cursor<'_> {
-    /// The value just before a time and just after it. Times never go back.
+    /// Returns the value just before a time and just after it. Times must not decrease.
     fn advance(&mut self, at: f64) -> (f64, f64) {
         while self.points.get(self.next).is_some_and(|point| point.0 < at) {
             self.next += 1;

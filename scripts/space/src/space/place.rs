@@ -1,21 +1,21 @@
-//! Where a body is at one moment: its base, and the values of its joints.
+//! The place of a body at one moment: its base, and the values of its joints.
 
 /// The coordinates of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
     /// x, y, z and yaw.
     pub base: [f64; 4],
-    /// In radians, or in metres where a joint slides; none for a body without joints.
+    /// In radians, or in metres for a sliding joint; empty for a body without joints.
     pub joints: Box<[f64]>,
 }
 
 impl Place {
-    /// Of a body without joints.
+    /// Creates the place of a body without joints.
     pub fn of(base: [f64; 4]) -> Self {
         Self { base, joints: Box::default() }
     }
 
-    /// From x, y, z, yaw and the joints, in this order.
+    /// Creates a place from x, y, z, yaw and the joints, in this order.
     pub(super) fn from_values(values: &[f64]) -> Self {
         Self { base: std::array::from_fn(|i| values[i]), joints: values[4..].into() }
     }
@@ -25,7 +25,7 @@ impl Place {
         self.base == values[..4] && *self.joints == values[4..]
     }
 
-    /// At a share of the straight way to another place of the same body.
+    /// Interpolates linearly to another place of the same body.
     pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
         let mixed = |from: f64, to: f64| from + share * (to - from);
         Self {

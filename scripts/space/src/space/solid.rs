@@ -1,4 +1,4 @@
-//! What a body consists of: a ball or a box about its base, and the links of its arm.
+//! The parts of a body: a ball or a box about its base, and the links of its arm.
 
 use parry3d_f64::math::Vector;
 use parry3d_f64::shape::{Cuboid, Segment};
@@ -8,28 +8,28 @@ use super::part::{Core, Part};
 use super::place::Place;
 use super::{Body, Shape, Volume};
 
-/// Where a volume has no side, it is taken to be this far away, in metres.
+/// The assumed distance of a missing side of a volume, in metres.
 const FAR: f64 = 1e5;
 
 /// A body without its place.
 #[derive(Clone, Debug)]
 pub struct Solid {
-    /// None where all of the body is its arm.
+    /// `None` if the body consists only of its arm.
     base: Option<Shape>,
     chain: Chain,
-    /// How far all of it may be off, in metres.
+    /// Possible deviation of the whole body, in metres.
     margin: f64,
 }
 
 impl Solid {
-    /// `margin`: how far all of it may be off from its path, in metres; it counts as so much larger.
+    /// `margin`: possible deviation of the body from its path, in metres; it enlarges the body.
     pub fn of(body: &Body, margin: f64) -> Self {
         let is_nothing = matches!(body.shape, Shape::Ball { radius } if radius <= 0.0);
         let base = Some(body.shape).filter(|_| !is_nothing || body.joints.is_empty());
         Self { base, chain: Chain::of(&body.joints, body.tip), margin }
     }
 
-    /// A volume as a body that stays where it is.
+    /// Turns a volume into a stationary body.
     pub fn of_volume(volume: &Volume) -> (Self, Place) {
         let least = volume.least.map(|side| side.max(-FAR));
         let most = volume.most.map(|side| side.min(FAR));
@@ -39,7 +39,7 @@ impl Solid {
         (solid, Place::of([middle(0), middle(1), middle(2), 0.0]))
     }
 
-    /// Its radius if it is nothing but a ball.
+    /// Returns the radius if the body is just a ball.
     pub(super) fn ball(&self) -> Option<f64> {
         match self.base {
             Some(Shape::Ball { radius }) if self.chain.is_empty() => Some(radius + self.margin),
@@ -47,7 +47,7 @@ impl Solid {
         }
     }
 
-    /// The largest radius about a core of its parts.
+    /// Returns the largest radius of its parts about their cores.
     pub(super) fn reach(&self) -> f64 {
         let ball = match self.base {
             Some(Shape::Ball { radius }) => radius,
@@ -56,13 +56,13 @@ impl Solid {
         self.margin + self.chain.radii().fold(ball, f64::max)
     }
 
-    /// How far its cores are from the vertical line through its middle at most, in metres, if no joint goes further than these
-    /// values, either way.
+    /// Returns the largest distance of its cores from the vertical line through its middle, in metres, if the absolute values of the
+    /// joints do not exceed `largest`.
     pub fn lever(&self, largest: &[f64]) -> f64 {
         self.base.map_or(0.0, Shape::lever).max(self.chain.reach(largest))
     }
 
-    /// All of it: first its base, then the links from the base to the tip.
+    /// Returns all parts: the base first, then the links from the base to the tip.
     pub(super) fn parts(&self, place: &Place) -> Vec<Part> {
         let shape = self.base.map(|shape| shape.part(place));
         let points = self.chain.points(place);
@@ -74,7 +74,7 @@ impl Solid {
         parts.map(|part| Part { radius: part.radius + self.margin, ..part }).collect()
     }
 
-    /// How the points of each part move at most between two places, beyond what x, y and z of the base move.
+    /// Returns upper bounds of the movement of each part's points between two places, in addition to x, y and z of the base.
     pub(super) fn sways(&self, from: &Place, to: &Place) -> Vec<Sway> {
         let turned = (to.base[3] - from.base[3]).abs();
         let shape = self.base.map(|shape| {
@@ -96,7 +96,7 @@ impl Shape {
         }
     }
 
-    /// How far a point of it moves at most while it turns by one radian about z.
+    /// Returns the largest movement of a point while the shape turns by one radian about z.
     fn lever(self) -> f64 {
         match self {
             Self::Ball { .. } => 0.0,

@@ -1,4 +1,4 @@
-//! How far a body stands out of the volume in which it has to stay.
+//! The largest distance by which a body leaves the volume in which it must stay.
 
 use super::Volume;
 use super::closest::{Approach, Mover};
@@ -7,15 +7,15 @@ use super::place::Place;
 use super::solid::Solid;
 use super::way::EXACT;
 
-/// Looks between two knots, at most.
+/// Maximum number of checks between two knots.
 const LOOKS_MAX: f64 = 1e4;
-/// Half a micrometre is rounding.
+/// Distances up to half a micrometre are rounding.
 const ROUNDING: f64 = 5e-7;
 
-/// How far a body is outside a volume at most, and when; `None`: it never leaves it.
+/// Returns the largest distance of a body outside a volume, with its time. `None` if it never leaves the volume.
 ///
-/// Between two looks a body that turns may stand out further than at both, by no more than `EXACT`: an eighth of the second
-/// derivative of its points' ways, times the time squared.
+/// Between two checks, a turning body may be further outside than at both, by at most `EXACT`: an eighth of the second derivative of its
+/// points' movements times the time squared.
 pub fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     let mut worst = Approach { at: 0.0, distance: 0.0 };
     let mut note = |at: f64, place: &Place| {
@@ -38,7 +38,7 @@ pub fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     (worst.distance > 0.0).then_some(worst)
 }
 
-/// So many that the way bends by no more than [`EXACT`] between two of them.
+/// Returns the number of checks at which the movement bends by at most [`EXACT`] between two of them.
 fn looks(solid: &Solid, from: &Knot, to: &Knot) -> u32 {
     let bend = solid.sways(&from.place, &to.place).iter().map(|sway| sway.bend).fold(0.0, f64::max);
     (bend / (8.0 * EXACT)).sqrt().ceil().clamp(1.0, LOOKS_MAX) as u32

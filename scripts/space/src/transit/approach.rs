@@ -1,25 +1,25 @@
-//! How close two bodies come to each other on their ways.
+//! The closest approach of two bodies on their routes.
 
 use super::way::Way;
 use crate::formation::{Point, metres_between};
 use downbeat_motion::motion::Easing;
 
-/// Metres by which a distance may be larger than stated, if it is not found by a formula.
+/// Metres by which a distance may be larger than reported, if it is not found by a formula.
 pub const SLACK: f64 = 1e-3;
-/// Most times at which two ways are looked at.
+/// Maximum number of sampled times for two routes.
 const LOOKS_MAX: u32 = 50_000;
 
-/// The middles of two bodies at their closest.
+/// The closest approach of the middles of two bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Approach {
-    /// In metres; the true distance is no smaller.
+    /// In metres; the true distance is not smaller.
     pub distance: f64,
     /// In seconds.
     pub at: f64,
 }
 
-/// The closest approach of two ways if it is below `enough`, in metres. If it is not found, the ways are no closer than that but for
-/// [`SLACK`].
+/// Returns the closest approach of two routes if it is below `enough`, in metres. If it returns `None`, the routes are no closer than
+/// that, except for [`SLACK`].
 pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if !may_meet(a, b, enough) {
         return None;
@@ -27,7 +27,7 @@ pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if a.is_even_with(b) { Some(together(a, b)) } else { searched(a, b, enough) }
 }
 
-/// Whether [`closest`] can find an approach, at little expense; certain of straight ways with one time law.
+/// Whether [`closest`] may find an approach; a cheap test, which is exact for straight routes with the same time law.
 pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
     if a.is_even_with(b) {
         Line::between(a, b).nearest().0 < enough
@@ -36,7 +36,7 @@ pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
     }
 }
 
-/// Whether [`closest`] finds an approach; sooner than that if it does.
+/// Whether [`closest`] finds an approach; faster than that function if it does.
 pub fn meet(a: &Way, b: &Way, enough: f64) -> bool {
     if a.is_even_with(b) || !may_meet(a, b, enough) {
         return may_meet(a, b, enough);
@@ -49,13 +49,13 @@ pub fn meet(a: &Way, b: &Way, enough: f64) -> bool {
     early || closest(a, b, enough).is_some()
 }
 
-/// The distance of two boxes.
+/// Returns the distance of two boxes.
 fn apart(a: &[Point; 2], b: &[Point; 2]) -> f64 {
     let gap = |axis: usize| (a[0][axis] - b[1][axis]).max(b[0][axis] - a[1][axis]).max(0.0);
     gap(0).hypot(gap(1)).hypot(gap(2))
 }
 
-/// The way of one body as it is seen from another.
+/// The route of one body relative to another.
 struct Line {
     from: Point,
     vector: Point,
@@ -70,7 +70,7 @@ impl Line {
         }
     }
 
-    /// How close it comes, in metres, and at which share of it.
+    /// Returns its least distance, in metres, and the share of the line at that point.
     fn nearest(&self) -> (f64, f64) {
         let dot = |a: &Point, b: &Point| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let square = dot(&self.vector, &self.vector);
@@ -80,15 +80,15 @@ impl Line {
     }
 }
 
-/// Of straight ways with one time law: seen from one body, the other moves along a line.
+/// Computes the approach of straight routes with the same time law: relative to one body, the other moves along a line.
 fn together(a: &Way, b: &Way) -> Approach {
     let (distance, u) = Line::between(a, b).nearest();
     Approach { distance, at: a.begin + a.length * Easing::smooth_time(u) }
 }
 
-/// Of any two ways, by halving their time where bounds of their speeds leave room for a closer approach.
+/// Computes the approach of any two routes, by halving their time where bounds of their speeds permit a closer approach.
 fn searched(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
-    // Seen from a body with the same time law, the other is on one way: bodies in equal arcs are as far apart all the time.
+    // Relative to a body with the same time law, the other one moves on a single route: bodies in equal arcs keep their distance.
     if (a.begin, a.length) == (b.begin, b.length) {
         let seen = |a: Point, b: Point| -> Point { std::array::from_fn(|axis| b[axis] - a[axis]) };
         let other = Way { from: seen(a.from, b.from), to: seen(a.to, b.to), lift: b.lift - a.lift, ..*a };
@@ -136,7 +136,7 @@ impl Search<'_> {
         }
         self.left = self.left.saturating_sub(1);
         if self.left == 0 {
-            // What is not looked at may be as close as that.
+            // Unchecked times may be as close as this.
             self.best.distance = self.best.distance.min(least.max(0.0));
             return;
         }

@@ -1,54 +1,52 @@
-//! Which body takes which place: the least sum of ways, or the shortest longest way.
+//! Assigns places to bodies with the least sum of distances, or the shortest longest distance.
 //!
-//! Each problem is one of rows and as many columns: starts that are left over take columns of their own, places that are left free
-//! take rows.
+//! Each problem has as many rows as columns: surplus starts take their own columns, and rows are added for unused places.
 
 use super::auction::{COMPARED_MAX, Sold, sell};
 use super::bottleneck;
 use super::columns::{Columns, Cost, Row};
 use crate::formation::{Point, metres_between};
 
-/// What of the ways is made small.
+/// The quantity to minimize.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Least {
-    /// Their sum.
+    /// The sum of the distances.
     #[default]
     Total,
-    /// The longest of them.
+    /// The longest distance.
     Longest,
 }
 
-/// The place of each start; none for a start that is left over if there are fewer places.
+/// The place of each start; `None` for surplus starts if there are fewer places.
 pub type Assignment = Vec<Option<usize>>;
 
-/// An assignment, and the share of its sum that no other is below.
+/// An assignment, and the share of its sum that is a proven lower bound for all assignments.
 pub struct Cheapest {
     pub assignment: Assignment,
     pub proven: f64,
 }
 
-/// Powers of the ways, the sum of which is made small.
+/// The price of a distance: a power of it. The sum of prices is minimized.
 #[derive(Clone, Copy, Debug)]
 pub struct Price {
-    /// By how much the exponent is above 1, in sixteenths: up to 16.
+    /// Sixteenths by which the exponent exceeds 1, at most 16.
     pub sixteenths: u8,
-    /// Longer ways are not taken, in metres.
+    /// Longer distances are not permitted, in metres.
     pub longest: f64,
 }
 
-/// The ways among which some are taken.
+/// The possible distances.
 pub struct Ways<'a> {
-    /// The starts, and behind them those that take the places that are left free.
+    /// The starts, followed by rows for unused places.
     rows: Vec<Row>,
     places: &'a [Point],
     starts: usize,
-    /// No way is longer, in metres.
+    /// Upper bound of all distances, in metres.
     unit: f64,
 }
 
 impl<'a> Ways<'a> {
-    /// Each start gets a place, and each place a start, as far as there are both. Starts that are left over go to their place in
-    /// `spare`, in the order of `starts`.
+    /// Gives each start a place, or each place a start. Surplus starts move to their place in `spare`, in the order of `starts`.
     pub fn between(starts: &[Point], places: &'a [Point], spare: &[Point]) -> Self {
         let row = |(start, spare): (&Point, &Point)| Row {
             at: Some(*start),
@@ -65,12 +63,12 @@ impl<'a> Ways<'a> {
         Columns::new(self.places, self.rows.len() - self.places.len())
     }
 
-    /// The assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
+    /// Returns the assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
     pub fn cheapest(&self, price: Price) -> Cheapest {
         self.cheapest_within(price, COMPARED_MAX)
     }
 
-    /// The same, with another number of comparisons after which a large group may stop early.
+    /// Same as `cheapest`, with another number of comparisons after which a large group may stop early.
     pub(super) fn cheapest_within(&self, price: Price, compared_max: u64) -> Cheapest {
         if self.rows.is_empty() {
             return Cheapest { assignment: Vec::new(), proven: 1.0 };
@@ -83,8 +81,8 @@ impl<'a> Ways<'a> {
         Cheapest { assignment: assignment.collect(), proven }
     }
 
-    /// The starts moved to the middle of the places, if that changes no order of sums, with the longest way: near places are found sooner.
-    /// Of squares, it adds the same to each sum.
+    /// Moves the starts to the middle of the places if that keeps the order of all sums, and returns the longest distance, too: near
+    /// places are found faster. With squares, this adds the same amount to each sum.
     #[expect(clippy::cast_precision_loss, reason = "there are few points")]
     fn centred(&self, price: Price) -> Option<(Vec<Row>, f64)> {
         if price.sixteenths < 16 || price.longest.is_finite() || self.starts != self.places.len() {
@@ -101,7 +99,7 @@ impl<'a> Ways<'a> {
         Some((starts.into_iter().map(|start| Row { at: Some(start), left_over: 0.0 }).collect(), unit))
     }
 
-    /// The least length, in metres, such that there is an assignment without a longer way.
+    /// Returns the least length, in metres, for which there is an assignment without a longer distance.
     pub fn shortest_longest(&self) -> f64 {
         if self.rows.is_empty() {
             return 0.0;
@@ -110,7 +108,7 @@ impl<'a> Ways<'a> {
     }
 }
 
-/// The diagonal of the box around all points, in metres.
+/// Returns the diagonal of the bounding box of all points, in metres.
 fn diagonal(starts: &[Point], places: &[Point]) -> f64 {
     let all = || starts.iter().chain(places);
     let extreme = |pick: fn(f64, f64) -> f64| -> Point {

@@ -1,39 +1,37 @@
-//! The cheapest assignment, by auction: rows bid for columns, whose prices rise (Bertsekas, Annals of Operations Research 14, 1988).
+//! The cheapest assignment by auction: rows bid for columns, whose prices rise (Bertsekas, Annals of Operations Research 14, 1988).
 //!
-//! Each row bids for the column that costs it least, and raises its price until the second best would cost as much, and by a step.
-//! When each row has a column, the sum is above the least one by no more than a step per row. The steps get finer from phase to
-//! phase, down to the resolution of costs. In a large group, the auction stops earlier after much work, when the prices prove
-//! that the sum is close to the least one.
+//! Each row bids for its cheapest column, and raises the price until the second best costs the same, plus a step. When each row has a
+//! column, the sum exceeds the least one by at most one step per row. The steps get finer from phase to phase, down to the resolution of
+//! costs. In a large group, the auction may stop after much work, as soon as the prices prove that the sum is close to the least one.
 
 use std::collections::VecDeque;
 
 use super::columns::{Columns, Cost, Row};
 
-/// The steps of the first phase, and of the last one.
+/// The steps of the first and of the last phase.
 const STEPS: [f64; 2] = [1.0 / 16.0, 1e-10];
-/// By how much the steps of a phase are finer than those of the one before.
+/// Factor by which the steps of a phase are finer than those of the previous one.
 const FINER: f64 = 6.0;
-/// Cheapest columns that are kept for each row.
+/// Number of cheapest columns kept for each row.
 const KEPT: usize = 16;
-/// In larger groups, an auction may stop before its last phase.
+/// In larger groups than this, an auction may stop before its last phase.
 const EXACT_MAX: usize = 1_000;
-/// Comparisons of rows with columns after which it does.
+/// Number of comparisons of rows with columns after which it may stop.
 pub(super) const COMPARED_MAX: u64 = 50_000_000;
-/// How far above the least one the sum may be then, as a share of it.
+/// Permitted excess over the least sum in this case, as a share of it.
 const EXCESS_MAX: f64 = 1e-3;
-/// By how much a row raises the price of the only column that it can take.
+/// Amount by which a row raises the price of the only column that it can take.
 const ONLY: f64 = 1.0;
 
-/// Who has got what.
+/// Result of an auction.
 pub(super) struct Sold {
     /// The column of each row.
     pub(super) columns: Vec<usize>,
-    /// The share of the sum of costs that no assignment is below.
+    /// The share of the sum of costs that is a proven lower bound for all assignments.
     pub(super) proven: f64,
 }
 
-/// The cheapest columns of a row as they were when it last searched them. Prices never fall, so every other column still costs at least
-/// `beyond`.
+/// The cheapest columns of a row at its last search. Prices never fall, so every other column still costs at least `beyond`.
 #[derive(Clone, Default)]
 struct Known {
     /// Costs without prices, and positions.
@@ -41,12 +39,12 @@ struct Known {
     beyond: f64,
 }
 
-/// The column that costs a row least.
+/// The cheapest column for a row.
 struct Best {
     position: usize,
-    /// With its price.
+    /// Its cost including its price.
     value: f64,
-    /// That of the second best; infinite if it can take only one.
+    /// The value of the second best; infinite if the row can take only one column.
     second: f64,
 }
 
@@ -55,13 +53,14 @@ struct Auction<'a> {
     columns: Columns,
     cost: Cost,
     known: Vec<Known>,
-    /// The position of the column that each row has.
+    /// The position of each row's column.
     of_row: Vec<Option<usize>>,
-    /// The row that has the column at each position.
+    /// The row that owns the column at each position.
     of_column: Vec<Option<usize>>,
 }
 
-/// Sells the columns to as many rows, so that the sum of costs is least. There has to be a column for each row within the longest way.
+/// Sells the columns to as many rows, so that the sum of costs is minimal. An assignment within the longest permitted distance must
+/// exist.
 pub(super) fn sell(rows: &[Row], columns: Columns, cost: Cost, compared_max: u64) -> Sold {
     assert_eq!(rows.len(), columns.count());
     let known = Known { columns: Vec::new(), beyond: f64::NEG_INFINITY };
@@ -83,7 +82,7 @@ pub(super) fn sell(rows: &[Row], columns: Columns, cost: Cost, compared_max: u64
 }
 
 impl Auction<'_> {
-    /// Sells all columns with this step. Rows keep a column that is worse than the best by no more than that.
+    /// Sells all columns with this step. Rows keep a column whose value exceeds the best one by at most the step.
     fn phase(&mut self, step: f64) {
         let mut waiting = VecDeque::new();
         for row in 0..self.rows.len() {
@@ -136,7 +135,7 @@ impl Auction<'_> {
         Best { position: found[0].1, value: found[0].0, second: found[1].0 }
     }
 
-    /// The share of the sum of costs that no assignment is below: if each row took the column that is best for it, and paid for all.
+    /// Returns the share of the sum of costs that is a lower bound: the sum if each row took its best column, and paid for all.
     fn proven(&mut self) -> f64 {
         let (mut sum, mut excess) = (0.0, 0.0);
         for row in 0..self.rows.len() {

@@ -1,22 +1,22 @@
-//! The shortest longest way, by a search for the length with which each row can have a column.
+//! The shortest longest distance, by a search for the length with which each row can have a column.
 //!
-//! Whether a length is enough is found by augmenting paths from all rows without a column at once. A k-d tree gives the columns that
-//! no path has reached yet, so a search reaches each column once (Efrat, Itai and Katz, Algorithmica 31, 2001).
+//! A length is tested by augmenting paths from all rows without a column at once. A k-d tree returns the columns that no path has reached
+//! yet, so a search reaches each column once (Efrat, Itai and Katz, Algorithmica 31, 2001).
 
 use super::assignment::Price;
 use super::columns::{Columns, Cost, Row};
 
-/// The price of columns that are taken: more than any way costs, so that paths end at free ones.
+/// The price of occupied columns: more than any distance costs, so that paths end at free ones.
 const TAKEN: f64 = 2.0;
 
-/// The least length, in metres, such that each row gets a column without a longer way. There are as many columns as rows, and `unit`
-/// is no shorter than any way.
+/// Returns the least length, in metres, for which each row gets a column without a longer distance. There are as many columns as rows,
+/// and `unit` is at least as long as any distance.
 pub(super) fn shortest_longest(rows: &[Row], columns: Columns, unit: f64) -> f64 {
     assert_eq!(rows.len(), columns.count());
     let none = vec![None; rows.len()];
     let mut matching =
         Matching { rows, columns, unit, taken: Taken { of_row: none.clone(), of_column: none } };
-    // Each row needs its nearest column at least.
+    // Each row needs at least the distance to its nearest column.
     let nearest: Vec<f64> = (0..rows.len()).map(|row| matching.nearest(row)).collect();
     let mut least = nearest.into_iter().fold(0.0, f64::max);
     let (mut most, mut fitting) = (f64::INFINITY, matching.taken.clone());
@@ -32,7 +32,7 @@ pub(super) fn shortest_longest(rows: &[Row], columns: Columns, unit: f64) -> f64
     most
 }
 
-/// Which row has which column, by positions in the tree.
+/// The assignment of rows and columns, by positions in the tree.
 #[derive(Clone)]
 struct Taken {
     of_row: Vec<Option<usize>>,
@@ -47,8 +47,8 @@ struct Matching<'a> {
 }
 
 impl Matching<'_> {
-    /// Gives each row a column within a length, and returns the longest way. If that fails, the error is the least length that could be
-    /// enough for one more.
+    /// Gives each row a column within `length`, and returns the longest distance. On failure, the error is the least length that could
+    /// suffice for one more row.
     fn complete(&mut self, length: f64) -> Result<f64, f64> {
         for row in 0..self.rows.len() {
             let too_far = |position: &usize| self.columns.way(&self.rows[row], *position) > length;
@@ -65,11 +65,11 @@ impl Matching<'_> {
         Ok(ways.fold(0.0, f64::max))
     }
 
-    /// Searches paths from all rows without a column to free ones, and gives each row that has found one its column.
+    /// Searches paths from all rows without a column to free ones, and assigns columns along the found paths.
     fn augment(&mut self, length: f64) -> Result<(), f64> {
         let Self { columns, taken, .. } = self;
         columns.set_prices(|position| if taken.of_column[position].is_some() { TAKEN } else { 0.0 });
-        // Rows that paths have reached, with the row at which each path begins.
+        // Rows that paths have reached, each with the row at the start of its path.
         let mut reached: Vec<(usize, usize)> = (0..self.rows.len())
             .filter(|row| self.taken.of_row[*row].is_none())
             .map(|row| (row, row))
@@ -103,7 +103,7 @@ impl Matching<'_> {
         Err(reached.into_iter().map(|(row, _)| self.nearest(row)).fold(f64::INFINITY, f64::min))
     }
 
-    /// A column within a length of a row that is not removed, a free one if there is one.
+    /// Returns a column within `length` of a row that is not removed, preferably a free one.
     fn within(&mut self, row: usize, length: f64) -> Option<usize> {
         let cost = Cost::new(Price { sixteenths: 0, longest: length }, self.unit);
         let mut found = [(0.0, 0)];
@@ -112,7 +112,7 @@ impl Matching<'_> {
         value.is_finite().then_some(position)
     }
 
-    /// The way to the nearest column that is not removed, in metres; infinite if all are removed.
+    /// Returns the distance to the nearest column that is not removed, in metres; infinite if all are removed.
     fn nearest(&mut self, row: usize) -> f64 {
         let found = self.within(row, f64::INFINITY);
         found.map_or(f64::INFINITY, |position| self.columns.way(&self.rows[row], position))
@@ -120,7 +120,7 @@ impl Matching<'_> {
 }
 
 impl Taken {
-    /// Moves each row of the path to the next column, from the free one backwards.
+    /// Moves each row of the path to the next column, starting with the free one.
     fn shift(&mut self, from: &[usize], free: usize) {
         let mut next = Some(free);
         while let Some(position) = next {

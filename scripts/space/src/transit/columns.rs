@@ -1,23 +1,23 @@
-//! The columns of an assignment in a k-d tree, found by what each costs a row: the price of the way to it and its own price.
+//! The columns of an assignment in a k-d tree, searched by their cost for a row: the price of the distance plus the column's own price.
 //!
-//! Columns are places, and behind these as many as starts are left over. The cost of those depends on the row alone.
+//! Columns are places, followed by one column for each surplus start. The cost of the latter depends on the row alone.
 
 use super::assignment::Price;
 use crate::formation::{Point, metres_between};
 
-/// Most columns of a leaf.
+/// Maximum number of columns per leaf.
 const LEAF: usize = 16;
 
-/// What takes a column.
+/// A bidder for a column.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row {
-    /// Where it begins; none if it only takes a place that is left free, at no cost.
+    /// Its start; `None` if it only takes an unused place, at no cost.
     pub(super) at: Option<Point>,
-    /// Its way without a place, in metres.
+    /// Its distance without a place, in metres.
     pub(super) left_over: f64,
 }
 
-/// The cost of ways: 1 for the longest that can occur.
+/// The cost of distances: 1 for the longest possible one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cost {
     price: Price,
@@ -25,18 +25,18 @@ pub(super) struct Cost {
 }
 
 impl Cost {
-    /// `unit`: the length of a way that costs 1, in metres.
+    /// `unit`: the distance that costs 1, in metres.
     pub(super) fn new(price: Price, unit: f64) -> Self {
         Self { price, per_metre: if unit > 0.0 { 1.0 / unit } else { 0.0 } }
     }
 
-    /// The cost of a way in metres; infinite if it is too long.
+    /// Returns the cost of a distance in metres; infinite if it is too long.
     pub(super) fn of(&self, way: f64) -> f64 {
         if way > self.price.longest {
             return f64::INFINITY;
         }
         let share = way * self.per_metre;
-        // Products and square roots are the same on every machine; powers are not.
+        // Unlike powers, products and square roots are the same on every machine.
         match self.price.sixteenths {
             0 => share,
             16.. => share * share,
@@ -59,23 +59,23 @@ enum Extent {
     /// The least and the largest coordinates of places.
     Box([Point; 2]),
     LeftOver,
-    /// Places and those for starts that are left over.
+    /// Places and columns for surplus starts.
     Both,
 }
 
 struct Node {
     extent: Extent,
-    /// Its columns, in the order of the tree.
+    /// Its columns: positions in the order of the tree.
     from: usize,
     to: usize,
-    /// Index of its second child; the first follows the node itself. None of a leaf.
+    /// Index of its second child; the first child follows the node itself. `None` for a leaf.
     second: Option<usize>,
     parent: Option<usize>,
     /// The lowest price of its columns.
     price: f64,
 }
 
-/// Columns with their prices, which begin at 0. An infinite price removes a column.
+/// Columns with their prices, which start at 0. An infinite price removes a column.
 pub(super) struct Columns {
     nodes: Vec<Node>,
     /// The column at each position of the tree.
@@ -85,12 +85,12 @@ pub(super) struct Columns {
     prices: Vec<f64>,
     /// The leaf of each position.
     leaves: Vec<usize>,
-    /// Columns that were compared with a row.
+    /// Number of columns compared with rows.
     pub(super) compared: u64,
 }
 
 impl Columns {
-    /// Places, and behind them `left_over` columns for starts without a place. At least one column.
+    /// Builds the tree of places, followed by `left_over` columns for starts without a place. Requires at least one column.
     pub(super) fn new(places: &[Point], left_over: usize) -> Self {
         let count = places.len() + left_over;
         let mut columns = Self {
@@ -153,7 +153,7 @@ impl Columns {
         self.order.len()
     }
 
-    /// The column at a position of the tree.
+    /// Returns the column at a position of the tree.
     pub(super) fn column(&self, position: usize) -> usize {
         self.order[position]
     }
@@ -175,7 +175,7 @@ impl Columns {
         }
     }
 
-    /// The lowest price of a node's columns, from its children.
+    /// Returns the lowest price of a node's columns, using its children.
     fn lowest(&self, index: usize) -> f64 {
         let node = &self.nodes[index];
         node.second.map_or_else(
@@ -192,14 +192,14 @@ impl Columns {
         }
     }
 
-    /// The way of a row to the column at a position, in metres.
+    /// Returns the distance of a row to the column at a position, in metres.
     pub(super) fn way(&self, row: &Row, position: usize) -> f64 {
         let Some(at) = row.at else { return 0.0 };
         self.points.get(position).map_or(row.left_over, |point| metres_between(at, *point))
     }
 
-    /// The columns that cost a row least with their prices, as costs and positions, in increasing order. If there are fewer than
-    /// asked, the others are infinite.
+    /// Finds the columns with the lowest cost for a row, including prices, as costs and positions in increasing order. If there are not
+    /// enough columns, the remaining costs are infinite.
     pub(super) fn cheapest(&mut self, row: &Row, cost: Cost, found: &mut [(f64, usize)]) {
         found.fill((f64::INFINITY, 0));
         self.search(0, row, cost, found);
@@ -232,7 +232,7 @@ impl Columns {
         }
     }
 
-    /// What no column of a node is below.
+    /// Returns a lower bound for the columns of a node.
     fn bound(&self, index: usize, row: &Row, cost: Cost) -> f64 {
         let node = &self.nodes[index];
         let way = match (row.at, node.extent) {

@@ -1,4 +1,4 @@
-//! Ways for a whole group: the assignment that needs no detour if it is nearly the shortest, otherwise delays and arcs.
+//! Routes for a whole group: the assignment that needs no detour if it is nearly the shortest, otherwise delays and arcs.
 
 use super::approach::{Approach, SLACK, closest, may_meet, meet};
 use super::assignment::{Assignment, Cheapest, Least, Price, Ways};
@@ -6,40 +6,41 @@ use super::way::{CURVATURE, SLOPE, Way};
 use crate::formation::{Point, ROUNDING, metres_between, pairs_within};
 use downbeat_yaml::budget::Budget;
 
-/// Prices that are tried one after another, as powers of the ways: sixteenths by which the exponents are above 1. The least sum of squares keeps straight ways apart if
-/// starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics Research 33, 2014).
+/// Prices tried one after another, as powers of the distances: the number of sixteenths by which the exponent exceeds 1. The least sum of
+/// squares keeps straight routes apart if starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics
+/// Research 33, 2014).
 const SIXTEENTHS: [u8; 5] = [0, 1, 2, 6, 16];
 /// Fewer prices for larger groups, the most promising ones first.
 const SIXTEENTHS_OF_LARGE: [u8; 3] = [0, 16, 6];
-/// Groups with more bodies are large.
+/// Groups with more bodies than this are large.
 const LARGE: usize = 300;
-/// How much longer than the least the sum of all ways may be.
+/// Largest permitted ratio of the sum of all distances to the least sum.
 const TOTAL_MAX: f64 = 1.01;
-/// A delay is so many of these parts of the time.
+/// Number of parts into which the time is divided for delays.
 const DELAY_PARTS: u8 = 8;
-/// Most parts of the time that a body waits.
+/// Maximum number of these parts that a body waits.
 const WAITS_MAX: u8 = 5;
-/// Most layers above and below the straight way.
+/// Maximum number of layers above and below the straight route.
 const LAYERS_MAX: u8 = 4;
-/// How often all ways that come too close are looked at.
+/// Maximum number of passes over all routes that come too close.
 const ROUNDS_MAX: usize = 40;
-/// Most pairs that the search for detours checks, and in larger groups for each body.
+/// Maximum number of pairs that the search for detours checks; in larger groups, the second limit applies per body.
 const PAIRS_MAX: usize = 5_000_000;
 const PAIRS_PER_BODY_MAX: usize = 2_000;
-/// What rounding may take from a distance, in metres.
+/// Rounding error of a distance, in metres.
 const DUST: f64 = 1e-9;
 
-/// How fast a body may be, in metres a second and a second squared; infinite if there is no limit.
+/// Limits of a body, in metres per second and per second squared; infinite if there is no limit.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Speed and acceleration along x, y and z.
     pub axes: [[f64; 2]; 3],
-    /// In all directions together.
+    /// Speed and acceleration in any direction.
     pub body: [f64; 2],
 }
 
 impl Limits {
-    /// The shortest time for a way, in seconds.
+    /// Returns the shortest time for a route, in seconds.
     fn time_for(&self, way: &Way) -> f64 {
         let time = |reach: f64, lift: f64, [speed, acceleration]: [f64; 2]| {
             let bend = CURVATURE * (reach + 4.0 * lift) + SLOPE * SLOPE * 8.0 * lift;
@@ -53,34 +54,34 @@ impl Limits {
     }
 }
 
-/// A body that takes part.
+/// A body in transit.
 #[derive(Clone, Copy, Debug)]
 pub struct Body {
     /// The start of the body, in metres.
     pub from: Point,
-    /// The distance that another body keeps from its middle, in metres: half of what is required between both, and its own radius.
+    /// The distance that another body keeps from its middle, in metres: half of the required distance plus its own radius.
     pub keep: f64,
-    /// By how much its steps may be off, in metres.
+    /// Possible deviation of its steps, in metres.
     pub error: f64,
-    /// By how much the grids of its devices may move its last place, in metres.
+    /// Possible deviation of its last place because of the grids of its devices, in metres.
     pub rounding: f64,
-    /// When its time begins, in seconds.
+    /// The beginning of its time, in seconds.
     pub begin: f64,
-    /// How fast it may be.
+    /// Limits of its speed and acceleration.
     pub limits: Limits,
-    /// Between which heights it can fly an arc; none if it cannot change its height.
+    /// Range of heights for an arc; `None` if it cannot change its height.
     pub heights: Option<[f64; 2]>,
 }
 
-/// Where bodies go.
+/// The destinations of bodies.
 pub enum Goals<'a> {
-    /// Each to the place with its own index.
+    /// Each body moves to the place with its own index.
     Own(&'a [Point]),
-    /// Each to one of these; bodies that are left over go to their place in the second list.
+    /// Each body moves to one of the first places; surplus bodies move to their place in the second list.
     Any(&'a [Point], &'a [Point]),
 }
 
-/// What is asked.
+/// The task of a group.
 pub struct Crossing<'a> {
     /// The bodies that take part.
     pub bodies: &'a [Body],
@@ -88,16 +89,16 @@ pub struct Crossing<'a> {
     pub goals: Goals<'a>,
     /// The quantity to minimize.
     pub least: Least,
-    /// How long each body has, in seconds.
+    /// The time for each body, in seconds.
     pub over: f64,
 }
 
-/// The distance that two bodies have to keep, in metres.
+/// The distance that two bodies must keep, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Required {
-    /// With what their steps may be off.
+    /// The regular distance, including the deviation of their steps.
     Apart(f64),
-    /// As far apart as where they begin or end, which is less than that.
+    /// The distance of their starts or ends, which is smaller than the regular distance.
     AsAtEnds(f64),
     /// The ends of two bodies are closer to each other than permitted.
     AtEnd {
@@ -109,57 +110,57 @@ pub enum Required {
 }
 
 impl Required {
-    /// Ways that come closer than this at some time are refused.
+    /// Returns the distance below which routes are rejected.
     fn metres(self) -> f64 {
         let (Self::Apart(metres) | Self::AsAtEnds(metres) | Self::AtEnd { least: metres, .. }) = self;
         metres - DUST
     }
 }
 
-/// Two bodies for which there is no way past each other.
+/// Two bodies that cannot pass each other.
 #[derive(Clone, Debug)]
 pub struct Blocked {
     /// Their indices.
     pub pair: [usize; 2],
-    /// When they are closest, in seconds.
+    /// The time at which they are closest, in seconds.
     pub at: f64,
     /// From middle to middle, in metres.
     pub distance: f64,
-    /// What is required between them, in metres.
+    /// The required distance, in metres.
     pub required: Required,
-    /// How many pairs come too close.
+    /// Number of pairs that come too close.
     pub pairs: usize,
 }
 
-/// Why there are no ways.
+/// The reason why there are no routes.
 #[derive(Clone, Debug)]
 pub enum Refused {
-    /// The shortest time that would do for all bodies, and the body that needs it.
+    /// The time is too short for a body.
     TooShort {
         /// Index of the body.
         body: usize,
-        /// The time, in seconds.
+        /// The shortest time that suffices for all bodies, in seconds.
         seconds: f64,
     },
     /// Two bodies cannot pass each other.
     Blocked(Blocked),
 }
 
-/// A time that is enough but for the rounding of its computation is enough.
+/// Tolerance factor for rounding errors in the computed time.
 const ENOUGH: f64 = 1.0 + 1e-9;
 
-/// Ways that keep all bodies apart, and by how much the steps of each may be off, in metres: by less than its error where two bodies
-/// begin or end close to each other.
+/// Routes that keep all bodies apart, with the permitted deviation of the steps of each body, in metres. The latter is less than the
+/// body's `error` if two bodies begin or end close to each other.
 #[derive(Clone, Debug)]
 pub struct Crossed {
     pub ways: Vec<Way>,
     pub errors: Vec<f64>,
 }
 
-/// Finds ways that keep all bodies apart, in their order.
+/// Finds routes that keep all bodies apart, in their order.
 ///
 /// # Errors
-/// There is too little time, or there are bodies for which no way past each other is found.
+/// The time is too short, or no route was found on which certain bodies can pass each other.
 pub fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
     let mut best: Option<(Vec<Way>, Vec<Near>)> = None;
     let mut needed = (0, f64::INFINITY);
@@ -192,7 +193,7 @@ pub fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
     }
 }
 
-/// How far apart two bodies begin and end, in metres.
+/// Returns the distances between the starts and between the ends of two bodies, in metres.
 fn ends(a: &Way, b: &Way) -> [f64; 2] {
     [metres_between(a.from, b.from), metres_between(a.to, b.to)]
 }
@@ -205,7 +206,7 @@ struct Near {
 }
 
 impl Crossing<'_> {
-    /// The goals of all bodies, for one assignment after another.
+    /// Returns the goals of all bodies, one assignment after another.
     fn candidates(&self) -> Box<dyn Iterator<Item = Vec<Point>> + '_> {
         let (places, spare) = match self.goals {
             Goals::Own(own) => return Box::new(std::iter::once(own.to_vec())),
@@ -228,7 +229,7 @@ impl Crossing<'_> {
             let goals = goals(assignment);
             let total: f64 =
                 starts.iter().zip(&goals).map(|(start, goal)| metres_between(*start, *goal)).sum();
-            // The price of the first is the way itself.
+            // The first price is the distance itself.
             let optimum = *optimum.get_or_insert(total * proven);
             (self.least == Least::Longest || total <= optimum * TOTAL_MAX).then_some(goals)
         });
@@ -240,7 +241,7 @@ impl Crossing<'_> {
         self.bodies.iter().zip(goals).map(way).collect()
     }
 
-    /// What has to be between the middles of two bodies. Where they begin or end closer, the way between cannot help it.
+    /// Returns the required distance between the middles of two bodies. If they begin or end closer, the route cannot avoid that.
     fn required(&self, ways: &[Way], a: usize, b: usize) -> Required {
         let [begin, end] = ends(&ways[a], &ways[b]);
         let [least, apart] = [self.least(a, b), self.apart(a, b)];
@@ -252,17 +253,17 @@ impl Crossing<'_> {
         }
     }
 
-    /// The least distance between two bodies, in metres.
+    /// Returns the least distance between the middles of two bodies, in metres.
     fn least(&self, a: usize, b: usize) -> f64 {
         self.bodies[a].keep + self.bodies[b].keep
     }
 
-    /// The same with what their steps may be off.
+    /// Returns this distance plus the deviations of their steps.
     fn apart(&self, a: usize, b: usize) -> f64 {
         self.least(a, b) + self.bodies[a].error + self.bodies[b].error + SLACK
     }
 
-    /// What is between the ends of two bodies beyond what they keep is shared by the errors of both.
+    /// Distributes the excess distance between the ends of two bodies over the errors of both.
     fn crossed(&self, ways: Vec<Way>) -> Crossed {
         let mut errors: Vec<f64> = self.bodies.iter().map(|body| body.error).collect();
         let (starts, ends): (Vec<Point>, Vec<Point>) = ways.iter().map(|way| (way.from, way.to)).unzip();
@@ -277,12 +278,12 @@ impl Crossing<'_> {
         Crossed { ways, errors }
     }
 
-    /// The farthest that a body and its error reach, in metres.
+    /// Returns the largest radius of a body including its error, in metres.
     fn reach_max(&self) -> f64 {
         self.bodies.iter().map(|body| body.keep + body.error).fold(0.0, f64::max)
     }
 
-    /// The pairs that come too close, in their order; only those of bodies that have `changed` if that is given.
+    /// Returns the pairs that come too close, in their order; with `changed`, only those of changed bodies.
     fn near(&self, ways: &[Way], changed: Option<&[bool]>) -> Vec<Near> {
         let mut order: Vec<usize> = (0..ways.len()).collect();
         let bounds: Vec<[Point; 2]> = ways.iter().map(Way::bounds).collect();
@@ -305,25 +306,25 @@ impl Crossing<'_> {
         near
     }
 
-    /// How many others come too close to a body, counted up to so many.
+    /// Returns the number of other bodies that come too close to a body, at most `most`.
     fn conflicts(&self, ways: &[Way], body: usize, most: usize) -> usize {
         let others = (0..ways.len()).filter(|other| *other != body);
         let too_close = |other: &usize| {
-            // What is required is never more than that.
+            // The required distance never exceeds this.
             may_meet(&ways[body], &ways[*other], self.apart(body, *other))
                 && meet(&ways[body], &ways[*other], self.required(ways, body, *other).metres())
         };
         others.filter(too_close).take(most).count()
     }
 
-    /// Delays single bodies or leads them in an arc until all keep apart; otherwise the pair that comes closest. Each that comes too
-    /// close to others takes the way on which it does to the fewest (Minton et al., Artificial Intelligence 58, 1992).
+    /// Delays single bodies or leads them in an arc until all bodies keep apart; otherwise returns the closest pair. Each body that comes
+    /// too close to others takes the route on which it comes too close to the fewest (Minton et al., Artificial Intelligence 58, 1992).
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
         let mut room = Budget::new(PAIRS_MAX.max(PAIRS_PER_BODY_MAX * ways.len()));
         let mut fewest = (near.clone(), ways.to_vec());
         let ends_close =
             |near: &Near| matches!(self.required(ways, near.pair[0], near.pair[1]), Required::AtEnd { .. });
-        // No detour helps where two end too close.
+        // No detour helps if two bodies end too close to each other.
         let rounds = if near.iter().any(ends_close) { 0 } else { ROUNDS_MAX };
         for round in 0..rounds {
             let mut crowded = vec![0usize; ways.len()];
@@ -361,8 +362,8 @@ impl Crossing<'_> {
         })
     }
 
-    /// Leads a body on the way on which it comes too close to the fewest others. In later rounds one that is no better will do as well,
-    /// another one in each round: so a body leaves a place from which no single step leads on.
+    /// Leads a body along the route on which it comes too close to the fewest others. In later rounds, an equally good route is accepted
+    /// as well, a different one in each round, so that bodies leave local minima.
     fn avoid(&self, ways: &mut [Way], body: usize, round: usize, room: &mut Budget) {
         let mut best = ways[body];
         let mut fewest = self.conflicts(ways, body, usize::MAX);
@@ -384,7 +385,7 @@ impl Crossing<'_> {
         ways[body] = best;
     }
 
-    /// Other ways to the same place: later or earlier within its time, then over or below the others, then both.
+    /// Returns other routes to the same place: first shifted in time, then above or below the others, then both.
     fn alternatives(&self, straight: &Way, index: usize) -> Vec<Way> {
         let body = &self.bodies[index];
         let mut windows = vec![(straight.begin, straight.length)];
@@ -395,7 +396,7 @@ impl Crossing<'_> {
         }
         let mut lifts = vec![0.0];
         for layer in 1..=LAYERS_MAX {
-            // An arc is that much higher over its middle half at least.
+            // The middle half of an arc is at least this much higher.
             let height = 2.0 * (body.keep + body.error) * f64::from(layer) * 4.0 / 3.0;
             lifts.extend([height, -height]);
         }

@@ -1,8 +1,9 @@
-//! How a group of bodies gets from where it is to the places of a formation without a collision.
+//! Moves a group of bodies from their places to the places of a formation without collisions.
 //!
-//! `assignment` says which body takes which place: `auction` finds the least sum of ways, `bottleneck` the shortest longest way, both
-//! with the places in the k-d tree of `columns`. `way` says how one body moves, `approach` how close two come to each other,
-//! `crossing` puts the three together. Lengths are in metres, times in seconds. Nothing here knows of robots and devices.
+//! `assignment` determines which body takes which place: `auction` finds the least sum of distances and `bottleneck` the shortest longest
+//! distance, both with the places in the k-d tree of `columns`. `way` describes the movement of one body, `approach` finds how close two
+//! bodies come to each other, and `crossing` combines them. Lengths are in metres, times in seconds. This module does not depend on
+//! robots and devices.
 
 mod approach;
 mod assignment;

@@ -1,4 +1,4 @@
-//! Laws of groups on their way: assignments are permutations of least cost, and no two bodies come closer than stated.
+//! Laws of groups in transit: assignments are permutations of least cost, and no two bodies come closer than reported.
 
 use pathfinding::kuhn_munkres::kuhn_munkres_min;
 use pathfinding::matrix::Matrix;
@@ -13,7 +13,7 @@ use crate::formation::{Point, metres_between, nearest_pair};
 const FREE: Limits = Limits { axes: [[f64::INFINITY; 2]; 3], body: [f64::INFINITY; 2] };
 const WAYS: Price = Price { sixteenths: 0, longest: f64::INFINITY };
 
-/// The assignment with the least sum of ways; who is left over stays.
+/// Returns the assignment with the least sum of distances; surplus bodies stay.
 fn cheapest(starts: &[Point], places: &[Point]) -> Assignment {
     Ways::between(starts, places, starts).cheapest(WAYS).assignment
 }
@@ -26,7 +26,7 @@ fn points(count: impl Into<prop::collection::SizeRange>) -> impl Strategy<Value 
     prop::collection::vec(prop::array::uniform3(-10.0..10.0f64), count)
 }
 
-/// Every order of the numbers below `count`, by exchanging the last with each.
+/// Returns every order of the numbers below `count`, by exchanging the last one with each.
 fn orders(count: usize) -> Vec<Vec<usize>> {
     match count {
         0 => vec![Vec::new()],
@@ -47,7 +47,7 @@ fn ways(starts: &[Point], places: &[Point], order: &[usize]) -> Vec<f64> {
     starts.iter().zip(order).map(|(start, place)| metres_between(*start, places[*place])).collect()
 }
 
-/// The order that an assignment is, which has a place for every start.
+/// Returns the order of an assignment that has a place for every start.
 fn order_of(assignment: &[Option<usize>]) -> Vec<usize> {
     let order: Vec<usize> = assignment.iter().map(|place| place.expect("a place for every start")).collect();
     let mut sorted = order.clone();
@@ -57,8 +57,8 @@ fn order_of(assignment: &[Option<usize>]) -> Vec<usize> {
     order
 }
 
-/// Whether no exchange of places around any ring of bodies makes the sum smaller: that proves that it is the least one. The
-/// shortest exchanges are found as Bellman and Ford did.
+/// Whether no exchange of places in any ring of bodies decreases the sum, which proves that the sum is the least one. The shortest
+/// exchanges are found by the Bellman-Ford algorithm.
 fn is_least(starts: &[Point], places: &[Point], order: &[usize]) -> bool {
     let count = starts.len();
     let gain = |a: usize, b: usize| {
@@ -82,7 +82,7 @@ fn is_least(starts: &[Point], places: &[Point], order: &[usize]) -> bool {
     false
 }
 
-/// Many distances of two ways, the least of them.
+/// Returns the least of many sampled distances of two routes.
 fn sampled(a: &Way, b: &Way) -> f64 {
     let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
     let at = |i: u32| from + (to - from) * f64::from(i) / 4_000.0;
@@ -150,7 +150,7 @@ fn the_shortest_time_that_is_named_is_enough_and_less_is_not() {
         cross(&Crossing { bodies: &bodies, goals, least: Least::Total, over })
     };
     let Err(Refused::TooShort { seconds, .. }) = over(1.0) else { panic!("5 m in 1 s") };
-    // The largest speed of minimum jerk is 15/8 of the mean one.
+    // The largest speed of minimum jerk is 15/8 of the mean speed.
     assert!((seconds - 1.875 * 5.0 / 1.5).abs() < 1e-9, "{seconds}");
     assert!(over(seconds).is_ok() && over(seconds * 0.999).is_err());
 }
@@ -171,7 +171,7 @@ fn the_places_of_three_hundred_bodies_on_a_circle_are_those_of_the_shortest_ways
 fn bodies_in_equal_arcs_are_as_far_apart_all_the_time() {
     let way = |x: f64| Way { lift: 3.0, ..Way::straight([x, 0.0, 0.0], [x + 5.0, 2.0, 1.0], 0.0, 4.0) };
     let found = closest(&way(0.0), &way(0.5), 0.6).unwrap();
-    // A search that gives up states a bound far below.
+    // A search that gives up returns a much lower bound.
     assert!((found.distance - 0.5).abs() <= SLACK + 1e-9, "{found:?}");
     assert!(closest(&way(0.0), &way(0.5), 0.4).is_none());
 }
@@ -193,7 +193,7 @@ fn bodies_go_from_a_close_grid_to_a_close_circle_with_the_shortest_longest_way()
     }
 }
 
-/// The least sum of ways by the Hungarian algorithm, in metres; whole numbers of nanometres are added.
+/// Returns the least sum of distances by the Hungarian algorithm, in metres; it adds integers of nanometres.
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "ways are short")]
 fn hungarian(starts: &[Point], places: &[Point], spare: &[Point]) -> f64 {
     let left_over = starts.len().saturating_sub(places.len());
@@ -226,7 +226,7 @@ fn grid(count: usize, columns: usize, at: Point) -> Vec<Point> {
 
 #[test]
 fn the_sum_is_least_where_many_ways_are_equal() {
-    // Distances between places of two grids are few; of one that is only raised, every way along a line is equally good.
+    // Two grids have few different distances. If a grid is only raised, all assignments along a line are equally good.
     check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 10, [7.0, 3.0, 5.0]), &[[0.0; 3]; 400]);
     check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 20, [0.0, 0.0, 9.0]), &[[0.0; 3]; 400]);
     check_sum(&grid(300, 300, [0.0; 3]), &grid(300, 300, [120.0, 0.0, 0.0]), &[[0.0; 3]; 300]);
@@ -274,7 +274,7 @@ proptest! {
     fn the_sums_of_larger_groups_are_those_of_the_hungarian_algorithm(
         starts in points(1..300), places in points(1..300), homes in points(300), step in 0.01..4.0f64, go_home: bool,
     ) {
-        // On a grid many ways are equal, and points coincide.
+        // On a grid, many distances are equal, and points coincide.
         let gridded = |points: &[Point]| -> Vec<Point> {
             points.iter().map(|point| point.map(|part| (part / step).round() * step)).collect()
         };
@@ -305,8 +305,8 @@ proptest! {
     }
 }
 
-/// Whether each start has a place within a length, or each place a start: by one augmenting path after another. With fewer places,
-/// other starts need their spare place within it.
+/// Whether each start has a place within `length`, or each place a start, by successive augmenting paths. With fewer places, the other
+/// starts need their spare place within it.
 fn fits(starts: &[Point], places: &[Point], spare: &[Point], length: f64) -> bool {
     let left_over = starts.len().saturating_sub(places.len());
     let columns = places.len() + left_over;
@@ -376,7 +376,7 @@ proptest! {
             let goals = assignment.iter().enumerate().map(goal);
             starts.iter().zip(goals).map(|(start, goal)| metres_between(*start, goal)).collect()
         };
-        // Places that are not there are taken in any order: their bodies are left over.
+        // Missing places are taken in any order: their bodies are left over.
         let all = orders(starts.len().max(places.len()));
         let all: Vec<Vec<f64>> = all.iter().map(|order| {
             ways(&order[..starts.len()].iter().map(|place| Some(*place).filter(|place| *place < places.len())).collect::<Vec<_>>())

@@ -1,4 +1,4 @@
-//! What the robots of a cue do as a group becomes a movement of each device that is a coordinate of a body. `ensemble` finds the ways.
+//! Turns group movements of a cue into movements of the devices of body coordinates. `ensemble` computes the movements.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -24,11 +24,11 @@ use fixes::Fixes;
 mod fixes;
 mod told;
 
-/// What groups need to know beyond their cues.
+/// The context of groups beyond their cues.
 #[derive(Clone, Copy)]
 pub(in crate::compile) struct Ground<'g> {
     pub(in crate::compile) of_scenario: ensemble::Ground<'g>,
-    /// Where devices are when the act begins.
+    /// Positions of devices at the beginning of the act.
     pub(in crate::compile) positions: &'g Positions<'g>,
 }
 
@@ -41,14 +41,14 @@ struct Grouped<'g> {
     time: &'g CueTime,
 }
 
-/// A group whose turn it is.
+/// The next group to be processed.
 struct Turn<'g> {
     grouped: Grouped<'g>,
-    /// Whether each group that moves one of its robots before it has had its turn.
+    /// Whether all groups that move one of its robots earlier have already been processed.
     is_known: bool,
 }
 
-/// The groups one after another: of those that share a robot, first the one in which it begins first.
+/// Orders the groups: among groups that share a robot, the one in which the robot begins first comes first.
 fn in_turn(mut groups: Vec<Grouped<'_>>) -> Vec<Turn<'_>> {
     groups.sort_by_key(|grouped| grouped.time.start);
     let mut of_robot: HashMap<usize, Vec<(Span, usize)>> = HashMap::new();
@@ -85,7 +85,7 @@ fn in_turn(mut groups: Vec<Grouped<'_>>) -> Vec<Turn<'_>> {
 }
 
 impl<'a> Performer<'_, 'a> {
-    /// The groups of an act, in the order of time: each begins where the movements before it end.
+    /// Processes the groups of an act in order of time: each begins where the previous movements end.
     pub(in crate::compile) fn groups(
         &mut self,
         act: &Act,
@@ -93,7 +93,7 @@ impl<'a> Performer<'_, 'a> {
         times: &[CueTime],
         ground: Ground<'_>,
     ) {
-        // That no robot answers is told already.
+        // Cues without robots are already reported.
         let cues =
             act.cues.iter().zip(members).zip(times).filter(|((_, members), _)| !members.all.is_empty());
         let groups = cues.filter_map(|((cue, members), time)| {
@@ -119,11 +119,11 @@ impl<'a> Performer<'_, 'a> {
         }
     }
 
-    /// Whether it can be done.
+    /// Computes the movements of a group. Returns whether they are possible.
     fn group(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> bool {
         let Some(dancers) = self.dancers(grouped, ground) else { return false };
         let Grouped { cue, group, time, .. } = grouped;
-        // A formation says where each coordinate goes, though it may not move.
+        // A formation determines each coordinate, even if it does not move.
         let is_formed = matches!(group.action, Action::Form(_));
         if is_formed && self.tell_moving(grouped, &dancers, |_, _| true) {
             return false;
@@ -144,7 +144,7 @@ impl<'a> Performer<'_, 'a> {
                     .collect();
                 self.fit_ahead(&all);
                 all.into_iter().for_each(|dance| self.dance(cue, time, &dance));
-                // Later movements begin where no robot can be. Their findings would have the same cause.
+                // Later movements would begin at impossible places, and their findings would have the same cause.
                 !self.hint_within_limits(grouped, &dancers, &ways, ground, before)
             }
             // More time does not help a movement that leaves the limits of the devices.
@@ -158,8 +158,7 @@ impl<'a> Performer<'_, 'a> {
         }
     }
 
-    /// Reports places beyond the limits of the devices to which a group with too little time would lead. Returns whether there are
-    /// any.
+    /// Reports places beyond the limits of the devices to which a group with too little time would move. Returns whether there are any.
     fn leads_out(
         &mut self,
         grouped: Grouped<'_>,
@@ -185,7 +184,7 @@ impl<'a> Performer<'_, 'a> {
         self.hint_within_limits(grouped, dancers, &ways, ground, before)
     }
 
-    /// Gives one hint to all places beyond the limits that were found since `before`. Returns whether there are any.
+    /// Adds one hint to all places beyond the limits found since `before`. Returns whether there are any.
     fn hint_within_limits(
         &mut self,
         Grouped { cue, group, .. }: Grouped<'_>,
@@ -197,14 +196,14 @@ impl<'a> Performer<'_, 'a> {
         let is_out = |found: &Pending| found.code == Code::OutOfRange;
         let fixes = Fixes::of(cue, group, dancers, ground);
         if !self.findings.found.iter().skip(before).any(is_out) {
-            // They may have joined a finding about another cue with the same formation.
+            // They may have been merged into a finding about another cue with the same formation.
             return !fixes.are_within(ways);
         }
         let fix = fixes.within_limits(ways);
         let hint = fix.unwrap_or_else(|| {
             match group.action {
                 Action::Form(_) => "make the formation smaller, or move it with `at`",
-                Action::Sweep(_) => "make it smaller, or let the group begin elsewhere",
+                Action::Sweep(_) => "make it smaller, or start the group elsewhere",
             }
             .to_owned()
         });
@@ -213,7 +212,7 @@ impl<'a> Performer<'_, 'a> {
         true
     }
 
-    /// The robots with where they are when the cue begins for each of them.
+    /// Returns the robots with their places at their own starts.
     fn dancers(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> Option<Vec<Dancer<'a>>> {
         let Grouped { cue, group, members, time } = grouped;
         let cast = self.cast;
@@ -242,7 +241,7 @@ impl<'a> Performer<'_, 'a> {
         (without.is_empty() && unknown.is_empty()).then_some(dancers)
     }
 
-    /// Reports coordinates that are still moving when the cue begins, out of those that count; whether there are any.
+    /// Reports coordinates selected by `counts` that still move when the cue begins. Returns whether there are any.
     fn tell_moving(
         &mut self,
         grouped: Grouped<'_>,
@@ -270,7 +269,7 @@ impl<'a> Performer<'_, 'a> {
         is_moving
     }
 
-    /// Where a coordinate is at a time of the act: where the last movement before that has left it. In metres.
+    /// Returns the coordinate at a time of the act, in metres: the end of the last preceding movement.
     fn standing(&self, robot: usize, axis: &Axis<'_>, at: Span, positions: &Positions<'_>) -> Option<f64> {
         let (index, scale, offset) = match *axis {
             Axis::Fixed(value) => return Some(value),
@@ -288,7 +287,7 @@ impl<'a> Performer<'_, 'a> {
         Some(offset + scale * value)
     }
 
-    /// Many movements are fitted on all processors.
+    /// Fits many movements on all processors.
     fn fit_ahead(&mut self, dances: &[Dance<'_>]) {
         if dances.len() < WAYS_MIN {
             return;
@@ -330,18 +329,18 @@ impl<'a> Performer<'_, 'a> {
 /// The movement of a device in a group.
 struct Dance<'a> {
     robot: usize,
-    /// Of the device.
+    /// Index of the device in the robot.
     index: usize,
     device: &'a Device,
-    /// Since the cue's start.
+    /// Relative to the cue's start.
     begin: Span,
     length: Span,
     track: Track,
 }
 
-/// One robot's part in a group: a movement of each of its devices that moves.
+/// Returns the movements of one robot's devices in a group.
 fn dances<'a>(cue: &Cue, group: &Together, dancer: &Dancer<'a>, moved: &Moved) -> Vec<Dance<'a>> {
-    // What begins late ends with the others, to the nanosecond.
+    // A robot that begins late ends with the others, to the nanosecond.
     let begin = Span::from_millis_f64(moved.begin * 1_000.0);
     let length = Span::from_millis_f64((moved.begin + moved.length) * 1_000.0) - begin;
     let of_axis = |(axis, swept): (&Axis<'a>, &Swept)| {

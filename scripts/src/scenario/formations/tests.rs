@@ -1,4 +1,4 @@
-//! Formations as they are written.
+//! Formations as written.
 
 use super::*;
 use crate::files::NoFiles;
@@ -63,8 +63,8 @@ fn numbers_may_be_expressions_with_their_units() {
         &[[-0.5, -1.0, 0.0], [0.5, -1.0, 0.0], [-0.5, 1.0, 0.0], [0.5, 1.0, 0.0]],
     );
     fails("{line: {spacing: 2s / 1}}", Code::Expression, "time");
-    fails("{line: {spacing: 0.1 * $index}}", Code::Expression, "differs from robot to robot");
-    fails("{line: {spacing: $b}}", Code::Variable, "no variable `b`");
+    fails("{line: {spacing: 0.1 * $index}}", Code::Expression, "differs between robots");
+    fails("{line: {spacing: $b}}", Code::Variable, "unknown variable `b`");
 }
 
 #[test]
@@ -77,9 +77,9 @@ fn the_longest_side_becomes_the_size() {
     );
     check("{text: I, size: 3}", 2, &[[0.0, 0.0, -1.5], [0.0, 0.0, 1.5]]);
     check("{text: I, scale: 2, at: [0, 0, 1]}", 2, &[[0.0; 3], [0.0, 0.0, 2.0]]);
-    fails("{points: [[0, 0, 1]], size: 1}", Code::WrongType, "all places are one point");
-    fails("{circle: {radius: 1}, size: 1}", Code::UnknownKey, "part of it");
-    fails("{text: I, size: 3, scale: 1}", Code::UnknownKey, "two sizes");
+    fails("{points: [[0, 0, 1]], size: 1}", Code::WrongType, "all places are at the same point");
+    fails("{circle: {radius: 1}, size: 1}", Code::UnknownKey, "already defines its size");
+    fails("{text: I, size: 3, scale: 1}", Code::UnknownKey, "`size` and `scale` cannot be combined");
     fails("{text: I, size: 0}", Code::WrongType, "the number 0");
 }
 
@@ -106,7 +106,7 @@ fn each_fault_is_one_finding() {
     fails("{cirle: {radius: 1}}", Code::UnknownKey, "unknown key `cirle`");
     fails("{line: {spacing: 1}, circle: {radius: 1}}", Code::UnknownKey, "has 2 shapes");
     fails("{circle: {radius: -1}}", Code::WrongType, "-1");
-    fails("{circle: {radius: 1, spacing: 1}}", Code::MissingKey, "a circle needs its size");
+    fails("{circle: {radius: 1, spacing: 1}}", Code::MissingKey, "a circle has no size");
     fails("{grid: {spacing: 1, columns: 1e9}}", Code::WrongType, "1000000000");
     fails("{v: {spacing: 1, angle: 180}}", Code::WrongType, "180");
     fails("{sphere: {}}", Code::MissingKey, "no `radius`");

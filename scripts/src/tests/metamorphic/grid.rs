@@ -14,7 +14,7 @@ impl Files for Table {
     }
 }
 
-/// A device as its limits and the most steps of a script say.
+/// A device with its limits and the maximum number of steps of a script.
 #[derive(Clone, Copy)]
 struct Device {
     moves: bool,
@@ -24,7 +24,7 @@ struct Device {
 }
 
 impl Device {
-    /// Plays a track.
+    /// Compiles a track for the device.
     fn plays(self, track: &str, changes: &str, csv: &str) -> Compiled {
         let Self { moves, limits: [min, max], granularity, most } = self;
         let limits = format!(r#""min_value": {min}, "max_value": {max}, "granularity": {granularity}"#);
@@ -43,7 +43,7 @@ impl Device {
     }
 }
 
-/// The steps of the only act, and the codes of all findings.
+/// Returns the steps of the only act, and the codes of all findings.
 fn told(compiled: &Compiled) -> (Option<Steps>, Vec<crate::Code>) {
     let act = compiled.choreography.as_ref().map(|choreography| steps(&choreography.acts[0]));
     (act, compiled.findings.iter().map(|finding| finding.code).collect())
@@ -65,7 +65,7 @@ fn wish(tolerance: Option<f64>) -> String {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(100) })]
 
-    /// Both limits lie between the same two multiples, so that the device can be set to no other value.
+    /// Both limits are between the same two multiples, so that the device can be set to no other values.
     #[test]
     fn limits_wider_by_less_than_the_grid_change_no_step(
         (moves, movement) in moving(), change in written(), tolerance in tolerances(),
@@ -87,7 +87,7 @@ proptest! {
     fn scripts_of_any_length_play_the_same_steps((moves, movement) in moving(), change in written(), most in 2usize..30) {
         let long = Device { moves, limits: [-1e3, 1e3], granularity: 0.5, most: 100_000 };
         let [one, chain] = [long, Device { most, ..long }].map(|device| device.plays(&movement.yaml, &change, &movement.csv));
-        // Short scripts may leave too little time to send them.
+        // Short scripts may leave too little time for sending them.
         prop_assume!(chain.findings.iter().all(|finding| finding.severity == Severity::Warning));
         prop_assert_eq!(told(&one).0, told(&chain).0, "{}{}", movement.yaml, change);
     }
@@ -102,7 +102,7 @@ proptest! {
         };
         if let Some(few) = off(most) {
             let many = off(most + more);
-            // On a coarse grid, the search for steps of a device that moves linearly does not find the least error.
+            // On a coarse grid, the search for steps of a linear device does not find the least error.
             let least = if moves { f64::INFINITY } else { few * (1.0 + 1e-6) + 1e-9 };
             prop_assert!(many.is_some_and(|many| many <= least), "{} {:?}: {}{}", few, many, movement.yaml, change);
         }

@@ -1,5 +1,5 @@
-//! Metamorphic tests: a scenario is changed in a way that says what becomes of its findings and its plan, so that no test has to know
-//! either of them. Shows are those of the second reading of ways.
+//! Metamorphic tests: they change a scenario in a way that determines the change of its findings and its plan, so that no test needs to
+//! know either of them. The shows are those of the second reading of transitions.
 
 mod grid;
 mod order;
@@ -14,7 +14,7 @@ use crate::{Act, Compiled, Fleet};
 /// Steps of each device: nanoseconds from the start of the act, and values.
 type Steps = BTreeMap<(String, String), Vec<(i64, f64)>>;
 
-/// What the devices do in an act, however it is cut into scripts.
+/// Returns the steps of the devices in an act, regardless of their division into scripts.
 fn steps(act: &Act) -> Steps {
     let mut steps = Steps::new();
     for robot in &act.plan.robots {
@@ -22,7 +22,7 @@ fn steps(act: &Act) -> Steps {
             let device = steps.entry((robot.robot.to_string(), script.device.to_string())).or_default();
             for step in script.script.steps() {
                 let step = ((script.start.span() + step.offset.span()).as_nanos(), step.setpoint.value);
-                // A script begins with the last step of the one before it.
+                // A script begins with the last step of the previous one.
                 if device.last() != Some(&step) {
                     device.push(step);
                 }
@@ -32,12 +32,12 @@ fn steps(act: &Act) -> Steps {
     steps
 }
 
-/// The steps of all acts.
+/// Returns the steps of all acts.
 fn all_steps(compiled: &Compiled) -> Option<Vec<Steps>> {
     Some(compiled.choreography.as_ref()?.acts.iter().map(steps).collect())
 }
 
-/// What is reported, with the lines changed.
+/// Returns the reported facts with changed lines.
 fn facts(compiled: &Compiled, line: impl Fn(usize) -> usize) -> BTreeSet<String> {
     let mut findings = compiled.findings.clone();
     for finding in &mut findings {

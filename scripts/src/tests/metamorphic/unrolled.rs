@@ -1,4 +1,5 @@
-//! Acts in a loop are the same acts written one after another; an act after others is the act of a fleet that stands where they leave it.
+//! Acts in a loop are equivalent to the same acts written one after another. An act after others is equivalent to a single act of a fleet
+//! that begins where they leave it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +10,7 @@ use super::super::ways::{Act, Show, Target, Waits};
 use super::{facts, of, three};
 use crate::{Code, Fleet, Severity};
 
-/// The acts one after another, `times` times.
+/// Writes the acts one after another, `times` times.
 fn rounds(show: &Show, times: usize) -> Show {
     let plain =
         |act: &Act| Act { otherwise: None, next: None, then: None, waits: Waits::Operator, ..act.clone() };
@@ -20,7 +21,7 @@ fn rounds(show: &Show, times: usize) -> Show {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(80) })]
 
-    /// From the last act back to the first; the mission ends if the operator does not say go.
+    /// A transition from the last act back to the first; the mission ends if the operator does not give the go.
     #[test]
     fn a_loop_has_the_findings_of_its_rounds(show in shows()) {
         let once = rounds(&show, 1);
@@ -34,13 +35,13 @@ proptest! {
         let line = |line: usize| if line < first { line } else { first + (line - first) % lines };
         let (before, after) = (of(&looped, &three()), of(&unrolled, &three()));
         let rounds: BTreeSet<String> = {
-            // What each round repeats is one finding of the loop.
+            // Findings that each round repeats are one finding of the loop.
             after.findings.iter().flat_map(|finding| {
                 let one = crate::Compiled { findings: vec![finding.clone()], choreography: None };
                 facts(&one, line)
             }).collect()
         };
-        // Where the first round warns of the beginning, a later round may report an error for the same place.
+        // Where the first round has a warning about the beginning, a later round may have an error for the same place.
         let surest = |facts: BTreeSet<String>| {
             let sure: BTreeSet<String> = facts.iter().filter_map(|fact| Some(fact.strip_prefix(Code::TooFast.as_str())?.to_owned())).collect();
             facts.into_iter().filter(|fact| fact.strip_prefix(Code::Jump.as_str()).is_none_or(|rest| !sure.contains(rest))).collect::<BTreeSet<_>>()

@@ -1,4 +1,4 @@
-//! Where robots should be, and whether they are there.
+//! The expected places of robots, compared with the actual ones.
 
 use proptest::prelude::*;
 
@@ -7,17 +7,17 @@ use super::path::Laid;
 use super::{Along, Cue, Does, Formation, GAP, Point, ROBOTS, Shape, Show, Steps, Sweep, fleet, steps_of};
 use crate::{Act, Code, Compiled};
 
-/// What steps may be off: the error that devices allow on each axis, and their grid.
+/// Permitted deviation of steps: the error of the devices on each axis, plus their grid.
 const OFF: f64 = 0.002 * 1.733 + 0.001;
-/// What bodies need from middle to middle, in metres.
+/// Required distance of bodies from middle to middle, in metres.
 const CLEAR: f64 = 0.4;
 const SPEED: f64 = 5.0;
-/// How many times of each cue are looked at.
+/// Number of sampled times of each cue.
 const LOOKS: u32 = 60;
-/// Bodies that have to wait or to evade go ways of other lengths.
+/// Bodies that must wait or evade take routes of other lengths.
 const LONGER: f64 = 1.01;
 
-/// How far a movement from rest to rest has come: minimum jerk.
+/// Progress of a movement from rest to rest: minimum jerk.
 fn gone(share: f64) -> f64 {
     let s = share.clamp(0.0, 1.0);
     s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
@@ -40,7 +40,7 @@ fn rotated([roll, pitch, yaw]: [f64; 3], [x, y, z]: Point) -> Point {
 }
 
 impl Formation {
-    /// Its places for so many robots.
+    /// Returns its places for `count` robots.
     fn places(&self, count: usize) -> Vec<Point> {
         let number = count as f64;
         let length = |value: i64| value as f64 / 1_000.0;
@@ -101,7 +101,7 @@ impl Formation {
     }
 }
 
-/// Where the robots of a cue are at a share of their own time, if that is known.
+/// The expected places of a cue's robots at a share of their own time, if known.
 struct Course<'a> {
     sweep: &'a Sweep,
     center: Point,
@@ -137,7 +137,7 @@ impl<'a> Course<'a> {
     }
 }
 
-/// All ways to give each of some robots a place or none, as many as there are of the smaller of both.
+/// Returns all assignments of places to robots: as many as possible, each place at most once.
 fn assignments(robots: usize, places: usize) -> Vec<Vec<Option<usize>>> {
     fn more(
         robot: usize,
@@ -172,7 +172,7 @@ fn assignments(robots: usize, places: usize) -> Vec<Vec<Option<usize>>> {
     all
 }
 
-/// The sum of all ways, and the longest of them.
+/// Returns the sum of all distances, and the longest one.
 fn cost(from: &[Point], to: &[Point]) -> (f64, f64) {
     let ways = from.iter().zip(to).map(|(from, to)| apart(from, to));
     ways.fold((0.0, 0.0), |(sum, longest), way| (sum + way, f64::max(longest, way)))
@@ -183,7 +183,7 @@ fn home(robot: usize) -> Point {
 }
 
 impl Cue {
-    /// All sets of ends that the cue may lead to; none if it has no choice to make of its number of robots.
+    /// Returns all sets of possible ends of the cue; `None` if it has no choice for its number of robots.
     fn ends(&self, from: &[Point]) -> Option<Vec<Vec<Point>>> {
         let Does::Form { formation, spare, evenly, .. } = &self.does else { return Some(Vec::new()) };
         let count = self.robots.len();
@@ -209,7 +209,7 @@ impl Cue {
     }
 }
 
-/// Whether the ends are those of an assignment, of which there is none that is much better.
+/// Checks that the ends are those of an assignment, and that no assignment is much better.
 fn formed(cue: &Cue, from: &[Point], ends: &[Point]) -> Result<(), TestCaseError> {
     let Does::Form { longest, .. } = cue.does else { return Ok(()) };
     let Some(all) = cue.ends(from) else { return Err(TestCaseError::fail("a choice that was not made")) };
@@ -225,7 +225,7 @@ fn formed(cue: &Cue, from: &[Point], ends: &[Point]) -> Result<(), TestCaseError
     Ok(())
 }
 
-/// Whether all robots of the fleet are where they should be from the start of a cue to its end; their places afterwards.
+/// Checks that all robots of the fleet are at their expected places from the start of a cue to its end. Returns their places afterwards.
 fn compare_cue(cue: &Cue, start: f64, steps: &Steps, before: &[Point]) -> Result<Vec<Point>, TestCaseError> {
     let now = places(steps, start);
     for robot in 0..ROBOTS {
@@ -280,7 +280,7 @@ fn compare_cue(cue: &Cue, start: f64, steps: &Steps, before: &[Point]) -> Result
     Ok(after)
 }
 
-/// Distances and speeds while a cue takes place.
+/// Checks distances and speeds during a cue.
 fn within_limits(start: f64, end: f64, steps: &Steps) -> Result<(), TestCaseError> {
     let many = 4 * LOOKS;
     let every = (end - start) / f64::from(many);
@@ -300,7 +300,7 @@ fn within_limits(start: f64, end: f64, steps: &Steps) -> Result<(), TestCaseErro
     Ok(())
 }
 
-/// Whether the steps of one act are what its cues mean.
+/// Checks that the steps of one act match the meaning of its cues.
 fn compare_act(written: &[Cue], planned: &Act, before: &[Point]) -> Result<Vec<Point>, TestCaseError> {
     let steps = steps_of(planned, &fleet(), before);
     let mut now = before.to_vec();
@@ -322,7 +322,7 @@ fn compare_act(written: &[Cue], planned: &Act, before: &[Point]) -> Result<Vec<P
     Ok(now)
 }
 
-/// Whether a reason to refuse a show can be true.
+/// Whether a reason to reject a show is plausible.
 fn may_be(show: &Show, code: Code) -> bool {
     let cues = || show.acts.iter().flatten();
     match code {
@@ -341,9 +341,9 @@ fn may_be(show: &Show, code: Code) -> bool {
             }
             _ => false,
         }),
-        // Devices reach as far as 50 m.
+        // Devices reach up to 50 m.
         Code::OutOfRange => cues().any(|cue| matches!(&cue.does, Does::Sweep(sweep) if sweep.grow > 1_000)),
-        // Drones hold one script, and an act may move them up to its end.
+        // Drones hold one script, and an act may move them until its end.
         Code::ActHasToWait => show.acts.len() > 1,
         Code::TooClose | Code::NoWayPast | Code::BodyTooFast => true,
         _ => false,

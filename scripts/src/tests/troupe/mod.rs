@@ -1,9 +1,9 @@
-//! The second reading of groups: random shows of bodies that form, turn, grow, shift, and go along paths, with cues of their own or of a
-//! sequence, and with formations and paths of an included file. Where each robot should be follows from what is written and from where the
-//! robots were; where it is follows from the steps of the plan. Which robot takes which place is left to the compiler, but the places have
-//! to be those of the formation, and the ways as short as the best of all assignments.
+//! The second reading of groups: random shows of bodies that form, turn, grow, shift and move along paths, with cues of their own or of a
+//! sequence, and with formations and paths of an included file. The expected place of each robot follows from the text and from the
+//! previous places; the actual place follows from the steps of the plan. The compiler chooses which robot takes which place, but the
+//! places must be those of the formation, and the distances as short as in the best assignment.
 //!
-//! It looks at a fifth of the scenarios at which `whole` looks.
+//! It checks a fifth of the scenarios that `whole` checks.
 
 mod draw;
 mod meaning;
@@ -23,51 +23,51 @@ use crate::{Compiled, Files, Finding, Fleet, FleetRobot, Source, compile};
 
 type Point = [f64; 3];
 
-/// How many robots there are, and how far apart they stand at first, in metres.
+/// Number of robots, and their initial distance in metres.
 const ROBOTS: usize = 5;
 const GAP: f64 = 1.0;
-/// A beat at the tempo of all shows, in milliseconds.
+/// Length of a beat at the tempo of all shows, in milliseconds.
 const BEAT: i64 = 500;
 
 #[derive(Clone, Debug)]
 struct Show {
     acts: Vec<Vec<Cue>>,
-    /// The cues of an act are those of a sequence, which is given the time that each takes.
+    /// Whether the cues of an act are those of a sequence, which receives the duration of each as a parameter.
     by_sequence: bool,
-    /// Formations and paths stand in a file that is included under a name, with their size as a parameter.
+    /// Whether formations and paths are in a file that is included under a name, with their size as a parameter.
     by_include: bool,
 }
 
-/// Each cue follows the one before it.
+/// Each cue follows the previous one.
 #[derive(Clone, Debug)]
 struct Cue {
     robots: Vec<usize>,
     does: Does,
-    /// In milliseconds.
+    /// Milliseconds.
     over: i64,
     in_beats: bool,
     lag: i64,
-    /// Each robot so much later than the one before it.
+    /// Delay from each robot to the next.
     canon: i64,
 }
 
 #[derive(Clone, Debug)]
 enum Does {
-    /// Each robot for itself, to places in millimetres.
+    /// Each robot separately, to places in millimetres.
     Go(Vec<[i64; 3]>),
     Home,
     Form {
         formation: Formation,
         longest: bool,
-        /// What becomes of robots that are too many: they stay, or go home.
+        /// Whether surplus robots stay or go home.
         spare: Option<bool>,
-        /// Which places robots that are too few take: at even steps, or the nearest.
+        /// Whether places are chosen at even steps or by distance, if there are fewer robots.
         evenly: Option<bool>,
     },
     Sweep(Sweep),
 }
 
-/// Angles in degrees, other numbers in thousandths.
+/// Angles are in degrees, other numbers in thousandths.
 #[derive(Clone, Debug)]
 struct Sweep {
     turn: i64,
@@ -106,7 +106,7 @@ struct Formation {
     scale: i64,
 }
 
-/// Lengths in millimetres.
+/// Lengths are in millimetres.
 #[derive(Clone, Debug)]
 enum Shape {
     Points(Vec<[i64; 3]>),
@@ -125,7 +125,7 @@ fn fleet() -> Fleet {
     Fleet { robots, space, ..Fleet::default() }
 }
 
-/// The file that a show includes.
+/// The included file.
 struct Shapes(String);
 
 impl Files for Shapes {
@@ -143,7 +143,7 @@ impl Show {
     }
 }
 
-/// What has been compared.
+/// Counts of the compared items.
 #[derive(Debug, Default)]
 struct Tally {
     planned: usize,
@@ -189,7 +189,7 @@ fn whole_groups_are_where_a_second_reading_finds_them() {
     });
     looked_at.unwrap_or_else(|error| panic!("{error}"));
     let tally = tally.into_inner();
-    // What is refused is compared with nothing but the reasons.
+    // For rejected shows, only the reasons are checked.
     assert!(2 * tally.planned > tally.refused, "{tally:?}");
     drop(writeln!(std::io::stderr(), "{tally:?}"));
 }

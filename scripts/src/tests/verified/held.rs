@@ -1,15 +1,15 @@
-//! How few values can follow a movement of a device that holds: by trying all of them in all of many short times.
+//! Finds the fewest values that can follow a movement of a holding device, by trying all of them in many short intervals.
 
 use proptest::prelude::*;
 
 use super::{Change, Ease, Form, Movement, final_value};
 use crate::DeviceUse;
 
-/// Times into which a way is cut, and the samples of each of them.
+/// Number of intervals of a section, and of samples in each of them.
 const CUTS: usize = 48;
 const PLACES: usize = 4;
 
-/// What a device that holds can be set to: from the first to the second multiple of the third.
+/// The possible values of a holding device: multiples of the third number from the first to the second.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::tests) struct Values(
     pub(in crate::tests) f64,
@@ -24,12 +24,12 @@ impl Values {
         (value / granularity).round().clamp(low, high) * granularity
     }
 
-    /// Whether two values are as near.
+    /// Whether a value is in the middle between two grid values.
     fn is_between(self, value: f64) -> bool {
         ((value / self.2).rem_euclid(1.0) - 0.5).abs() < 1e-6
     }
 
-    /// All from one value to another.
+    /// All values between two values.
     fn all(self, low: f64, high: f64) -> Vec<f64> {
         let (low, high) = (self.nearest(low), self.nearest(high));
         let count = ((high - low) / self.2).round() as usize;
@@ -37,17 +37,17 @@ impl Values {
     }
 }
 
-/// A movement, each short time of it by its least and its largest value.
+/// A movement, with the least and the largest value in each short interval.
 pub(in crate::tests) struct Held {
     times: Vec<(f64, f64)>,
-    /// By how much it may be beyond that.
+    /// Possible deviation beyond these values.
     missed: f64,
     /// The value of the first step, unless the movement begins with a level.
     first: Option<f64>,
     last: f64,
-    /// How far the last value is from what is written.
+    /// Deviation of the last value from the written one.
     off_at_end: f64,
-    /// Whether rounding decides which value is the first or the last one.
+    /// Whether rounding determines the first or the last value.
     is_unclear: bool,
     values: Values,
 }
@@ -75,7 +75,7 @@ impl Held {
                     held.first = Some(values.nearest(all[0]));
                     held.is_unclear |= values.is_between(all[0]);
                 }
-                // Between two places a curve is beyond both by an eighth of how much it bends there, or little more.
+                // Between two samples, a curve exceeds both by an eighth of its bend there, or little more.
                 let bends = all.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
                 held.missed = bends.fold(held.missed, |most, bend| most.max(bend / 5.0));
                 for places in all.windows(PLACES + 1).step_by(PLACES) {
@@ -97,7 +97,7 @@ impl Held {
         self.times.push((low, high));
     }
 
-    /// The fewest steps within a tolerance among those that change the value between two of the times; `None` if there are none.
+    /// Returns the fewest steps within a tolerance among those that change the value between two of the times; `None` if there are none.
     pub(in crate::tests) fn suffice(&self, tolerance: f64) -> Option<usize> {
         if self.is_unclear || self.off_at_end > tolerance {
             return None;
@@ -126,8 +126,8 @@ impl Held {
     }
 }
 
-/// A movement of a device that holds, unless its keyframes are sent one by one: neither its steps nor their bound are more than
-/// what suffices, and no other `most` steps are closer by more than three percent.
+/// Checks a movement of a holding device whose keyframes are not sent one by one: neither its steps nor their bound exceed the sufficient
+/// number, and no other `most` steps are closer by more than three percent.
 pub(in crate::tests) fn as_few_as_can_be(
     used: &DeviceUse,
     held: &Held,

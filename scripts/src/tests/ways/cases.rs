@@ -1,9 +1,9 @@
-//! What the second reading has found, each as one scenario.
+//! Faults found by the second reading, each as one scenario.
 
 use super::{ROBOTS, compiled, fleet_of};
 use crate::{Choreography, Code, Fleet, RateLimits};
 
-/// Codes and lines of the findings.
+/// Returns codes and lines of the findings.
 fn found(text: &str, fleet: &Fleet) -> Vec<(Code, usize)> {
     let text = format!("scenario: s\n{text}");
     compiled(&text, fleet).findings.iter().map(|finding| (finding.code, finding.line)).collect()
@@ -15,7 +15,7 @@ fn choreography(text: &str, fleet: &Fleet) -> Choreography {
     compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings))
 }
 
-/// Both robots move to 20, then back to 10; after a failure, an act follows that begins at 10.
+/// Both robots move to 20, then back to 10. After a failure, an act that begins at 10 follows.
 const FAILURE: &str = "acts:
   - {act: one, on_failure: {RULES, then: two}, next: back, cues: [{robots: [a, b], tracks: {joint: [{at: 0s, to: 10}, {at: 1s, to: 20}]}}]}
   - {act: back, cues: [{robots: [a, b], tracks: {joint: [{at: 0s, to: 20}, {at: 1s, to: 10}]}}]}
@@ -30,9 +30,9 @@ fn the_act_after_a_failure_begins_where_the_robots_that_continue_are_left() {
     let with = |rules: &str| found(&FAILURE.replace("RULES", rules), &fleet);
     assert_eq!(with("default: without"), [(Code::TooFast, 7)]);
     assert_eq!(with("b: without"), [(Code::TooFast, 7)]);
-    // If the robot itself fails, it is not in the act.
+    // A robot that failed itself does not take part in the act.
     assert_eq!(with("a: without"), []);
-    // It has no part in the mission, so that it cannot fail.
+    // The robot does not take part in the mission, so it cannot fail.
     assert_eq!(with("c: without"), []);
     assert_eq!(with("default: stop"), []);
 }
@@ -71,7 +71,7 @@ fn at_another_speed_accelerations_and_ways_into_acts_are_checked_again() {
     let limits = RateLimits { speed: None, acceleration: Some(40.0) };
     let mut fleet = fleet_of(&ROBOTS);
     fleet.robots[0].limits.insert("slide".to_owned(), limits);
-    // The largest acceleration is six times the way over the square of the time: 12.
+    // The largest acceleration is six times the distance divided by the square of the time: 12.
     let smooth =
         "cues: [{at: 0s, robots: a, tracks: {slide: [{at: 0s, to: 8}, {at: 2s, to: 16, ease: cubic}]}}]\n";
     let show = choreography(smooth, &fleet);
@@ -89,6 +89,6 @@ fn at_another_speed_accelerations_and_ways_into_acts_are_checked_again() {
         faults,
         ["robot `a` device `joint` can move at most 1.333 times as fast as written (act `two`)"]
     );
-    // Where the act alone begins, `run` asks the robot.
+    // At the beginning of a single act, `run` asks the robot for its position.
     assert!(show.act_alone(1).at_speed(1.5, &fleet).is_ok());
 }

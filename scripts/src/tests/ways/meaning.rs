@@ -1,4 +1,4 @@
-//! The faults of a show: found by following every way from act to act, for each device of each robot.
+//! Predicts the faults of a show by following every transition between acts, for each device of each robot.
 
 use std::collections::BTreeSet;
 
@@ -8,18 +8,18 @@ use crate::Code;
 
 const LINE_OF_LEASE: usize = 3;
 
-/// Where a device is, and whether a movement has left it there.
+/// A position of a device, and whether a movement has left it there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pose {
     pub(super) value: f64,
     pub(super) is_sure: bool,
 }
 
-/// What is predicted.
+/// The completeness of a prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Completeness {
     All,
-    /// Nothing is known of movements with wrong values, and of ways to acts that do not exist.
+    /// Excludes movements with invalid values, and transitions to acts that do not exist.
     WithoutMovements,
 }
 
@@ -57,7 +57,7 @@ impl Kind {
         nearest
     }
 
-    /// The fault of a position.
+    /// Returns the fault of a position.
     fn fault(&self, value: f64, snap: bool) -> Option<Code> {
         match (self.contains(value), self.is_on_grid(value)) {
             (true, true) => None,
@@ -70,7 +70,7 @@ impl Kind {
 }
 
 impl Cue {
-    /// What a value becomes.
+    /// Returns the value to which the device is set.
     pub(super) fn set(&self, value: f64, snap: bool) -> f64 {
         if snap && !self.by_speed { self.kind().nearest(value) } else { value }
     }
@@ -84,7 +84,7 @@ impl Cue {
         self.set(self.keyframes[self.keyframes.len() - 1].1, snap)
     }
 
-    /// The speed of the way to each keyframe but the first, with its number from 1.
+    /// Returns the speed of the movement to each keyframe but the first, with the number of the keyframe from 1.
     pub(super) fn speeds(&self, snap: bool) -> Vec<(usize, f64)> {
         let speed = |(index, pair): (usize, &[(i64, f64)])| {
             let way = (self.set(pair[1].1, snap) - self.set(pair[0].1, snap)).abs();
@@ -93,7 +93,7 @@ impl Cue {
         self.keyframes.windows(2).enumerate().map(speed).collect()
     }
 
-    /// The speed at which a device moves from a place to its first keyframe, if it moves there in a time.
+    /// Returns the speed from a position to the first keyframe, if the device moves there over time.
     pub(super) fn approach(&self, from: f64, snap: bool) -> Option<f64> {
         let (at, first) = self.first(snap);
         let moves_there = at > 0 && self.kind().moves && !self.by_speed;
@@ -102,13 +102,13 @@ impl Cue {
 }
 
 impl Act {
-    /// What it does with a device of a robot, in order.
+    /// Returns its cues for a device of a robot, in order.
     pub(super) fn cues_of(&self, device: usize, robot: usize) -> impl Iterator<Item = (usize, &Cue)> {
         let own = move |(_, cue): &(usize, &Cue)| cue.device == device && cue.robots.contains(&robot);
         self.cues.iter().enumerate().filter(own)
     }
 
-    /// Where it leaves a device that was somewhere when it began.
+    /// Returns the final position of a device with this initial position.
     pub(super) fn leaves(
         &self,
         device: usize,
@@ -151,7 +151,7 @@ impl Show {
         std::iter::once(self.next(act)).chain(otherwise).chain(then).collect()
     }
 
-    /// Everything that is wrong.
+    /// Returns all faults.
     pub(super) fn facts(&self) -> (BTreeSet<String>, Completeness) {
         let (mut facts, mut values) = (BTreeSet::new(), BTreeSet::new());
         if !self.unknown(&mut facts) {
@@ -177,7 +177,7 @@ impl Show {
         (facts, Completeness::All)
     }
 
-    /// Names of acts and sensors that do not exist, and readings that never come. Returns whether there are any.
+    /// Adds names of acts and sensors that do not exist, and impossible readings. Returns whether there are any.
     fn unknown(&self, facts: &mut BTreeSet<String>) -> bool {
         for (index, act) in self.acts.iter().enumerate() {
             let at = self.line_of_act(index);
@@ -193,11 +193,11 @@ impl Show {
         !facts.is_empty()
     }
 
-    /// Acts that no way reaches, and acts from which no way leads to the end.
+    /// Adds acts that are unreachable, and acts from which the end is unreachable.
     fn graph(&self, facts: &mut BTreeSet<String>) {
         let count = self.acts.len();
         let leads: Vec<Vec<Option<usize>>> = (0..count).map(|act| self.ways(act)).collect();
-        // Whether a way leads from one act to another, by one act more in each round.
+        // Whether an act is reachable from another one; each round adds one intermediate act.
         let mut reaches: Vec<Vec<bool>> = (0..count)
             .map(|from| (0..count).map(|to| from == to || leads[from].contains(&Some(to))).collect())
             .collect();
@@ -210,7 +210,7 @@ impl Show {
         }
         let ends = |act: usize| {
             let is_end = |by: usize| {
-                // The end after a failure is not that of the show.
+                // The end after a failure is not an end of the show.
                 let otherwise = self.acts[by].otherwise == Some(Target::End);
                 self.next(by).is_none() || otherwise
             };
@@ -249,7 +249,7 @@ impl Show {
         }
     }
 
-    /// Ways between keyframes, and from cue to cue.
+    /// Adds faults of movements between keyframes and between cues.
     fn within_acts(&self, facts: &mut BTreeSet<String>) {
         for (index, act) in self.acts.iter().enumerate() {
             for (number, cue) in act.cues.iter().enumerate().filter(|(_, cue)| !cue.by_speed) {
@@ -271,7 +271,7 @@ impl Show {
         }
     }
 
-    /// A device begins a movement somewhere.
+    /// Returns the fault of a device that begins a movement at this position.
     fn arrives(&self, (kind, robot): (&Kind, &str), cue: &Cue, at: usize, from: Pose) -> Option<String> {
         let is_fault = match cue.approach(from.value, self.snap) {
             Some(speed) => speed > kind.speed? * (1.0 + 1e-6),
@@ -281,11 +281,12 @@ impl Show {
         (is_fault && !cue.by_speed).then(|| arrival(code, at, (kind.name, robot), from.value))
     }
 
-    /// Where a device of a robot can be when each act begins: every way is followed from every place.
+    /// Returns the possible positions of a device of a robot at the beginning of each act, by following every transition from every
+    /// position.
     pub(super) fn poses(&self, device: usize, robot: usize) -> Vec<Vec<Pose>> {
         let default = |is_sure: bool| DEVICES[device].default.map(|value| Pose { value, is_sure });
         let begins = (0, default(false));
-        // Acts that no way reaches begin anywhere.
+        // Unreachable acts begin at an unknown position.
         let mut left: Vec<(usize, Option<Pose>)> =
             (0..self.acts.len()).map(|act| (act, None)).chain([begins]).collect();
         let mut seen = Vec::new();
@@ -308,7 +309,7 @@ impl Show {
             if words(Word::Home).next().is_some() {
                 left.push((then, default(true)));
             }
-            // The act ends as written, but for the robot that failed.
+            // The act ends as written, except for the robot that failed.
             if words(Word::Without).any(|other| other != robot) {
                 left.push((then, after));
             }
@@ -338,7 +339,7 @@ impl Show {
         }
     }
 
-    /// Speeds that nothing ends, and a lease that guards nothing.
+    /// Adds speeds that nothing ends, and leases without effect.
     fn at_the_end(&self, facts: &mut BTreeSet<String>) {
         let longest = self.acts.iter().map(Act::end).max().unwrap_or(0);
         match self.lease {

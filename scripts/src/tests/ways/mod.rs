@@ -1,9 +1,10 @@
-//! The second reading of the ways between acts: random acts with `next`, `wait`, `otherwise` and `on_failure`, in which devices move from
-//! keyframe to keyframe. Where each device can be when an act begins is found by following every way; the faults of that, of the
-//! values and of the graph of acts are predicted, errors and warnings, and compared with the findings. Of sound scenarios, the reading
-//! also predicts the first positions and the limits of selections (`--act`, `--from`, `--only`, `--speed`).
+//! The second reading of transitions between acts: random acts with `next`, `wait`, `otherwise` and `on_failure`, in which devices move
+//! from keyframe to keyframe. It determines the possible positions of each device at the beginning of an act by following every
+//! transition. It predicts the faults (errors and warnings) of positions, values and the graph of acts, and compares them with the
+//! findings. For valid scenarios, it also predicts the first positions and the limits of selections (`--act`, `--from`, `--only`,
+//! `--speed`).
 //!
-//! It reads twice as many scenarios as `whole`.
+//! It checks twice as many scenarios as `whole`.
 
 mod cases;
 pub(super) mod draw;
@@ -25,19 +26,19 @@ use crate::{Compiled, Fleet, FleetRobot, NoFiles, Source, compile};
 
 pub(super) const ROBOTS: [&str; 3] = ["a", "b", "c"];
 
-/// A device of every robot.
+/// A device that every robot has.
 pub(super) struct Kind {
     pub(super) name: &'static str,
     /// Whether it moves linearly. Otherwise it holds each value.
     pub(super) moves: bool,
-    /// The largest speed. It can also be driven by speed.
+    /// The largest speed. If set, the device can also be driven by speed.
     pub(super) speed: Option<f64>,
     pub(super) limits: [f64; 2],
     pub(super) granularity: f64,
     pub(super) default: Option<f64>,
-    /// How many scripts it holds.
+    /// Number of scripts that it holds.
     queue: usize,
-    /// Values that are drawn often.
+    /// Values that are frequently drawn.
     pub(super) values: [f64; 4],
 }
 
@@ -94,15 +95,15 @@ const DEVICES: [Kind; 5] = [
         values: [0.0, 3.0, 0.3, -20.0],
     },
 ];
-/// The sensor of every robot, which reads 0 to 9.
+/// The sensor of every robot, with readings from 0 to 9.
 const SENSOR: &str = "eye";
 
-/// Where a way leads.
+/// The target of a transition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Target {
     Act(usize),
     End,
-    /// To an act that does not exist.
+    /// An act that does not exist.
     Nowhere,
 }
 
@@ -111,9 +112,9 @@ pub(super) enum Waits {
     Done,
     Operator,
     Time,
-    /// For a reading above this.
+    /// A reading above this.
     Above(u32),
-    /// For a sensor that does not exist.
+    /// A sensor that does not exist.
     Nothing,
 }
 
@@ -127,13 +128,13 @@ pub(super) enum Word {
 #[derive(Clone, Debug)]
 pub(super) struct Act {
     pub(super) waits: Waits,
-    /// With a timeout.
+    /// After a timeout.
     pub(super) otherwise: Option<Target>,
     pub(super) next: Option<Target>,
     pub(super) default: Option<Word>,
     pub(super) words: Vec<(usize, Word)>,
     pub(super) then: Option<usize>,
-    /// One after another, each later than the end of the one before.
+    /// One after another, each starting after the end of the previous one.
     pub(super) cues: Vec<Cue>,
 }
 
@@ -150,16 +151,16 @@ pub(super) struct Cue {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Lease {
-    /// As the language has it.
+    /// The default of the language.
     Usual,
     None,
-    /// In milliseconds.
+    /// Milliseconds.
     Of(i64),
 }
 
 #[derive(Clone, Debug)]
 pub(super) struct Show {
-    /// Values are moved to the grid.
+    /// Whether values are moved to the grid.
     pub(super) snap: bool,
     pub(super) lease: Lease,
     pub(super) default: Option<Word>,
@@ -182,7 +183,7 @@ impl Act {
     }
 }
 
-/// These robots.
+/// Creates these robots.
 pub(super) fn fleet_of(robots: &[&str]) -> Fleet {
     let device = |kind: &Kind| {
         let [min, max] = kind.limits;
@@ -216,13 +217,13 @@ pub(super) fn compiled(text: &str, fleet: &Fleet) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, fleet, &NoFiles)
 }
 
-/// What has been compared.
+/// Counts of the compared items.
 #[derive(Debug, Default)]
 struct Tally {
     shows: usize,
     planned: usize,
     selections: usize,
-    /// Findings by code.
+    /// Number of findings per code.
     codes: std::collections::BTreeMap<&'static str, usize>,
 }
 

@@ -1,10 +1,10 @@
-//! What is reported: findings as facts, one for each robot that they name.
+//! Turns findings into facts, one for each affected robot.
 
 use std::collections::BTreeSet;
 
 use crate::{Code, Finding};
 
-/// A jump, or a way to a first keyframe that takes too little time.
+/// A jump, or too little time to move to a first keyframe.
 pub(super) fn arrival(code: Code, line: usize, (device, robot): (&str, &str), from: f64) -> String {
     format!("{} line {line}: `{device}` of `{robot}` from {from:.3}", code.as_str())
 }
@@ -26,7 +26,7 @@ pub(super) fn line(code: Code, line: usize) -> String {
     format!("{} line {line}", code.as_str())
 }
 
-/// The names in backticks.
+/// Returns the names in backticks.
 fn named(text: &str) -> Vec<&str> {
     text.split('`').skip(1).step_by(2).collect()
 }
@@ -45,7 +45,7 @@ fn of(finding: &Finding) -> Vec<String> {
     };
     match code {
         Code::TooFast | Code::Jump => {
-            let ways = [" has to jump from ", " to get from "];
+            let ways = [" has to jump from ", " to move from "];
             if let Some((before, after)) = ways.iter().find_map(|way| message.split_once(way)) {
                 let from = number(after);
                 return each(before, &|who| arrival(code, at, who, from));
@@ -72,11 +72,11 @@ fn of(finding: &Finding) -> Vec<String> {
     }
 }
 
-/// All facts, each of which is reported once.
+/// Returns all facts, and checks that each is reported once.
 pub(in crate::tests) fn facts(findings: &[Finding]) -> Result<BTreeSet<String>, String> {
     let mut facts = BTreeSet::new();
     for finding in findings {
-        // Each wrong value of a track is a finding.
+        // Each invalid value of a track is a separate finding.
         let is_value = matches!(finding.code, Code::OutOfRange | Code::OffGranularity | Code::UnknownAct);
         for fact in of(finding) {
             if !facts.insert(fact.clone()) && !is_value {

@@ -1,4 +1,4 @@
-//! What is played of a show: one act, all acts from one on, some robots, another speed.
+//! Selections of a show: one act, all acts from one on, some robots, another speed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::{DEVICES, ROBOTS, Show};
 use crate::{Choreography, Fleet};
 
-/// The first position of each device that a choreography states, from an act on.
+/// Returns the first position of each device in a choreography, starting with an act.
 fn stated(choreography: &Choreography, first: usize) -> BTreeMap<(String, String), f64> {
     let uses = choreography.first_uses(first);
     let positions = uses.iter().filter_map(|first| choreography.first_position(*first));
@@ -18,7 +18,7 @@ fn stated(choreography: &Choreography, first: usize) -> BTreeMap<(String, String
 }
 
 impl Show {
-    /// The first position of each device in these acts; none of devices that are driven by speed first.
+    /// Returns the first position of each device in these acts; excludes devices that are driven by speed first.
     fn first_positions(&self, acts: &[usize]) -> BTreeMap<(String, String), f64> {
         let mut positions = BTreeMap::new();
         for (device, kind) in DEVICES.iter().enumerate() {
@@ -32,7 +32,7 @@ impl Show {
         positions
     }
 
-    /// The acts that follow each other from one on, if all goes well.
+    /// Returns the acts that follow each other from one on without failures or timeouts.
     fn from(&self, first: usize) -> Vec<usize> {
         let mut acts = vec![first];
         while let Some(next) = self.next(acts[acts.len() - 1]).filter(|next| !acts.contains(next)) {
@@ -41,7 +41,7 @@ impl Show {
         acts
     }
 
-    /// The largest factor of `--speed` that no device exceeds.
+    /// Returns the largest `--speed` factor that no device exceeds.
     fn fastest(&self) -> f64 {
         let mut factor = f64::INFINITY;
         for (device, kind) in DEVICES.iter().enumerate() {
@@ -55,7 +55,7 @@ impl Show {
                         let approaches = before.iter().filter_map(|from| cue.approach(*from, self.snap));
                         let speeds =
                             cue.speeds(self.snap).into_iter().map(|(_, speed)| speed).chain(approaches);
-                        // Of a speed, the values grow with the factor.
+                        // For a speed, the values are proportional to the factor.
                         let values = cue.keyframes.iter().map(|(_, value)| value.abs());
                         let all: Vec<f64> = if cue.by_speed { values.collect() } else { speeds.collect() };
                         factor = all.into_iter().map(|speed| limit / speed).fold(factor, f64::min);
@@ -68,7 +68,7 @@ impl Show {
     }
 }
 
-/// Compares all selections. Returns how many.
+/// Compares all selections. Returns their number.
 pub(super) fn compare(
     show: &Show,
     choreography: &Choreography,

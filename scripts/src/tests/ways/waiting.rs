@@ -1,4 +1,4 @@
-//! Which acts have to wait until a device has room for their scripts: acts that follow each other at once are played in a line.
+//! Finds the acts that must wait until a device has room for their scripts: acts that follow each other immediately form a line.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,15 +7,15 @@ use super::written::name;
 use super::{Act, DEVICES, ROBOTS, Show, Target, Waits};
 use crate::Code;
 
-/// Sending a script, and sending an act, in milliseconds.
+/// Times for sending a script and for sending an act, in milliseconds.
 const SENDING: i64 = 100;
 const PREPARING: i64 = 500;
 
 impl Act {
-    /// When the last step of a device that holds is due.
+    /// Time of the last step of a holding device.
     fn script_ends(&self, device: usize, robot: usize, snap: bool) -> Option<i64> {
         let (_, last) = self.cues_of(device, robot).last()?;
-        // It is not set again to the value that it has.
+        // A value that does not change is not set again.
         let is_set = |(index, (_, value)): &(usize, &(i64, f64))| {
             *index == 0 || last.set(last.keyframes[index - 1].1, snap) != last.set(*value, snap)
         };
@@ -29,7 +29,7 @@ impl Show {
         self.next(act).filter(|next| self.acts[*next].waits == Waits::Done)
     }
 
-    /// Acts that begin with nothing on the devices.
+    /// Acts that begin with empty devices.
     fn begins(&self) -> BTreeSet<usize> {
         let mut begins = BTreeSet::from([0]);
         begins.extend((0..self.acts.len()).filter(|act| self.acts[*act].waits != Waits::Done));
@@ -54,7 +54,7 @@ impl Show {
         }
     }
 
-    /// An act after one that has ended. Returns when it begins.
+    /// Adds an act after one that has ended. Returns its start.
     fn line_up(
         &self,
         index: usize,

@@ -1,4 +1,4 @@
-//! What is written: a drawn show as the text of a scenario.
+//! Writes a drawn show as the text of a scenario.
 
 use super::{Act, Cue, Lease, ROBOTS, SENSOR, Show, Target, Waits, Word};
 

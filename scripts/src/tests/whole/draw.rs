@@ -1,4 +1,4 @@
-//! What is drawn.
+//! Draws random shows.
 
 use proptest::prelude::*;
 
@@ -6,14 +6,14 @@ use super::super::verified::{Change, Movement, changes, movements, tolerances};
 use super::spread::{By, Direction, Each, Ease, Share};
 use super::{Canon, Cue, DEVICES, LAMP, Lag, NAMES, ROBOTS, Relation, Show, Tempo, When, Word};
 
-/// Where a robot stands among those of its cue may be asked for in several ways.
+/// The position of a robot among those of its cue can be used in several ways.
 fn orders() -> impl Strategy<Value = (By, Direction)> {
     let by = prop_oneof![2 => Just(By::Index), 1 => Just(By::X), 1 => (-9i64..15).prop_map(|x| By::Point(100 * x))];
     let directions = [Direction::Forward, Direction::Backward, Direction::Outward, Direction::Inward];
     (by, prop::sample::select(directions.to_vec()))
 }
 
-/// A number that differs from robot to robot. Times are fractions short enough for everything that is calculated with them.
+/// A number that differs between robots. Times are fractions that are short enough for all calculations with them.
 fn differing(range: std::ops::Range<i64>, is_time: bool) -> impl Strategy<Value = Each> {
     let shares = prop_oneof![
         Just(Share::Index),
@@ -39,7 +39,7 @@ fn differing(range: std::ops::Range<i64>, is_time: bool) -> impl Strategy<Value 
     prop_oneof![1 => expression, 2 => spread]
 }
 
-/// Keyframes at quarters of a beat, played as they are written.
+/// Keyframes at quarters of a beat, which are played as written.
 fn musical() -> impl Strategy<Value = Vec<(Each, Each)>> {
     let value = prop_oneof![3 => (-80i64..80).prop_map(Each::Same), 1 => differing(-80..80, false)];
     let last = prop_oneof![4 => (1i64..9).prop_map(Each::Same), 1 => differing(1..9, true)];
@@ -92,7 +92,7 @@ fn tempos() -> impl Strategy<Value = Vec<Tempo>> {
     )
 }
 
-/// Where the tempo changes, what is written in beats needs a fixed start.
+/// If the tempo changes, times in beats require a fixed start.
 fn with_fixed_start(cue: &mut Cue, bar: i64) {
     for relation in &mut cue.relations {
         if matches!(relation.lag, Lag::Beats(_)) {
@@ -183,21 +183,21 @@ fn cue() -> impl Strategy<Value = Cue> {
                 (relations, zone, apart, (by_move, composed, parameters), reads),
             )| {
                 let mut change = change;
-                // The length is the cue's here.
+                // Here, the length is that of the cue.
                 change.yaml = change.yaml.split(", duration").next().unwrap_or_default().to_owned();
                 change.duration = None;
-                // Several values are neither scaled nor repeated.
+                // Several values cannot be scaled or repeated.
                 if colours.is_some() {
                     change = Change::none();
                 }
-                // Nor has an instant turns or a length.
+                // A single value cannot be repeated or stretched, either.
                 let is_instant = beats.as_ref().is_some_and(|beats| beats.len() == 1);
                 if is_instant {
                     change = Change::none();
                 }
                 let stretch = stretch.filter(|_| !is_instant);
                 let when = match when {
-                    // So that several are at one.
+                    // Makes several of them coincide.
                     When::At(millis) if is_instant => When::At(millis / 3_000 * 500),
                     _ => when,
                 };
@@ -235,7 +235,7 @@ fn acts() -> impl Strategy<Value = Vec<Vec<Cue>>> {
     let act = prop::collection::vec(cue(), 1..6).prop_map(|mut cues| {
         let count = cues.len();
         for (index, cue) in cues.iter_mut().enumerate() {
-            // To cues that there are; forwards only sometimes, as a circle is seldom wanted.
+            // Relations to existing cues. Forward ones are rare, because a cycle is seldom wanted.
             cue.relations.retain_mut(|relation| {
                 relation.other = if relation.other == 5 && index % 2 == 0 {
                     (index + 1) % count

@@ -1,9 +1,8 @@
-//! The second reading for whole scenarios: acts, groups, cues that relate to each other, zones, tempos, readings, values one or
-//! several at a time, numbers that differ from robot to robot, and what is done with movements. Times are whole numbers and
-//! fractions, solved by the plainest way there is; movements are evaluated point by point, and step by step where a device plays
-//! them as they are written.
+//! The second reading for whole scenarios: acts, groups, related cues, zones, tempos, readings, values one or several at a time, numbers
+//! that differ between robots, and changes of movements. Times are integers and fractions, solved by the simplest possible method.
+//! Movements are evaluated point by point, and step by step if a device plays them as written.
 //!
-//! It looks at 150 scenarios, with `DOWNBEAT_SCENARIOS` at as many.
+//! It checks 150 scenarios, or `DOWNBEAT_SCENARIOS` of them if that is set.
 
 mod draw;
 mod meaning;
@@ -31,7 +30,7 @@ use crate::{Code, Compiled, Files, Finding, Fleet, FleetRobot, Severity, Source,
 type Nanos = i128;
 const MS: Nanos = 1_000_000;
 
-/// The devices of every robot: its name, whether it moves, its granularity, and the steps of one script.
+/// The devices of every robot: name, whether it moves, granularity, and number of steps per script.
 const DEVICES: [(&str, bool, f64, usize); 7] = [
     ("pole", true, 0.001, 100_000),
     ("crane", true, 0.5, 100_000),
@@ -41,9 +40,9 @@ const DEVICES: [(&str, bool, f64, usize); 7] = [
     ("gate", false, 4.0, 100_000),
     ("lamp", false, 1.0, 100_000),
 ];
-/// The one that takes three values at once.
+/// The device that takes three values at once.
 const LAMP: usize = 6;
-/// What a device can be set to. The ends of one that is coarse are off its grid.
+/// The possible values of a device. If its grid is coarse, the ends are off the grid.
 fn settable(device: usize) -> Values {
     match DEVICES[device] {
         (_, _, granularity, _) if granularity > 1.0 => Values(-50.2, 47.3, granularity),
@@ -51,12 +50,12 @@ fn settable(device: usize) -> Values {
     }
 }
 
-/// What every robot reads.
+/// The sensor of every robot.
 const SENSOR: &str = "eye";
 const ROBOTS: [&str; 4] = ["a", "b", "c", "d"];
-/// Where they stand, in millimetres along x.
+/// Places of the robots, in millimetres along x.
 const PLACES: [i128; 4] = [700, -500, 700, 1_300];
-/// Names that stand for robots.
+/// Names for sets of robots.
 const NAMES: [(&str, &[usize]); 8] = [
     ("a", &[0]),
     ("b", &[1]),
@@ -74,16 +73,16 @@ struct Cue {
     who: usize,
     device: usize,
     movement: Movement,
-    /// Where each keyframe lies in quarters of a beat, and its value in quarters: then it is played as written.
+    /// Position of each keyframe in quarters of a beat, and its value in quarters. Such keyframes are played as written.
     beats: Option<Vec<(Each, Each)>>,
-    /// Keyframes of three values at once: milliseconds, and the values.
+    /// Keyframes with three values each: milliseconds, and the values.
     colours: Option<Vec<(i64, [f64; 3])>>,
-    /// When its robots read their sensor, in milliseconds from its start.
+    /// Times at which its robots read their sensor, in milliseconds from its start.
     reads: Vec<i64>,
     change: Change,
-    /// Milliseconds that `every` is longer than the longest movement of its robots, where it is written.
+    /// Milliseconds by which `every` is longer than the longest movement of its robots, if it is written.
     pause: Each,
-    /// Instead of a `scale` of the change: in quarters, and about what.
+    /// Replaces the `scale` of the change: factor in quarters, and reference value.
     scale: Option<(Each, i64)>,
     tolerance: Option<f64>,
     canon: Option<Canon>,
@@ -93,11 +92,11 @@ struct Cue {
     relations: Vec<Relation>,
     zone: Option<usize>,
     apart: Option<usize>,
-    /// Part of a move with parameters instead of own tracks.
+    /// Whether it uses a move with parameters instead of its own tracks.
     by_move: bool,
-    /// Such a move plays others: at a fixed start two of them, which share its keyframes.
+    /// Whether this move plays others: with a fixed start, two moves that share its keyframes.
     composed: bool,
-    /// What differs in it are its parameters, by their defaults or not.
+    /// Whether the varying numbers are passed as parameters, and whether by their defaults.
     parameters: Option<bool>,
 }
 
@@ -108,16 +107,16 @@ impl Cue {
     }
 }
 
-/// How much later robots begin, in milliseconds; `Speed` is in quarters of a metre a second.
+/// Delays of robots, in milliseconds; `Speed` is in quarters of a metre per second.
 #[derive(Clone, Copy, Debug)]
 enum Canon {
     Even(i64),
-    /// A gap that grows by so much from robot to robot.
+    /// A gap that grows by this amount from robot to robot.
     Growing(i64),
     Backward(i64),
     Outward(i64),
     Inward(i64),
-    /// In the order of their places.
+    /// In the order of the robots' places.
     Ranked(i64),
     Speed(i64),
     Over(i64),
@@ -127,14 +126,14 @@ enum Canon {
 enum When {
     Free,
     At(i64),
-    /// Each robot so much later than the one before it.
+    /// A start, and the delay from each robot to the next.
     Each(i64, i64),
     Between(i64, i64),
     Bar(i64),
     EndBy(i64),
 }
 
-/// To another cue, by its index.
+/// A relation to another cue, by its index.
 #[derive(Clone, Copy, Debug)]
 struct Relation {
     word: Word,
@@ -151,7 +150,7 @@ enum Word {
     Before,
 }
 
-/// Milliseconds, or quarters of a beat.
+/// Lag in milliseconds, or in quarters of a beat.
 #[derive(Clone, Copy, Debug)]
 enum Lag {
     None,
@@ -162,23 +161,23 @@ enum Lag {
 
 #[derive(Clone, Debug)]
 struct Show {
-    /// One after the other.
+    /// In order of their bars.
     tempos: Vec<Tempo>,
     auto: bool,
     acts: Vec<Vec<Cue>>,
-    /// Cues of an act without positions in the music are those of a sequence.
+    /// Whether cues of an act without positions in the music are those of a sequence.
     by_sequence: bool,
-    /// Moves stand in a file that is included under a name, with the unit of their values as a parameter.
+    /// Whether moves are in a file that is included under a name, with the unit of their values as a parameter.
     by_include: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Tempo {
-    /// From which bar on, from 1.
+    /// First bar, from 1.
     bar: i64,
-    /// Beats a minute in hundredths.
+    /// Hundredths of beats per minute.
     bpm: i64,
-    /// Beats a bar, where they are written, and which beats.
+    /// Beats per bar and their note value, if they are written.
     signature: Option<(i64, i64)>,
 }
 
@@ -247,10 +246,10 @@ pub(super) fn scenarios() -> u32 {
     std::env::var("DOWNBEAT_SCENARIOS").ok().and_then(|text| text.parse().ok()).unwrap_or(150)
 }
 
-/// What has been compared.
+/// Counts of the compared items.
 #[derive(Debug, Default)]
 struct Tally {
-    /// Scenarios with a plan, with times that contradict each other, and with other errors.
+    /// Scenarios with a plan, with contradictory times, and with other errors.
     planned: usize,
     contradictory: usize,
     refused: usize,
@@ -258,19 +257,19 @@ struct Tally {
     cues: usize,
     devices: usize,
     steps: usize,
-    /// Cues that could start later, and devices of which every step is known.
+    /// Cues that could start later, and devices for which every step is known.
     slack: usize,
     to_the_step: usize,
-    /// Sensors read, tracks of several values, values set without a movement, and acts whose tempo changes.
+    /// Sensor readings, tracks of several values, values set without a movement, and acts with a change of tempo.
     readings: usize,
     colours: usize,
     instants: usize,
     tempo_changes: usize,
-    /// Numbers spread over the robots and calculated for each of them, and cues with `every`.
+    /// Numbers that are spread over the robots or calculated for each of them, and cues with `every`.
     spreads: usize,
     expressions: usize,
     everys: usize,
-    /// Cues whose move is that of an included file.
+    /// Cues whose move comes from an included file.
     included: usize,
 }
 
@@ -307,7 +306,7 @@ impl Tally {
     }
 }
 
-/// The cues of sequences by the names that they have there, without the cue that plays the sequence.
+/// Renames the cues of sequences to their names there, and removes the cue that plays the sequence.
 fn without_sequences(mut compiled: Compiled) -> Compiled {
     for act in compiled.choreography.iter_mut().flat_map(|choreography| &mut choreography.acts) {
         act.cues.retain(|cue| cue.name != written::SEQUENCE);

@@ -1,10 +1,10 @@
-//! Numbers that differ from robot to robot of a cue.
+//! Numbers that differ between the robots of a cue.
 
 use num_rational::Ratio;
 
 use super::PLACES;
 
-/// A number in the unit in which it is drawn.
+/// A number, in the unit in which it is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Each {
     Same(i64),
@@ -23,7 +23,7 @@ pub(super) enum Each {
     },
 }
 
-/// What an expression makes of the number of a robot.
+/// The function of the robot's number in an expression.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Share {
     Index,
@@ -63,7 +63,7 @@ impl Each {
         !matches!(self, Self::Same(_))
     }
 
-    /// So much more for all.
+    /// Adds a constant for all robots.
     pub(super) fn plus(self, more: i64) -> Self {
         match self {
             Self::Same(value) => Self::Same(value + more),
@@ -74,7 +74,7 @@ impl Each {
         }
     }
 
-    /// No robot of at most four has more, unless `by` is negative.
+    /// Returns the maximum over at most four robots, unless `by` is negative.
     pub(super) fn most(self) -> i64 {
         match self {
             Self::Same(value) => value,
@@ -83,7 +83,7 @@ impl Each {
         }
     }
 
-    /// What the robot of this index has.
+    /// Returns the value for the robot at this index.
     pub(super) fn of(self, robots: &[usize], index: usize) -> Ratio<i128> {
         let whole = |value: i64| Ratio::from_integer(i128::from(value));
         match self {
@@ -109,7 +109,7 @@ impl Each {
         }
     }
 
-    /// As it is written after a `base`, each number with its unit.
+    /// Returns the number as written after a `base`, each part with its unit.
     pub(super) fn yaml(self, base: &str, unit: impl Fn(i64) -> String) -> String {
         match self {
             Self::Same(value) => format!("{base}{}", unit(value)),
@@ -148,7 +148,7 @@ impl Each {
     }
 }
 
-/// From the first robot to the last one, from 0 to 1.
+/// Returns the position between the first robot and the last one, from 0 to 1.
 fn part(by: By, direction: Direction, robots: &[usize], index: usize) -> Ratio<i128> {
     // Doubled, so that the middle is a whole number.
     let place = |(number, robot): (usize, &usize)| {
@@ -183,7 +183,7 @@ fn eased(ease: Ease, s: Ratio<i128>) -> Ratio<i128> {
     }
 }
 
-/// SplitMix64 for the seed, and for the index from there on.
+/// SplitMix64 for the seed, then for the index.
 fn random(seed: u64, index: usize) -> Ratio<i128> {
     let next = |state: u64, number: u64| {
         let mut z = state.wrapping_add(number).wrapping_add(0x9e37_79b9_7f4a_7c15);

@@ -1,4 +1,4 @@
-//! What the devices do: every step where that is known, else the error at hundreds of places.
+//! Checks the steps of devices: every step if it is known, otherwise the error at hundreds of places.
 
 use std::collections::BTreeMap;
 
@@ -12,26 +12,26 @@ use super::times::{Times, timings};
 use super::{Cue, DEVICES, LAMP, MS, Nanos, ROBOTS, Show, settable};
 use crate::{Act, Code, Compiled, Severity};
 
-/// What one cue does with one device.
+/// The movement of one device in one cue.
 struct Segment<'a> {
     cue: &'a Cue,
-    /// The number of the robot in it.
+    /// The index of the robot in the cue.
     index: usize,
     begin: Nanos,
     movement: Movement,
-    /// Its change, with the length that it is stretched to.
+    /// The change, with the length to which the movement is stretched.
     change: Change,
     length: Nanos,
 }
 
 impl Segment<'_> {
-    /// What the device is set to at its begin.
+    /// Returns the first value to which the device is set.
     fn first(&self) -> f64 {
         settable(self.cue.device).nearest(meant(&self.movement, &self.change, 0.0))
     }
 }
 
-/// Everything that each device does, in order.
+/// Returns all segments of each device, in order.
 fn lanes<'a>(show: &Show, act: &'a [Cue], times: &Times) -> BTreeMap<(usize, usize), Vec<Segment<'a>>> {
     let mut lanes: BTreeMap<(usize, usize), Vec<Segment<'_>>> = BTreeMap::new();
     for (number, cue) in act.iter().enumerate() {
@@ -72,7 +72,7 @@ fn disagree(what: String) -> Result<(), TestCaseError> {
     Err(TestCaseError::fail(what))
 }
 
-/// Compares the steps of one device with what its cues mean.
+/// Compares the steps of one device with the meaning of its cues.
 fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -> Result<(), TestCaseError> {
     let (device, moves, granularity, most) = DEVICES[segments[0].cue.device];
     let who = format!("{device} of {robot}");
@@ -90,7 +90,7 @@ fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -
         let start = script.start.span();
         let all = script.script.steps();
         if let Some((end, left_at)) = end {
-            // A pause between scripts changes nothing: the device keeps its value until the first step.
+            // A pause between scripts has no effect: the device keeps its value until the first step.
             let keeps = all[0].offset.get() == 0.0 && (!moves || all[0].setpoint.value == left_at);
             prop_assert!(end == start || end < start && keeps, "{who}: a gap between scripts");
         }
@@ -141,7 +141,7 @@ fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -
                 seen((played(&own, moves, at) - wanted).abs(), begin + at);
             }
         }
-        // Until the next cue it stays where it is.
+        // The device keeps its value until the next cue.
         let next = segments.get(index + 1).map_or(f64::INFINITY, |next| next.begin as f64 / 1e6);
         let end = begin + length;
         let written = final_value(&segment.movement, &segment.change);
@@ -171,7 +171,7 @@ fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -
     Ok(())
 }
 
-/// Several values at once: every step is known where nothing is left out, and else how far each value is off.
+/// Several values at once: compares every step if none is omitted, otherwise the deviation of each value.
 fn compare_colours(act: &Act, robot: &str, segments: &[Segment<'_>]) -> Result<(), TestCaseError> {
     let scripts =
         act.plan.robots.iter().filter(|plan| plan.robot.as_str() == robot).flat_map(|plan| &plan.scripts);
@@ -200,7 +200,7 @@ fn compare_colours(act: &Act, robot: &str, segments: &[Segment<'_>]) -> Result<(
             prop_assert!(off <= allowed + 1e-9, "{values:?} at {at} is {played:?}");
             worst = f64::max(worst, off);
         }
-        // Another cue may begin where this one ends.
+        // Another cue may begin at the end of this one.
         prop_assert!(steps.contains(&all[all.len() - 1]), "{all:?} ends otherwise in {steps:?}");
         expected.extend(all);
     }
@@ -218,7 +218,7 @@ fn compare_colours(act: &Act, robot: &str, segments: &[Segment<'_>]) -> Result<(
     Ok(())
 }
 
-/// Every sensor that is read, and when.
+/// Compares the sensors that are read, and the times.
 fn compare_readings(show: &Show, planned: &Act, act: &[Cue], times: &Times) -> Result<(), TestCaseError> {
     let of_cue = |(cue, start): (&Cue, &Nanos)| {
         let of_robot = |(robot, delay): (usize, Nanos)| {
@@ -239,7 +239,7 @@ fn compare_readings(show: &Show, planned: &Act, act: &[Cue], times: &Times) -> R
     Ok(())
 }
 
-/// Where all cues are played as they are written every step is known, to the nanosecond.
+/// If all cues are played as written, compares every step to the nanosecond.
 fn as_written(
     show: &Show,
     segments: &[Segment<'_>],
@@ -252,7 +252,7 @@ fn as_written(
     let mut worst: f64 = 0.0;
     for segment in segments {
         let Some(mut own) = segment.cue.as_written(show, segment.index) else { return Ok(()) };
-        // One that moves does not creep to the next cue.
+        // A device that moves does not creep to the next cue.
         if let Some((at, value)) = expected.last().copied()
             && moves
             && segment.begin > at
@@ -261,7 +261,7 @@ fn as_written(
             expected.push((segment.begin, value));
         }
         worst = own.iter().map(|(_, set, written)| (set - written).abs()).fold(worst, f64::max);
-        // A device that holds is not set at the end to what it has already.
+        // At the end, a holding device is not set to its current value again.
         while !moves && own.windows(2).next_back().is_some_and(|pair| pair[0].1 == pair[1].1) {
             own.pop();
         }
@@ -312,7 +312,7 @@ pub(super) fn compare(show: &Show, compiled: &Compiled) -> Result<(), TestCaseEr
             "slack on the critical path: {critical:?}"
         );
         prop_assert!(!critical.is_empty() || planned.cues.is_empty(), "nothing decides when the act ends");
-        // The best order of a few cues is found.
+        // The best order of a few cues must be found.
         let end = |times: &Times| times.ends.iter().copied().max();
         prop_assert_eq!(end(times), timings.iter().map(end).min().flatten(), "a longer act than need be");
         let lanes = lanes(show, act, times);

@@ -1,4 +1,4 @@
-//! When everything takes place: bounds between events, relaxed until nothing changes, for every order of a zone's cues.
+//! Computes all times: bounds between events, relaxed until nothing changes, for every order of a zone's cues.
 
 use num_rational::Ratio;
 
@@ -8,7 +8,7 @@ use super::{Cue, Lag, MS, Nanos, Relation, Show, When, Word};
 /// to >= from + least.
 type Bound = (usize, usize, Nanos);
 
-/// The earliest times of all events by relaxing bounds until nothing changes; none if that never ends.
+/// Returns the earliest times of all events by relaxing bounds until nothing changes; `None` if that never ends.
 fn earliest(events: usize, bounds: &[Bound]) -> Option<Vec<Nanos>> {
     let mut times = vec![0; events];
     for _ in 0..=events {
@@ -26,7 +26,7 @@ fn earliest(events: usize, bounds: &[Bound]) -> Option<Vec<Nanos>> {
     None
 }
 
-/// The latest times by which everything still ends in time.
+/// Returns the latest times at which everything still ends in time.
 fn latest(events: usize, bounds: &[Bound], end: Nanos) -> Vec<Nanos> {
     let mut times = vec![end; events];
     times[0] = 0;
@@ -38,7 +38,7 @@ fn latest(events: usize, bounds: &[Bound], end: Nanos) -> Vec<Nanos> {
     times
 }
 
-/// Events: 0 the act's start, then the start and the end of each cue.
+/// Event 0 is the act's start; then follow the start and the end of each cue.
 fn bounds(show: &Show, act: &[Cue]) -> Vec<Bound> {
     let mut all: Vec<Bound> = Vec::new();
     let mut between = |from: usize, to: usize, least: Option<Nanos>, largest: Option<Nanos>| {
@@ -96,7 +96,7 @@ fn bounds(show: &Show, act: &[Cue]) -> Vec<Bound> {
     all
 }
 
-/// The cues of a zone one after another.
+/// Orders the cues of a zone one after another.
 fn in_order(cues: &[usize]) -> Vec<Bound> {
     cues.windows(2).map(|pair| (2 + 2 * pair[0], 1 + 2 * pair[1], 0)).collect()
 }
@@ -118,7 +118,7 @@ fn orders(cues: &[usize]) -> Vec<Vec<usize>> {
     all
 }
 
-/// What the reading makes of an act's times.
+/// The times of an act according to the reading.
 #[derive(Debug)]
 pub(super) struct Times {
     pub(super) starts: Vec<Nanos>,
@@ -126,7 +126,8 @@ pub(super) struct Times {
     pub(super) slacks: Vec<Nanos>,
 }
 
-/// All ways to time an act, one for each order of the cues that may be in any; of those the shortest are good enough.
+/// Returns all possible timings of an act, one for each order of the cues whose order is free. The compiler must find one of the
+/// shortest.
 pub(super) fn timings(show: &Show, act: &[Cue]) -> Vec<Times> {
     let mut fixed = bounds(show, act);
     fixed.extend(in_order(&of_zone(act, 1)));

@@ -1,4 +1,4 @@
-//! One cause, one finding: the robots that have a fault for the same reason.
+//! One cause, one finding: joins robots that have a fault for the same reason.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -8,43 +8,43 @@ use urrcp::RobotId;
 
 use super::{Code, Place, robots_named};
 
-/// A fault of some robots, or of a device of theirs. Faults of one code and one cause are one finding, which describes the largest of
-/// them.
+/// A fault of some robots, or of one of their devices. Faults with the same code and cause are joined into one finding, which describes
+/// the largest of them.
 pub struct SharedFault {
     /// The kind of the finding.
     pub code: Code,
-    /// What the fault has in common with others of the same finding.
+    /// The key by which faults are joined into one finding.
     pub cause: String,
-    /// How large the fault is.
+    /// The magnitude of the fault; the finding describes the largest.
     pub size: f64,
     /// Empty for a fault of the robots themselves.
     pub device: String,
     /// The robots that have the fault.
     pub robots: Arc<[RobotId]>,
-    /// Where the user must act.
+    /// The place that the user must edit.
     pub place: Place,
-    /// The message before the names of the robots, and after them, which may begin with the verb for one robot and for several:
+    /// The message before and after the names of the robots. The second part may begin with the verb in singular and plural:
     /// ` moves|move at 2 m/s`.
     pub message: [String; 2],
-    /// What was expected.
+    /// The expected value or form.
     pub expected: String,
     /// How to fix it.
     pub hint: Option<String>,
 }
 
-/// What a finding says of the robots that it concerns.
+/// The parts of a finding that depend on the robots that it concerns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Affected {
     size: f64,
-    /// Of the largest fault.
+    /// The device of the largest fault.
     device: String,
     message: [String; 2],
-    /// Devices in the order of the faults, each with the robots of every fault.
+    /// Devices in the order of the faults, each with the robots of all its faults.
     devices: Vec<(String, Vec<Arc<[RobotId]>>)>,
 }
 
 impl Affected {
-    /// The robots of a first fault.
+    /// Starts with the robots of a first fault.
     pub fn by(fault: &SharedFault) -> Self {
         let mut affected = Self {
             size: fault.size,
@@ -56,7 +56,7 @@ impl Affected {
         affected
     }
 
-    /// Takes the robots of one more fault. Returns whether that is the largest so far.
+    /// Adds the robots of another fault. Returns whether that fault is the largest so far.
     pub fn add(&mut self, fault: &SharedFault) -> bool {
         let is_largest = fault.size > self.size;
         if is_largest {
@@ -74,7 +74,7 @@ impl Affected {
             self.devices.len() - 1
         });
         let robots = &mut self.devices[index].1;
-        // Faults of one track follow each other.
+        // Successive faults of one track share their robots.
         if robots.last().is_none_or(|last| !Arc::ptr_eq(last, &fault.robots)) {
             robots.push(fault.robots.clone());
         }
@@ -95,7 +95,7 @@ impl Affected {
     }
 }
 
-/// Each robot once.
+/// Each robot once, in order.
 fn distinct(faults: &[Arc<[RobotId]>]) -> Vec<&str> {
     let mut seen = HashSet::new();
     let robots = faults.iter().flat_map(|robots| robots.iter()).map(RobotId::as_str);
@@ -109,7 +109,7 @@ fn named(faults: &[Arc<[RobotId]>]) -> String {
     }
 }
 
-/// The verb of a text that begins with ` moves|move`, for this many robots.
+/// Selects the verb of a text that begins with ` moves|move` for this number of robots.
 fn agreeing(text: &str, robots: usize) -> Cow<'_, str> {
     let verbs = text.strip_prefix(' ').and_then(|text| text.split_once(' '));
     let Some((verbs, rest)) = verbs else { return text.into() };

@@ -44,7 +44,7 @@ pub(super) fn relate<S: Borrow<Source>>(sources: &[S], pending: &mut [Pending]) 
     }
 }
 
-/// Whether another value would resolve the finding.
+/// Whether a different value would resolve the finding.
 fn is_about_value(found: &Pending) -> bool {
     let is_value = matches!(
         found.code,

@@ -1,17 +1,17 @@
-//! One cause, one finding: the same mistake at several places of a file, such as a misspelt name.
+//! One cause, one finding: joins the same mistake at several places of a file, such as a misspelt name.
 
 use std::collections::HashMap;
 
 use crate::finding::{Code, Finding, Related};
 
-/// Most lines that a message lists.
+/// Maximum number of lines that a message lists.
 const LISTED_MAX: usize = 5;
 
 /// The hint for a decimal comma, in numbers and times of any kind.
 const DECIMAL_POINT: &str = "write a decimal point";
 
-/// Joins findings about the same mistake into the first one. Its message names the lines of the others, and its related places list
-/// them for editors. Each finding comes with the uses that led to it, for the end of its message.
+/// Joins findings about the same mistake into the first one. Its message names the lines of the others, and its related places list them
+/// for editors. Each finding is paired with the text of the uses that led to it, for the end of its message.
 pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
     let mut first: HashMap<Mistake, usize> = HashMap::new();
     let mut joined: Vec<Finding> = Vec::with_capacity(findings.len());
@@ -40,19 +40,19 @@ fn repeat(finding: Finding) -> Related {
     Related { line, column, width, message: "the same mistake".to_owned(), source_line, is_repeat: true }
 }
 
-/// What equal mistakes have in common.
+/// The common part of equal mistakes.
 #[derive(PartialEq, Eq, Hash)]
 struct Mistake {
     code: Code,
     message: String,
     expected: String,
     hint: Option<String>,
-    /// Definitions of the variables in the value.
+    /// The definitions of the variables in the value.
     definitions: Vec<(usize, usize)>,
 }
 
 impl Mistake {
-    /// Nothing for mistakes that several places make together, and for those that have a cause of their own at each place.
+    /// `None` for mistakes that involve several places, and for those that have a separate cause at each place.
     fn of(finding: &Finding) -> Option<Self> {
         let Finding { code, message, expected, hint, .. } = finding;
         let hint = hint.as_deref();
@@ -66,7 +66,7 @@ impl Mistake {
         let (message, hint) = match code {
             // Two numbers may be wrong for different reasons.
             Code::WrongType if hint.is_none() => (message.clone(), None),
-            // The way in which a time or a number is written.
+            // The same wrong notation of a time or a number is one mistake.
             Code::BadDuration | Code::WrongType => (any_number(message), hint.map(any_number)),
             Code::UnknownKey if message.starts_with("unknown key") => {
                 (of_no_owner(message).to_owned(), hint.map(any_number))
@@ -102,7 +102,7 @@ impl Mistake {
     }
 }
 
-/// A text with `#` for each number.
+/// Replaces each number by `#`.
 fn any_number(text: &str) -> String {
     let is_digit = |c: char| c.is_ascii_digit() || c == '.';
     let mut plain = String::with_capacity(text.len());
@@ -116,7 +116,7 @@ fn any_number(text: &str) -> String {
     plain
 }
 
-/// A message without the robot, or the device of an initialization block, that it names at its end.
+/// A message without the robot, or the device of an initialization block, that ends it.
 fn of_no_owner(message: &str) -> &str {
     let ends = [" in robot `", ", for `", ", for the device `"];
     let end = ends.iter().filter_map(|begin| message.find(begin)).min();
@@ -129,7 +129,7 @@ fn of_any_keyframe(message: &str) -> &str {
     rest.map_or(message, |(_, rest)| rest)
 }
 
-/// The other places of the mistake, in order.
+/// The end of the message that lists the other places of the mistake, in order.
 fn others(own: usize, mut lines: Vec<usize>) -> String {
     let here = lines.iter().filter(|line| **line == own).count();
     lines.retain(|line| *line != own);
@@ -203,7 +203,7 @@ mod tests {
         let result = &crate::sarif::sarif(&joined)["runs"][0]["results"][0];
         let region = &result["relatedLocations"][0]["physicalLocation"]["region"];
         assert_eq!(*region, serde_json::json!({"startLine": 7, "startColumn": 9, "endColumn": 13}));
-        // People read the line in the message: the text shows only the first place.
+        // The message names the line for human readers, so the text shows only the first place.
         let text = crate::render::render(&joined, false);
         assert!(text.contains("; the same mistake in line 7") && !text.contains("move: wvae"), "{text}");
     }

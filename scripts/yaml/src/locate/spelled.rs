@@ -1,4 +1,4 @@
-//! Where characters of a text stand in the YAML that spells it: in quotes, with escapes, over several lines.
+//! Finds characters of a text in its YAML spelling: in quotes, with escapes, over several lines.
 
 /// How a scalar is written.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -9,8 +9,8 @@ enum Style {
     Double,
 }
 
-/// The offsets in bytes of the characters `from` and `to` of a text in `source`, which begins where the scalar does. `None` if something
-/// else stands there, such as an alias.
+/// The byte offsets of the characters `from` and `to` of `text` in `source`, which begins at the scalar. `None` if the source contains
+/// something else there, such as an alias.
 pub(super) fn offsets(source: &str, text: &str, (from, to): (usize, usize)) -> Option<(usize, usize)> {
     let begin = after_properties(source);
     let style = match source[begin..].chars().next()? {
@@ -42,7 +42,7 @@ pub(super) fn offsets(source: &str, text: &str, (from, to): (usize, usize)) -> O
     Some((first.unwrap_or(end), end))
 }
 
-/// Behind an anchor and a tag.
+/// The offset after an anchor and a tag.
 fn after_properties(source: &str) -> usize {
     let mut at = 0;
     while source[at..].starts_with(['&', '!']) {
@@ -70,7 +70,7 @@ impl Walk<'_> {
         self.at += rest.find(|c: char| !c.is_whitespace()).unwrap_or(rest.len());
     }
 
-    /// Past spaces and the ends of lines, however they are written.
+    /// Skips spaces and line ends, escaped or not.
     fn blank(&mut self) -> Option<()> {
         let before = self.at;
         loop {
@@ -84,7 +84,7 @@ impl Walk<'_> {
         (self.at > before).then_some(())
     }
 
-    /// Past the end of a line that stands for nothing.
+    /// Skips an escaped line end, which adds nothing to the text.
     fn continued(&mut self) {
         while self.style == Style::Double
             && self.rest().strip_prefix('\\').is_some_and(|rest| rest.starts_with(['\n', '\r']))

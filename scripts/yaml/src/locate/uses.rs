@@ -1,4 +1,4 @@
-//! For which uses something was read, as the end of a message: ` (in the move `wave`, used by the move `greet` in line 12)`.
+//! Lists the uses through which a place was read, for the end of a message: ` (in the move `wave`, used by the move `greet` in line 12)`.
 
 use std::borrow::Borrow;
 
@@ -6,10 +6,10 @@ use super::lines_of;
 use crate::finding::{Pending, Place};
 use crate::source::Source;
 
-/// Most uses that are told of one finding: those nearest to it.
+/// Maximum number of uses that a message lists: the nearest ones.
 const USES_MAX: usize = 8;
 
-/// What is said of each finding; nothing of most.
+/// The text of the uses of each finding; empty for most findings.
 pub(super) fn told<S: Borrow<Source>>(sources: &[S], pending: &[Pending]) -> Vec<String> {
     let places: Vec<&Place> = pending.iter().flat_map(mentioned).collect();
     if places.is_empty() {
@@ -51,7 +51,7 @@ fn elsewhere(finding: &Pending) -> impl Iterator<Item = &(Place, String)> {
     finding.related.iter().filter(|(place, _)| place.file != finding.place.file)
 }
 
-/// The places that are told, in their order.
+/// The places that the message lists, in order.
 fn mentioned(finding: &Pending) -> impl Iterator<Item = &Place> {
     uses(&finding.place).map(|used| &used.place).chain(elsewhere(finding).map(|(place, _)| place))
 }

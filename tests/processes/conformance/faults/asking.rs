@@ -13,7 +13,7 @@ fn edit_answer(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
-/// Edits what is told of requests in this state.
+/// Edits the reports about requests in this state.
 fn edit_told(passing: &mut Passing, state: &str, edit: impl Fn(&mut Value)) -> Then {
     edit_answer(passing, |answer| {
         let told = answer.get_mut("requests").and_then(Value::as_array_mut).into_iter().flatten();
@@ -25,7 +25,7 @@ fn inquiry(passing: &Passing) -> Option<&Value> {
     passing.json.get("inquiry").filter(|_| passing.way == Way::ToRobot)
 }
 
-/// This line, and behind it the one that came.
+/// Sends this line, followed by the received one.
 fn after(line: &Value, passing: &Passing) -> Then {
     let mut bytes = format!("{line}\n").into_bytes();
     bytes.extend_from_slice(&passing.raw);
@@ -34,7 +34,7 @@ fn after(line: &Value, passing: &Passing) -> Then {
 
 pub fn of_inquiries() -> Vec<Mutant> {
     vec![
-        mutant("what an inquiry asks about is told backwards", &["inquiry"], |_, passing| {
+        mutant("inquiry answers come in reverse order", &["inquiry"], |_, passing| {
             edit_answer(passing, |answer| {
                 if let Some(told) = answer.get_mut("requests").and_then(Value::as_array_mut) {
                     told.reverse();
@@ -50,7 +50,7 @@ pub fn of_inquiries() -> Vec<Mutant> {
                 shift(&mut answer["timestamp"], -1_000);
             })
         }),
-        mutant("the planned start is told a second late", &["inquiry-held"], |_, passing| {
+        mutant("the planned start is reported a second late", &["inquiry-held"], |_, passing| {
             edit_told(passing, "held", |report| {
                 shift(&mut report["start_timestamp"], 1_000);
             })
@@ -67,16 +67,16 @@ pub fn of_inquiries() -> Vec<Mutant> {
                 },
             )
         },
-        mutant("steps are told when all are done", &["inquiry-running"], |_, passing| {
+        mutant("steps are reported only when all are done", &["inquiry-running"], |_, passing| {
             edit_told(passing, "running", |report| report["steps_done"] = json!(0))
         }),
         mutant("why something ended is not told", &["inquiry-ended"], |_, passing| {
             edit_told(passing, "ended", |report| remove(report, "error"))
         }),
-        mutant("the hash of what is held is not told", &["inquiry-hash"], |_, passing| {
+        mutant("the hash of a held script is not reported", &["inquiry-hash"], |_, passing| {
             edit_told(passing, "held", |report| remove(report, "content_hash"))
         }),
-        mutant("the room does not count what is held", &["inquiry-room"], |_, passing| {
+        mutant("the room ignores held scripts", &["inquiry-room"], |_, passing| {
             edit_answer(passing, |answer| {
                 for device in answer.get_mut("devices").and_then(Value::as_array_mut).into_iter().flatten() {
                     device["room"] = json!(2);
@@ -108,7 +108,7 @@ pub fn of_inquiries() -> Vec<Mutant> {
                 None => Then::Pass,
             }
         }),
-        mutant("everybody is told about everything", &["inquiry-session"], |_, passing| {
+        mutant("every peer receives all answers", &["inquiry-session"], |_, passing| {
             edit_answer(passing, |answer| {
                 if answer["error"]["code"] == "busy" {
                     answer["status"] = json!("OK");

@@ -1,9 +1,9 @@
-//! Faults of robots that refuse what they must, with another code. A code is what all the checks that wait for it are told
-//! by, so one may break several.
+//! Robots that refuse correctly, but with another code. All checks that wait for a code recognise it by that code, so one fault may break
+//! several.
 
 use super::{Mutant, mutant, recode};
 
-/// Those that are found out at once.
+/// Returns the faults that are found at once.
 pub fn all() -> Vec<Mutant> {
     vec![
         mutant("`late` has another code", &["late", "late-by-little"], |_, passing| recode(passing, "late")),
@@ -58,7 +58,7 @@ pub fn all() -> Vec<Mutant> {
     ]
 }
 
-/// The one that is waited for.
+/// Returns the fault that takes waiting.
 pub fn lease() -> Vec<Mutant> {
     vec![mutant(
         "`link_lost` has another code",

@@ -18,11 +18,9 @@ pub fn of_greeting() -> Vec<Mutant> {
         mutant("the default value lies out of range", &["initialization"], |_, passing| {
             declare(passing, |device| device["default_value"] = json!(5_000))
         }),
-        mutant(
-            "no readable block, so nothing else is known of the robot",
-            &["initialization"],
-            |_, passing| declare(passing, |device| device["id"] = json!("x".repeat(300))),
-        ),
+        mutant("no readable block, so the robot is otherwise unknown", &["initialization"], |_, passing| {
+            declare(passing, |device| device["id"] = json!("x".repeat(300)))
+        }),
         mutant("a peer that does not greet is disconnected", &["skip-handshake"], |memory, passing| {
             if passing.way == Way::ToRobot && passing.json.get("initialization_request").is_some() {
                 memory.seen.insert((passing.link, String::new()));
@@ -36,7 +34,7 @@ pub fn of_greeting() -> Vec<Mutant> {
 
 pub fn of_values() -> Vec<Mutant> {
     let mut all = vec![
-        // What lies beyond for a plain value lies beyond for a step.
+        // A limit for plain values also applies to steps.
         mutant(
             "less is declared than it takes",
             &["range", "script-range", "repeated-refusal", "kept-answers"],
@@ -49,7 +47,7 @@ pub fn of_values() -> Vec<Mutant> {
         mutant("more is declared than it takes", &["range"], |_, passing| {
             declare(passing, |device| device["available_control_types"]["position"]["max_value"] = json!(120))
         }),
-        // So it is with what lies between.
+        // The same applies to the grid.
         mutant("a coarser grid is declared", &["granularity", "script-range"], |_, passing| {
             declare(passing, |device| device["available_control_types"]["position"]["granularity"] = json!(1))
         }),
@@ -126,7 +124,7 @@ pub fn of_values() -> Vec<Mutant> {
                 _ => Then::Pass,
             }
         }),
-        // Its owner's device is one of everything.
+        // A reading of its owner's device also succeeds.
         mutant("everything reads something", &["sensor-not-a-sensor", "session-reading"], |_, passing| {
             match passing.request() {
                 Some(request) if request["control_type"] == "sensor" => {
@@ -135,7 +133,7 @@ pub fn of_values() -> Vec<Mutant> {
                 _ => Then::Pass,
             }
         }),
-        // Its code is what three of them are told by.
+        // Three of the requirements are recognised by this code.
         mutant(
             "unsupported control types have a code of their own",
             &[
@@ -174,13 +172,13 @@ pub fn of_values() -> Vec<Mutant> {
     all
 }
 
-/// The steps of a script.
+/// Returns the steps of a script.
 fn steps_of(request: &mut Value) -> impl Iterator<Item = &mut Value> {
     let listed = request["control_value"].as_array_mut().into_iter().flatten();
     listed.filter(|step| step.is_object())
 }
 
-/// How long ago the start of a request was, if it has passed.
+/// Returns how long ago the start of a request was, if it has passed.
 fn passed_by(request: &Value) -> Option<urrcp::Span> {
     let sent: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(request["timestamp"].clone()).ok()?;
     let start = sent + urrcp::Span::from_millis_f64(Some(offset(request)).filter(|ms| *ms >= 0.0)?);
@@ -218,7 +216,7 @@ pub fn of_times() -> Vec<Mutant> {
             shifted(passing, 400.0)
         }),
         mutant("starts come 200 ms early", &["deferred-start"], |_, passing| shifted(passing, -200.0)),
-        // Without the time of the start neither it nor the script's length can be judged.
+        // Without the start time, neither the start nor the script's length can be judged.
         mutant(
             "starts are reported without their time",
             &["deferred-start", "script-start", "script-timing"],
@@ -305,7 +303,7 @@ pub fn of_times() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("one step too few is told", &["script-timing"], |_, passing| {
+        mutant("one step too few is reported", &["script-timing"], |_, passing| {
             edit_response(passing, |response| {
                 if response["status"] == "OK" && response["steps_done"] == 3 {
                     response["steps_done"] = json!(2);
@@ -318,7 +316,7 @@ pub fn of_times() -> Vec<Mutant> {
         mutant("fewer steps are declared than it takes", &["one-step-too-many"], |_, passing| {
             declare(passing, |d| d["available_control_types"]["script"]["max_number_of_steps"] = json!(7))
         }),
-        // The room that is told is that of the true queue.
+        // The reported room is that of the true queue.
         mutant("a longer queue is declared than there is", &["queue", "inquiry-room"], |_, passing| {
             declare(passing, |device| device["script_queue"] = json!(3))
         }),

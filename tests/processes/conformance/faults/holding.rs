@@ -14,7 +14,7 @@ pub fn of_leases() -> Vec<Mutant> {
         })
     }
     vec![
-        // All that shows a lease running out; a step's own stays.
+        // All requirements that depend on the end of a lease; a step's own limit still applies.
         mutant(
             "stop_condition is not read",
             &[
@@ -115,7 +115,7 @@ pub fn of_leases() -> Vec<Mutant> {
         Mutant {
             robot: Robot::Rover,
             ..mutant(
-                "any other command ends the lease of what is left on",
+                "any other command ends the lease of a continuing speed",
                 &["lease-left-on-kept"],
                 |memory, passing| {
                     if let Some(request) = passing.request() {
@@ -159,7 +159,7 @@ pub fn of_leases() -> Vec<Mutant> {
             }
         }),
         mutant(
-            "what was asked on another connection is forgotten",
+            "requests on another connection are forgotten",
             &["lease-link-down", "reports-follow"],
             |_, passing| {
                 let mark = format!("#{}", passing.link);
@@ -194,7 +194,7 @@ pub fn of_leases() -> Vec<Mutant> {
                 Then::Pass
             },
         ),
-        // By a session that everybody shares, so that `session` itself cannot be judged.
+        // By a session that all peers share, so that `session` itself cannot be judged.
         Mutant {
             only: &[
                 "availability",
@@ -222,7 +222,7 @@ pub fn of_leases() -> Vec<Mutant> {
 
 pub fn of_stops() -> Vec<Mutant> {
     vec![
-        // Each of them waits for what a stop brings about; `hold` and `take-back` are stops too.
+        // Each of them waits for an effect of a stop; `hold` and `take-back` are stops too.
         Mutant {
             only: &[
                 "availability",

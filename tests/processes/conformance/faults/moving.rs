@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::super::proxy::{Memory, More, Passing, Then};
 use super::{Mutant, edit, is_cancel, mutant, remove};
 
-/// The others stop devices too, and reconnect.
+/// The other requirements also stop devices, and reconnect.
 const MOVEMENTS: &[&str] = &[
     "inquiry-position",
     "stays-stopped",

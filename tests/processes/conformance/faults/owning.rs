@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::super::proxy::{Memory, Way};
 use super::*;
 
-/// The session that a message to the robot names.
+/// Returns the session that a message to the robot names.
 fn session_of(passing: &Passing) -> Option<String> {
     let names = ["availability_request", "control_request"];
     let mut inside =
@@ -19,7 +19,7 @@ fn is_busy(passing: &Passing) -> bool {
     names.iter().any(|name| passing.json[name]["error"]["code"] == "busy")
 }
 
-/// Another session than this one that was heard on another connection.
+/// Returns the latest session from another connection.
 fn owner<'a>(memory: &'a Memory, passing: &Passing) -> Option<(&'a String, &'a (u64, Instant))> {
     let others = memory.heard.iter().filter(|(_, (link, _))| *link != passing.link);
     others.max_by_key(|(_, (_, at))| *at)
@@ -34,8 +34,8 @@ fn note(memory: &mut Memory, passing: &Passing) {
 pub fn of_sessions() -> Vec<Mutant> {
     vec![
         mutant("anybody may stop", &["session-stop"], |memory, passing| {
-            // A check opens the connection of the stranger before that of the owner. A later connection brings the robot to rest
-            // after the check: the owner is gone by then, and its name would claim the robot again.
+            // A check opens the connection of the stranger before that of the owner. A later connection brings the robot to rest after
+            // the check: the owner is gone then, and its name would claim the robot again.
             let present = owner(memory, passing).filter(|(_, (link, _))| *link > passing.link);
             let owner = present.map(|(session, _)| session.clone());
             if let (Some(request), Some(owner)) =
@@ -79,7 +79,7 @@ pub fn of_sessions() -> Vec<Mutant> {
                 Then::Pass
             })
         },
-        // What is told at the end of a command goes to where it came from.
+        // Reports about the end of a command are sent to the command's connection.
         mutant("reports go to the connection of the command", &["reports-follow"], |memory, passing| {
             let link = passing.link;
             if let Some(request) = passing.request().filter(|request| request.get("session").is_some()) {

@@ -5,8 +5,8 @@ use serde_json::{Value, json};
 use super::super::proxy::{Memory, Passing, Serving, TWICE, Then, Way};
 use super::*;
 
-/// The robot is asked under another id what it has forgotten, so that it takes the request for a new one. `is_noted` says of which
-/// answers the ids are remembered in their order.
+/// Sends forgotten requests to the robot under another id, so that it treats them as new. `is_noted` selects the answers whose ids are
+/// remembered in their order.
 fn forgets(
     memory: &mut Memory,
     passing: &mut Passing,
@@ -116,7 +116,7 @@ pub fn of_identity() -> Vec<Mutant> {
             })
         }),
         mutant(
-            "sessions are not known",
+            "sessions are unknown",
             &["session", "session-reading", "session-stop", "reports-follow", "inquiry-session"],
             |_, passing| {
                 for message in ["availability_request", "control_request"] {
@@ -130,7 +130,7 @@ pub fn of_identity() -> Vec<Mutant> {
                 Then::Pass
             },
         ),
-        mutant("who has the robot is told", &["session"], |memory, passing| {
+        mutant("the owner of the robot is revealed", &["session"], |memory, passing| {
             if let Some(session) =
                 passing.json.pointer("/availability_request/session").and_then(Value::as_str)
             {
@@ -230,7 +230,7 @@ pub fn of_links() -> Vec<Mutant> {
         Mutant {
             serving: Serving::UnderOneLock,
             only: &["availability", "two-links", "slow-reader"],
-            ..mutant("who does not read holds up all", &["slow-reader"], pass)
+            ..mutant("a peer that does not read delays all others", &["slow-reader"], pass)
         },
         Mutant {
             serving: Serving::AtMost(15),
@@ -242,7 +242,7 @@ pub fn of_links() -> Vec<Mutant> {
             only: &["availability", "two-links", "silent-peers"],
             ..mutant("sixteen silent peers are all it serves", &["silent-peers"], pass)
         },
-        // What needs a second connection is not applicable then.
+        // Requirements with a second connection are then not applicable.
         Mutant { serving: Serving::OneByOne, ..mutant("one connection at a time", &["two-links"], pass) },
     ]
 }

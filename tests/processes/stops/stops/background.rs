@@ -12,13 +12,13 @@ use super::{Way, text};
 use stage::quiet::await_that;
 use stage::{Robot, Stage, Via, held_up, one_device};
 
-/// A robot sets values for a second more: a stop would have ended that long before.
+/// Checks that a robot sets values for one more second: a stop would have ended that long before.
 #[track_caller]
 fn plays_on(robot: &Robot) {
     robot.await_sets(robot.sets().len() + 50, Duration::from_secs(20));
 }
 
-/// Starts a mission in the background, and waits until it moves the first robot or has ended. Returns what the command tells.
+/// Starts a mission in the background, and waits until it moves the first robot or has ended. Returns the command's output.
 #[track_caller]
 fn in_the_background(stage: &Stage) -> Value {
     let detached = stage.run(&["--format", "json", "run", "play.yaml", "--detach"]);
@@ -36,7 +36,7 @@ fn logged(told: &Value) -> String {
     std::fs::read_to_string(told["log"].as_str().unwrap()).unwrap()
 }
 
-/// The log of a mission that has ended before it moved the first robot; empty where it moves.
+/// Returns the log of a mission that has ended before it moved the first robot; empty if it moves.
 fn ended_early(stage: &Stage, told: &Value) -> String {
     if moves(stage) { String::new() } else { logged(told) }
 }
@@ -75,7 +75,7 @@ fn what_keeps_a_mission_from_running_in_the_background_is_told_at_once() {
     stage.file("state", "no folder");
     let detached = stage.run(&["run", "play.yaml", "--detach"]);
     assert_eq!(detached.code, Some(2), "{detached}");
-    assert!(detached.told.contains("cannot start a mission in the background"), "{detached}");
+    assert!(detached.told.contains("cannot start the mission in the background with the log "), "{detached}");
 }
 
 #[test]

@@ -14,7 +14,7 @@ use super::show::{ODD, STEPS, Show, Trouble, WHEELED, program};
 use super::{Way, text};
 use stage::{Logged, Process, Robot, epoch_nanos};
 
-/// Cells that are played at once.
+/// Number of cells that are played at once.
 const AT_ONCE: usize = 3;
 /// The time within which every robot has to be at rest: ten times 300 ms, and less than the six seconds of the stalled disk.
 pub const AT_REST_MAX: Duration = Duration::from_secs(3);
@@ -22,7 +22,7 @@ pub const AT_REST_MAX: Duration = Duration::from_secs(3);
 const SLOWS_DOWN: Duration = Duration::from_millis(500);
 /// From a signal to the reaction of the first robot: ten times 50 ms.
 const FIRST_BYTE_MAX: Duration = Duration::from_millis(500);
-/// When a scheduler that does not answer is given up by `downbeat stop`.
+/// Time after which `downbeat stop` gives up a scheduler that does not answer.
 const GIVEN_UP: Duration = Duration::from_secs(1);
 /// The time after which the test no longer waits for the end of a process, or for the rest of a robot.
 const ENDS_WITHIN: Duration = Duration::from_secs(20);
@@ -31,27 +31,27 @@ const STAYS_AT_REST: Duration = Duration::from_millis(300);
 /// A robot whose last value is this old at the stop was at rest before.
 const RESTED_BEFORE_NS: i64 = 1_000_000_000;
 
-/// How a stop went.
+/// The result of a stop.
 pub struct Stopped {
     /// When it was given, in nanoseconds since the epoch.
     at: i64,
-    /// What the operator reads; `None` where that cannot be read.
+    /// The output for the operator; `None` if it cannot be read.
     pub said: Option<String>,
-    /// Of what the operator waits for: the scheduler, or `downbeat stop`.
+    /// Exit code of the process that the operator waits for: the scheduler, or `downbeat stop`.
     pub code: Option<i32>,
-    /// Of the scheduler, where it lives to end by itself.
+    /// Exit code of the scheduler, if it lives to end by itself.
     scheduler: Option<i32>,
 }
 
-/// After the stop was given.
+/// Times since the stop was given.
 struct Times {
     first: Duration,
     last: Duration,
 }
 
-/// Plays these cells of one row, a few at a time, and shows what each took.
+/// Plays these cells of one row, a few at a time, and prints their durations.
 #[track_caller]
-#[expect(clippy::print_stdout, reason = "how long each cell took is shown where it is asked for")]
+#[expect(clippy::print_stdout, reason = "prints the duration of each cell with --nocapture")]
 pub fn check_row(way: Way, troubles: &[Trouble]) {
     let only = std::env::var("DOWNBEAT_TROUBLE").ok();
     let asked = |trouble: &&Trouble| only.as_ref().is_none_or(|only| *only == format!("{trouble:?}"));
@@ -104,13 +104,13 @@ impl Way {
     }
 }
 
-/// The reason for a failure, with the output and the exit code.
+/// Returns the reason for a failure, with the output and the exit code.
 fn with_all(why: &str, show: &Show, stopped: &Stopped) -> String {
     let told = text(&show.stage, "told") + &text(&show.stage, "stop-told");
     format!("{why}; exit code {:?}\n{told}{}", stopped.code, stopped.said.as_deref().unwrap_or(""))
 }
 
-/// Stops it and waits for the end of all that has to end.
+/// Stops the show and waits for the end of all processes that must end.
 pub fn stop(show: &mut Show, way: Way) -> Stopped {
     match way {
         Way::CtrlC => signalled(show, Signal::INT),
@@ -169,7 +169,7 @@ fn commanded(show: &Show) -> Stopped {
     Stopped { at, said: (!full).then_some(said), code, scheduler: None }
 }
 
-/// Its exit code; `None` when it hangs.
+/// Returns its exit code; `None` if it hangs.
 pub fn ended(child: &mut Child) -> Option<i32> {
     let began = Instant::now();
     while began.elapsed() < ENDS_WITHIN {
@@ -181,7 +181,7 @@ pub fn ended(child: &mut Child) -> Option<i32> {
     None
 }
 
-/// How long a thread of this process was kept from running at most, while something was done.
+/// Also returns the longest time for which a thread of this process was prevented from running meanwhile.
 fn held_up<T>(work: impl FnOnce() -> T) -> (T, Duration) {
     let (over, longest) = (AtomicBool::new(false), AtomicU64::new(0));
     std::thread::scope(|scope| {
@@ -211,10 +211,10 @@ fn await_rest(show: &Show) {
     }
 }
 
-/// When the robots came to rest, by their own logs.
+/// Returns when the robots came to rest, by their own logs.
 fn at_rest(show: &Show, stopped: &Stopped, within: Duration) -> Result<Times, String> {
     await_rest(show);
-    // One that moves again is seen, too.
+    // Detects a robot that moves again, too.
     std::thread::sleep(STAYS_AT_REST);
     let dead = |index| show.trouble == Trouble::Dead && index == ODD;
     let mut times = Times { first: Duration::MAX, last: Duration::ZERO };
@@ -267,7 +267,7 @@ fn slowed(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Dur
     Ok((after.at >= stopped.at).then(|| since(stopped, after)))
 }
 
-/// The wheel has slowed down to zero, and in time.
+/// Checks that the wheel has slowed down to zero, and in time.
 fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), String> {
     let Some(stands) = log.iter().rev().take_while(|entry| entry.value == 0.0).last() else {
         let last = log.last().map_or(f64::NAN, |last| last.value);
@@ -281,7 +281,7 @@ fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), Str
     }
 }
 
-/// Whether what the operator reads, and how the processes ended, is what happened.
+/// Checks that the operator's output and the exit codes agree with the events.
 fn told(way: Way, trouble: Trouble, stopped: &Stopped) -> Result<(), String> {
     let dead = (trouble == Trouble::Dead).then_some(ODD);
     let said = stopped.said.as_deref().unwrap_or("");
@@ -291,14 +291,14 @@ fn told(way: Way, trouble: Trouble, stopped: &Stopped) -> Result<(), String> {
         let named = said.contains(&format!("r{robot}"));
         if confirmed == (dead == Some(robot)) || !named {
             let told = if confirmed { "confirmed" } else { "not confirmed" };
-            return Err(format!("r{robot} is told as {told}; exit code {:?}\n{said}", stopped.code));
+            return Err(format!("r{robot} is reported as {told}; exit code {:?}\n{said}", stopped.code));
         }
     }
     let of_mission = if dead.is_some() { Some(4) } else { Some(3) };
     let (code, scheduler) = match (way.is_command(), dead, trouble) {
         (false, ..) => (of_mission, of_mission),
         (true, Some(_), _) => (Some(4), of_mission),
-        // What cannot be written spoils a success.
+        // Output that cannot be written turns success into failure.
         (true, None, Trouble::StdoutFull) => (Some(7), of_mission),
         (true, None, _) => (Some(0), of_mission),
     };

@@ -1,4 +1,4 @@
-//! A link to one robot on which the scheduler is flooded with messages once that is asked for.
+//! A link to one robot on which the scheduler is flooded with messages on command.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -7,12 +7,12 @@ use std::sync::{Arc, Mutex};
 
 use stage::quiet::await_that;
 
-/// An answer to nothing that was asked.
+/// An answer to a request that was never sent.
 const NOISE: &str = r#"{"control_response":{"timestamp":"2026-01-01T00:00:00Z","device_id":"d","status":"Accepted","request_id":"noise"}}"#;
 
-/// Times that the noise is repeated in one write.
+/// Number of repetitions of the noise in one write.
 const REPEATED: usize = 50;
-/// Writes that the scheduler has to take before it counts as flooded.
+/// Number of writes that the scheduler has to take before it is considered flooded.
 const WRITES: u32 = 20;
 
 pub struct Flood {
@@ -24,9 +24,9 @@ pub struct Flood {
 struct State {
     begun: AtomicBool,
     over: AtomicBool,
-    /// Writes that were taken.
+    /// Number of writes that were taken.
     taken: AtomicU32,
-    /// The scheduler has hung up on it.
+    /// Whether the scheduler has disconnected.
     hung_up: AtomicBool,
 }
 
@@ -48,7 +48,7 @@ impl Flood {
         Self { port, state }
     }
 
-    /// Returns once the scheduler has taken much of it, or has hung up.
+    /// Returns once the scheduler has taken much of it, or has disconnected.
     pub fn begin(&self) {
         let State { begun, taken, hung_up, .. } = &*self.state;
         begun.store(true, Ordering::Relaxed);
@@ -92,7 +92,7 @@ fn carry(client: TcpStream, robot: TcpStream, state: &Arc<State>) {
     });
 }
 
-/// Line by line, so that two writers do not mix theirs.
+/// Forwards line by line, so that two writers do not mix their lines.
 fn pump(from: TcpStream, to: &Mutex<TcpStream>) {
     let end = from.try_clone().unwrap();
     let mut lines = BufReader::new(from);

@@ -1,4 +1,4 @@
-//! A mission of six robots as processes, and the trouble that befalls it.
+//! A mission of six robots as processes, and its trouble.
 
 use std::ffi::{OsStr, OsString};
 use std::fs::File;
@@ -14,7 +14,7 @@ use stage::compiled::{SHARED, compiled};
 use stage::quiet::await_that;
 use stage::{Process, Stage, Via, one_device, with_devices};
 
-/// What stands still, is full, has changed or is gone.
+/// What stalls, is full, has changed or is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trouble {
     Nothing,
@@ -29,7 +29,7 @@ pub enum Trouble {
     Dead,
 }
 
-/// Those of the matrix.
+/// The troubles of the matrix.
 pub const TROUBLES: [Trouble; 9] = [
     Trouble::Terminal,
     Trouble::Pipes,
@@ -42,7 +42,7 @@ pub const TROUBLES: [Trouble; 9] = [
     Trouble::Dead,
 ];
 
-/// Slows down by 10 a second, every second: from 5 to 0 in 0.5 s.
+/// Returns a wheel that slows down by 10 per second squared: from 5 to 0 in 0.5 s.
 pub fn wheel() -> String {
     with_devices(
         "  - id: w
@@ -57,7 +57,7 @@ pub fn wheel() -> String {
 }
 
 const RECORDING: &str = "play.mcap";
-/// The number of values of each script; the last position is as large.
+/// The number of values of each script, which is also the last position.
 pub const STEPS: u32 = 200;
 /// The robot with the wheel.
 pub const WHEELED: usize = 4;
@@ -87,7 +87,7 @@ cues:
     )
 }
 
-/// A mission of six robots that plays, in trouble soon.
+/// A playing mission of six robots, soon in trouble.
 pub struct Show {
     pub stage: Stage,
     pub trouble: Trouble,
@@ -96,7 +96,7 @@ pub struct Show {
     /// The scheduler's process, which may be behind a terminal.
     pub pid: Pid,
     flood: Option<Flood>,
-    /// What the scheduler prints, where that is read.
+    /// The scheduler's output, if it is read.
     pub out: Option<PipeReader>,
     /// Kept so that it can be filled.
     full: Option<PipeWriter>,
@@ -107,8 +107,8 @@ impl Show {
         Self::begin_by(trouble, &[])
     }
 
-    /// Started by another program, which becomes it. A mission that a busy machine keeps from starting is begun again: nothing
-    /// has been stopped by then.
+    /// Begins a show whose scheduler is started by another program, which becomes it. If a busy machine prevents the start of the
+    /// mission, it is begun again: nothing has been stopped yet.
     pub fn begin_by(trouble: Trouble, starter: &[&str]) -> Self {
         let mut told = Vec::new();
         for _ in 0..3 {
@@ -123,7 +123,7 @@ impl Show {
         panic!("no mission begins:\n{}", told.join("\n"))
     }
 
-    /// What the scheduler said where no mission came of it.
+    /// Returns the scheduler's output if no mission was started.
     fn try_to_begin(trouble: Trouble, starter: &[&str]) -> Result<Self, String> {
         let mut stage = Stage::new();
         stage.file("arm.yaml", one_device(1, 600, 600)).file("wheel.yaml", wheel());
@@ -140,7 +140,7 @@ impl Show {
         });
         let mut args = vec!["run", "play.yaml", "--patience", "4s"];
         if matches!(trouble, Trouble::Terminal | Trouble::Pipes) {
-            // Its words are not read, and a journal keeps no failures.
+            // Its output is not read, and a journal contains no failures.
             args.extend(["--record", RECORDING]);
         }
         let mut command = program(&stage, &args, trouble);
@@ -193,7 +193,7 @@ impl Show {
         Ok(show)
     }
 
-    /// The trouble begins, and has begun on return.
+    /// Begins the trouble, and returns once it has begun.
     pub fn strike(&mut self) {
         let fleet = || std::fs::read_to_string(self.stage.path("fleet.yaml")).unwrap();
         match self.trouble {
@@ -237,7 +237,7 @@ impl Drop for Show {
     }
 }
 
-/// The program in a stage under this trouble.
+/// Returns the program in a stage under this trouble.
 pub fn program(stage: &Stage, args: &[&str], trouble: Trouble) -> Command {
     let plain = stage.command(args);
     let mut command = match trouble {
@@ -277,7 +277,7 @@ fn pid_in(path: &Path) -> Pid {
     }
 }
 
-/// Until nothing more goes in.
+/// Fills the pipe until it accepts no further bytes.
 pub fn fill(mut pipe: &PipeWriter) {
     rustix::io::ioctl_fionbio(pipe, true).unwrap();
     for size in [4_096, 1] {
@@ -286,7 +286,7 @@ pub fn fill(mut pipe: &PipeWriter) {
     rustix::io::ioctl_fionbio(pipe, false).unwrap();
 }
 
-/// The reports of the missions in the state folder, wherever their own output went.
+/// Returns the reports of the missions in the state folder, wherever their own output went.
 fn reported(stage: &Stage) -> String {
     if stage.path(RECORDING).exists() {
         return stage.run(&["report", RECORDING, "--partial"]).out;

@@ -1,4 +1,4 @@
-//! Schedulers of which something stands still before or after the stop.
+//! Schedulers that are partly suspended before or after the stop.
 
 use std::io::{Read, pipe};
 use std::process::Stdio;
@@ -44,7 +44,7 @@ fn a_report_is_printed_while_the_disk_stands_still() {
     assert_eq!(stopped.code, Some(3));
 }
 
-/// How many connections each robot has.
+/// Returns the number of connections of each robot.
 fn connections(show: &Show) -> Vec<usize> {
     show.stage.robots.iter().map(Robot::connections).collect()
 }

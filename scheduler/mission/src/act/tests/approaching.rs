@@ -1,11 +1,10 @@
-//! From the decision to the start: the leases end before it unless the act is committed, and it is committed only for good
-//! reasons.
+//! From the decision to the start: the leases end before it unless the act is committed, and it is committed only for good reasons.
 
 use downbeat_plan::OnDoubt;
 
 use super::*;
 
-/// When what a robot holds of a script would end by its own lease, had it heard this question last.
+/// The end of a script's lease on a robot, if this question was the last one that it received.
 fn ends(question: &Question, id: &urrcp::RequestId) -> Option<Timestamp<Server>> {
     let group = question.named.iter().find(|group| group.requests.contains(id))?;
     Some(question.at + ROUND_TRIP / 2 + group.lease?)
@@ -34,7 +33,7 @@ fn nothing_is_asked_between_the_critical_instant_and_the_commitment() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::pair();
         bench.decide(leases);
-        // The disk is not done by the critical instant.
+        // The disk does not finish by the critical instant.
         let takes = bench.timing().commit_from() - bench.timing().record_from() + ms(1);
         bench.disk = Some(takes);
         bench.commit_from_here();
@@ -78,7 +77,7 @@ fn what_cannot_wait_is_let_through_to_a_member_as_long_as_a_lease_can_still_end_
 
 #[test]
 fn the_commitment_needs_every_answer_to_one_of_the_last_two_rounds() {
-    // Silent so long before the critical instant that both of the last rounds were missed.
+    // Silent long enough before the critical instant to miss both of the last rounds.
     for (periods, committed) in [(0, true), (1, true), (4, false)] {
         let mut bench = Bench::pair();
         bench.decide(Leases::Shortened);
@@ -161,7 +160,7 @@ fn a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards() 
     }
 }
 
-/// An act whose process stalls from well before the last rounds until this long after the critical instant.
+/// An act whose process stalls from well before the last rounds until `after` past the critical instant.
 fn held_up(leases: Leases, after: Span, silent: &[usize]) -> Bench {
     let mut bench = Bench::of_three(Policy::Without);
     bench.decide(leases);
@@ -291,7 +290,7 @@ fn a_script_that_follows_another_and_is_sent_too_late_to_be_asked_about_does_not
     bench.decide(Leases::Shortened);
     assert_eq!(bench.sent_to(0).len(), 1);
     bench.run_until(bench.timing().critical() - Span::from_micros(100));
-    // An act before it has just ended there: there is room, and what is sent waits for the commitment.
+    // An earlier act has just ended there: there is room, and the sent script waits for the commitment.
     bench.act.sent(bench.now, bench.scripts_of(0)[1]);
     bench.run_until(bench.start());
     assert_eq!((bench.act.progress(), &bench.failed), (Progressed::Committed, &Vec::new()));
@@ -312,7 +311,7 @@ fn what_begins_far_behind_gets_no_shortened_lease_and_what_follows_another_is_no
     assert!(group_of(1).is_none(), "it cannot begin without the one before it");
     assert_eq!(lease_of(2), Some(shortened + ms(60)));
     assert_eq!(lease_of(3), None, "it loses its lease long before it would begin");
-    // A question without a lease renews all that the robot has: theirs has to be the shorter one by then.
+    // A question without a lease renews everything that the robot has. The shortened leases must be shorter by then.
     let leases: Vec<_> = named.iter().map(|group| group.lease).collect();
     assert_eq!(leases, [Some(shortened), Some(shortened + ms(60)), None]);
 }
@@ -390,7 +389,7 @@ fn the_window_of_the_commitment_is_told_once_when_all_have_answered() {
 }
 
 impl Bench {
-    /// Goes on until the act is committed.
+    /// Continues until the act is committed.
     fn commit_from_here(&mut self) {
         self.run_until(self.start() - ms(1));
         assert_eq!(self.act.progress(), Progressed::Committed);

@@ -1,4 +1,4 @@
-//! Clocks at the end of an act, compared with the offsets by which its scripts were sent.
+//! Clocks at the end of an act, compared with the offsets with which its scripts were sent.
 
 use super::*;
 use crate::ClockMode;
@@ -37,7 +37,7 @@ fn resumed() -> Bench {
     both_have_played(super::resumed::taken_up(super::super::Reached::Commitment, ms(-100)))
 }
 
-/// Milliseconds by which the robots were certainly apart or off their plan.
+/// Time in milliseconds by which the robots were certainly apart or off their plan.
 fn apart(bench: &Bench) -> f64 {
     bench.act.drifted_apart(&bench.robots).unwrap().as_millis_f64().round()
 }

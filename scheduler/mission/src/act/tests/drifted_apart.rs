@@ -5,7 +5,7 @@ use crate::ClockMode;
 use crate::clock::ClockEstimate;
 
 /// Two robots that have played. Each has the time from the start to its end in milliseconds, the offset of its clock at the start in
-/// milliseconds, and the drift of its clock against that of this machine in ppm.
+/// milliseconds, and the drift of its clock relative to that of this machine in ppm.
 fn played(clock: ClockMode, robots: [(i64, i64, f64); 2]) -> Bench {
     let scripts = robots.map(|(lasts, ..)| [("a", 0, lasts)]);
     let scripts: Vec<&[Planned]> = scripts.iter().map(<[Planned; 1]>::as_slice).collect();

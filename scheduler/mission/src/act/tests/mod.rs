@@ -1,4 +1,4 @@
-//! An act without a mission: answers, the disk and time are made by hand.
+//! An act without a mission: the tests simulate answers, the disk and time.
 
 mod approaching;
 mod drift;
@@ -27,13 +27,11 @@ use crate::robot_state::{Link, Lost, Reading, RobotState};
 use crate::script::{ScriptRef, ScriptState};
 use crate::{Loss, MissionOptions, Outcome, Progress};
 
-/// There and back.
 const ROUND_TRIP: Span = Span::from_micros(400);
 const LEASE: Span = Span::from_millis(240);
-/// What the disk is expected to take.
+/// The expected duration of a record.
 const RECORDING: Span = Span::from_millis(20);
 
-/// Something comes in.
 #[derive(Clone, Debug, PartialEq)]
 enum Arrival {
     Recorded,
@@ -48,7 +46,6 @@ enum Arrival {
     },
 }
 
-/// A question that was asked.
 #[derive(Clone, Debug)]
 struct Question {
     at: Timestamp<Server>,
@@ -57,29 +54,29 @@ struct Question {
     named: Vec<NamedScripts>,
 }
 
-/// What a failure leads to.
+/// Reaction to a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Policy {
     Abort,
     Without,
 }
 
-/// An act, its robots, and everything that it wanted done.
+/// An act, its robots, and all actions that it requested.
 struct Bench {
     now: Timestamp<Server>,
     robots: Vec<RobotState>,
     act: Act,
     options: MissionOptions,
     policy: Policy,
-    /// How long the disk takes; `None`: forever.
+    /// Duration of a write; `None`: it never finishes.
     disk: Option<Span>,
     /// How much later than planned the last robot may start.
     late: Span,
-    /// Robots that say nothing at all.
+    /// Robots that do not answer at all.
     silent: Vec<usize>,
-    /// Robots that play without a word of their own, whatever they can.
+    /// Robots that play but do not report by themselves, whatever they support.
     mum: Vec<usize>,
-    /// What those among them answer of all their scripts, instead of the truth.
+    /// The state that those robots report for all their scripts, instead of the true one.
     says_always: Option<RequestState>,
     arrivals: Vec<(Timestamp<Server>, Arrival)>,
     recorded: Vec<(Timestamp<Server>, Record)>,
@@ -128,7 +125,7 @@ impl Bench {
         }
     }
 
-    /// Two robots that tell everything, with one script each.
+    /// Two robots that report everything, with one script each.
     fn pair() -> Self {
         Self::new(&[Tells::Everything; 2], &[&[("a", 0, 400)], &[("a", 0, 400)]])
     }
@@ -142,7 +139,7 @@ impl Bench {
         self.act.timing().unwrap()
     }
 
-    /// Waits for nothing and is promised at once.
+    /// Promises the act at once, without a condition.
     fn promise(&mut self, leases: Leases) {
         self.pump();
         assert_eq!(self.act.progress(), Progressed::Ready);
@@ -155,7 +152,7 @@ impl Bench {
         self.timing().start
     }
 
-    /// Everything that is due until `until`, and comes in until then.
+    /// Handles everything that is due or arrives until `until`.
     fn run_until(&mut self, until: Timestamp<Server>) {
         for _ in 0..100_000 {
             let arrives = self.arrivals.iter().map(|(at, _)| *at).min();
@@ -175,7 +172,7 @@ impl Bench {
         self.act.wakeup().filter(|_| self.withdrawn.is_none())
     }
 
-    /// The mission is not over yet.
+    /// Continues far beyond the end of the act.
     fn run_to_the_end(&mut self) {
         let end = self.timing().end + ms(10_000);
         self.run_until(end);
@@ -250,7 +247,7 @@ impl Bench {
         scripts.into_iter().for_each(|script| self.send(script));
     }
 
-    /// A robot that is heard accepts what it is sent, and plays it.
+    /// Records a script as sent. A robot that is not silent accepts it and plays it.
     fn send(&mut self, script: ScriptRef) {
         self.sent.push((self.now, script));
         self.act.sent(self.now, script);
@@ -281,7 +278,7 @@ impl Bench {
         self.arrivals.push((self.now + ROUND_TRIP, Arrival::Answer { robot, asked: self.now }));
     }
 
-    /// The answer to a question: the times, and what became of the scripts.
+    /// Takes the answer to a question: the times, and the states of the scripts.
     fn answer(&mut self, robot: usize, asked: Timestamp<Server>) {
         let there = by_robot(asked + ROUND_TRIP / 2);
         self.robots[robot].clock.add(ClockSample::from_exchange(asked, there, there, self.now));
@@ -309,7 +306,7 @@ impl Bench {
         self.carry_out(noted.actions);
     }
 
-    /// What a robot that plays well knows of a script.
+    /// The true state of a script on a robot that plays correctly.
     fn truth(&self, script: ScriptRef, when: Timestamp<Server>) -> RequestState {
         let plan = &self.act.script(script).plan;
         let start = self.start() + plan.start.span();
@@ -343,7 +340,7 @@ impl Bench {
         self.carry_out(noted.actions);
     }
 
-    /// The scripts of a robot, of this act.
+    /// The scripts of a robot in this act.
     fn scripts_of(&self, robot: usize) -> Vec<ScriptRef> {
         let member = self.act.members().iter().position(|member| member.robot == robot).unwrap();
         let scripts = self.act.members()[member].scripts().len();
@@ -375,7 +372,7 @@ impl Bench {
         self.records(|record| matches!(record, Record::Decided { .. }))
     }
 
-    /// Promised, accepted by all and decided.
+    /// Continues until the act is promised, accepted by all and decided.
     fn decide(&mut self, leases: Leases) {
         self.promise(leases);
         self.run_until(self.now + ms(4));
@@ -408,7 +405,7 @@ fn robots(tells: &[Tells], queue: usize) -> Vec<RobotState> {
     tells.iter().enumerate().map(robot).collect()
 }
 
-/// The instants of an act that is sent now to robots on a fast link.
+/// The timing of an act that is sent now to robots on a fast link.
 fn timing(act: &Act, now: Timestamp<Server>, leases: Leases, late: Span) -> Timing {
     let (robots, scripts) = (act.members().len(), act.members().iter().map(|m| m.scripts().len()).sum());
     let early = ms(1);

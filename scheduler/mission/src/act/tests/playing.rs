@@ -12,7 +12,7 @@ fn chain(tells: Tells, queue: usize) -> Bench {
     Bench::of(&[tells], queue, bench::played(&scripts))
 }
 
-/// When each script was sent, from the start.
+/// The time at which each script was sent, relative to the start.
 fn sent_at(bench: &Bench) -> Vec<Span> {
     bench.sent_to(0).iter().map(|(at, _)| *at - bench.start()).collect()
 }
@@ -99,7 +99,7 @@ fn a_robot_that_only_answers_is_asked_when_a_script_should_have_ended() {
 #[test]
 fn a_robot_that_only_answers_is_asked_at_the_end_of_what_it_was_sent_whenever_the_act_began_to_play() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 30), ("a", 200, 10), ("a", 300, 10)], &[("a", 0, 2_000)]];
-    // The last robot may start while the first one, which is on time, owes the answer that its first script has ended.
+    // The last robot may start while the first one, which is on time, still owes the report that its first script has ended.
     for late in (30_000..70_000).step_by(100).map(Span::from_micros) {
         let bench = Bench::of(&[Tells::Answers, Tells::Everything], 1, bench::played(&scripts));
         let mut bench = Bench { late, ..bench };
@@ -136,7 +136,7 @@ fn a_script_that_begins_late_on_another_device_does_not_hold_up_refills_and_read
     assert_eq!(bench.reads.first().map(|(at, ..)| *at), Some(bench.start() + ms(50)));
 }
 
-/// The last robot may start 100 ms late; the first is on time, and by then has played most of what it has.
+/// The last robot may start 100 ms late. By then the first one, which is on time, has played most of its scripts.
 fn beside_a_late_one(tells: Tells) -> Bench {
     let scripts: [&[Planned]; 2] =
         [&[("a", 0, 30), ("a", 30, 30), ("a", 60, 30), ("a", 90, 30)], &[("a", 0, 400)]];
@@ -181,7 +181,7 @@ fn an_overdue_report_is_asked_for_and_then_its_robot_has_failed() {
     bench.run_to_the_end();
     let due = bench.start() + grace;
     assert!(bench.asked_of(1).any(|question| question.at >= due && question.at < due + ms(2)));
-    // As much later as it may be by its clock.
+    // Later by the possible lateness of its clock.
     assert!(
         matches!(bench.failed.as_slice(), [(when, 1, FailureKind::Silent { .. })]
             if *when >= due + grace && *when < due + grace + ms(1)),
@@ -412,12 +412,12 @@ fn a_robot_that_only_answers_is_asked_again_soon_until_its_script_has_ended() {
     assert!(asked.windows(2).all(|pair| pair[1] - pair[0] == ms(50)), "{asked:?}");
 }
 
-/// A robot that tells nothing was sent the third script of its device, and has not answered yet.
+/// A robot that reports nothing was sent the third script of its device, and has not answered yet.
 fn sent_a_third_script() -> (Bench, ScriptRef) {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 5_000)]];
     let mut bench = Bench::of(&[Tells::Nothing], 2, bench::played(&scripts));
     bench.play(Leases::Fixed);
-    // Nothing more is accepted but by the test.
+    // From here, scripts are accepted only by the test itself.
     bench.silent = vec![0];
     while bench.sent_to(0).len() < 3 {
         bench.run_until(bench.now + ms(1));

@@ -1,4 +1,4 @@
-//! What is promised before anything is sent, and the one decision.
+//! The promise before anything is sent, and the one decision.
 
 use super::super::preparing::HELD_UP;
 use super::*;
@@ -133,7 +133,7 @@ fn a_decision_that_comes_too_late_for_the_leases_to_run_out_is_none() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
-    // This machine was held up.
+    // This machine was delayed.
     bench.now = bench.timing().brink() - LEASE + ms(1);
     bench.say(bench.scripts_of(1)[0], Status::Accepted);
     bench.pump();
@@ -177,7 +177,7 @@ fn what_follows_the_first_script_of_a_device_is_sent_once_that_is_accepted() {
     assert_eq!(sent(&bench), [0, 2, 1]);
     bench.say(bench.scripts_of(0)[2], Status::Accepted);
     bench.pump();
-    assert!(bench.decisions().is_empty(), "it is waited for");
+    assert!(bench.decisions().is_empty(), "the mission waits for it");
     bench.say(bench.scripts_of(0)[1], Status::Accepted);
     bench.pump();
     assert_eq!(bench.decisions().len(), 1);
@@ -214,7 +214,7 @@ fn requests_are_named_after_the_time_at_which_they_are_sent() {
     assert_eq!(names, [format!("{micros}/0/0/0"), format!("{micros}/0/1/0")]);
 }
 
-/// A robot with so many scripts on device `a`, which holds two, and further ones that begin later.
+/// One robot with these scripts. Each device holds two.
 fn promised_to_one(scripts: &[Planned], leases: Leases) -> Bench {
     let tells = if leases == Leases::Shortened { Tells::Everything } else { Tells::Reports };
     let mut bench = Bench { silent: vec![0], ..Bench::new(&[tells], &[scripts]) };

@@ -13,7 +13,7 @@ fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
     (bench, promise)
 }
 
-/// The other process died, and this one takes over so long before the start. What the robots held they hold.
+/// The other process died, and this one takes over this long before the start. The robots still hold their scripts.
 pub(super) fn taken_up(reached: Reached, before_start: Span) -> Bench {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
     let (other, promise) = promised(&scripts);
@@ -38,7 +38,7 @@ fn an_act_of_which_another_script_was_promised_is_not_taken_up() {
     let (choreography, robots) = (Arc::clone(&other.act.choreography), robots(&[Tells::Everything; 2], 2));
     let changed = Act::take_up(choreography, &promise, Reached::Decision, &robots, promise.start).err();
     let changed = changed.unwrap().to_string();
-    assert!(changed.contains("device `a` was promised another script"), "{changed}");
+    assert!(changed.contains("device `a` of `r1` was sent a different script"), "{changed}");
 }
 
 #[test]
@@ -240,7 +240,7 @@ fn offsets_continue_from_those_in_the_journal_no_faster_than_clocks_drift() {
     }
 }
 
-/// An act of three robots with a second script after `later`, taken up after its start, and the clocks of its robots.
+/// An act of three robots with a second script after `later`, taken over after its start, and the clocks of its robots.
 fn clocks_after_take_up(later: i64, clocks: [ClockSample; 3]) -> Option<FailureKind> {
     let chain = [("a", 0, 400), ("a", later, 400)];
     let scripts: [&[Planned]; 3] = [&chain; 3];

@@ -1,8 +1,8 @@
-//! Clocks that stray, and leases that run out: what is known of them decides, and when each script begins.
+//! Clocks that stray, and leases that end: known clocks and the start of each script decide.
 
 use super::*;
 
-/// A robot that says nothing by itself has begun a script late in the act, and plays it under a lease of [`bench::RUNNING`].
+/// A robot that does not report by itself begins a script late in the act, and plays it under a lease of [`bench::RUNNING`].
 fn plays_from(begins: i64, lasts: i64) -> Bench {
     let mut bench =
         Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", begins, lasts)]]);
@@ -10,7 +10,7 @@ fn plays_from(begins: i64, lasts: i64) -> Bench {
     bench
 }
 
-/// The lease of the robot in [`plays_from`] would have ended so long after the start of the act.
+/// Whether the script is broken off if the lease of the robot in [`plays_from`] would have ended at `ends` after the start of the act.
 fn broke_off(bench: &Bench, ends: Span) -> bool {
     let over = by_robot(bench.start() + ends);
     let lost = bench.act.broke_off(1, (over - bench::RUNNING, over + ms(6)));
@@ -68,7 +68,7 @@ fn what_is_known_of_a_clock_counts_though_nothing_is_known_of_another() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::of_three(Policy::Abort);
         bench.decide(leases);
-        // As for a process that took over and has not heard of it yet.
+        // As in a process that took over and has not received anything from it yet.
         bench.robots[2] = bench::robot("r2", Tells::Everything, 2);
         let (now, there) = (bench.now, by_robot(bench.now) + ms(6));
         bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));

@@ -1,4 +1,4 @@
-//! What it waits for, and what counts as the operator's go.
+//! The conditions that an act waits for, and the cases in which the operator's go is accepted.
 
 use chrono::{FixedOffset, Offset, Utc};
 use downbeat_fleet::sensor_range::SensorRange;
@@ -15,7 +15,7 @@ fn waits_for(wait: Wait) -> Bench {
     Bench::of(&[Tells::Everything], 2, choreography.into())
 }
 
-/// The same, while an act before it still plays.
+/// The same, while an earlier act still plays.
 fn behind_another(wait: Wait) -> Bench {
     let bench = waits_for(wait);
     let act = Act::new(Arc::clone(&bench.act.choreography), 0, 1, &bench.robots, at(0), Some(at(500)));

@@ -11,7 +11,7 @@ cues:
   - {at: 0s, robots: [arm-0, arm-1], tracks: {shoulder: [{at: 0s, to: 45}, {at: 2s, to: 0}]}}
 ";
 
-/// An arm whose shoulder moves linearly and stands at 10 degrees.
+/// An arm whose shoulder moves linearly and starts at 10 degrees.
 fn linear(id: usize) -> InitializationBlock {
     let mut block = block(id);
     block.devices[0].interpolation = Interpolation::Linear;

@@ -1,4 +1,4 @@
-//! Links over real sockets: what a robot that misbehaves does to its own link, and to no other.
+//! Links over real sockets: a robot that misbehaves affects only its own link.
 
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt};
 use urrcp::{Command, ControlRequest, ControlType, Millis, Script, Setpoint, StatusValue, Step};
@@ -7,7 +7,7 @@ use super::*;
 use crate::link::{Endpoint, Link, LinkEncoding, Security};
 use downbeat_mission::drive::{Happened, LinkNumber, Urgency};
 
-/// The longest wait for what must come, however busy the machine is.
+/// Maximum wait for an expected event, even on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[tokio::test]
@@ -43,7 +43,7 @@ async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
 async fn behind_a_long_upload_that_the_robot_may_still_be_reading_a_stop_comes_by_a_connection_of_its_own() {
     for (messages, overtakes) in [(400, true), (100, false)] {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        // However long a slow machine takes to read it.
+        // A limit that even a slow reader does not reach.
         let long_upload = crate::link::LongUpload(Span::from_millis(3_600_000));
         let of_robot = crate::link::OfRobot { long_upload, ..Default::default() };
         let (link, _happened) = linked_as(of_robot, listener.local_addr().unwrap().port());
@@ -51,7 +51,7 @@ async fn behind_a_long_upload_that_the_robot_may_still_be_reading_a_stop_comes_b
             let cancel = Command::Script(Script::cancel());
             Message::ControlRequest(ControlRequest::immediate(device.parse().unwrap(), cancel))
         };
-        // All of them wait before the link stands, and are written as one.
+        // All of them are queued before the link is up, and are written as one.
         for _ in 0..messages {
             link.send(cancel(&"x".repeat(250)), Urgency::InOrder).unwrap();
         }
@@ -83,7 +83,7 @@ async fn next(happened: &mut mpsc::Receiver<Happened>) -> Event {
     }
 }
 
-/// What comes of a robot that writes these bytes, and of another that behaves.
+/// Returns the events of a robot that writes these bytes. Checks that a well-behaved robot is not affected.
 async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
     let clock = ServerClock::anchored(Span::ZERO);
     let (events, mut happened) = mpsc::channel(64);
@@ -99,11 +99,11 @@ async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
         };
         let link =
             Link::open((robot, LinkNumber(robot as u64)), endpoint, clock, events.clone(), Duration::ZERO);
-        // What it says may be as long as a description, which it is asked for.
+        // The answer may be as long as a description, because one is requested.
         let asked = Message::InitializationRequest(urrcp::InitializationRequest::default());
         link.send(asked, Urgency::InOrder).unwrap();
         links.push(link);
-        // Ends when the link is dropped, at the end of the test.
+        // Ends when the link is dropped at the end of the test.
         tokio::spawn(async move {
             let (mut stream, _) = listener.accept().await.unwrap();
             let mut asked = [0; 256];
@@ -134,10 +134,10 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
     let cases = [
         (block(&devices.join(",")), "32001 devices, expected 1 to 32000"),
         (block(""), "0 devices, expected 1 to 32000"),
-        (block(&format!("{},{}", device(1), device(1))), "`d1` stands twice"),
+        (block(&format!("{},{}", device(1), device(1))), "duplicate device id `d1`"),
         (block(&twice), "duplicate field `id`"),
         ("x".repeat(17 * 1024 * 1024), "a line longer than 16777216 bytes"),
-        (r#"{"control_response":"#.repeat(100_000), "not JSON"),
+        (r#"{"control_response":"#.repeat(100_000), "invalid JSON"),
         (format!(r#"{{"control_response":{}1}}"#, r#"{"status_value":["#.repeat(50_000)), ""),
         (
             r#"{"availability_response":{},"availability_response":{}}"#.to_owned(),
@@ -160,12 +160,12 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
     let cut = format!("\u{ff}\u{fe}{}", block(&device(1))).chars().map(|c| c as u8).collect::<Vec<_>>();
     let events = events_of([&cut[..], b"\n"].concat(), 2).await;
     assert!(
-        matches!(&events[1], Event::Garbled { reason, .. } if reason.contains("not UTF-8")),
+        matches!(&events[1], Event::Garbled { reason, .. } if reason.contains("invalid UTF-8")),
         "{events:?}"
     );
 }
 
-/// What comes of a robot that never stops writing these bytes: all that was told, and the last of it.
+/// Returns the number of events from a robot that never stops writing these bytes, and the last event.
 async fn flooded_by(bytes: &'static [u8]) -> (u64, Event) {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (link, mut happened) = linked(listener.local_addr().unwrap().port());
@@ -199,7 +199,7 @@ async fn a_link_is_closed_on_which_far_more_comes_than_was_asked_for() {
         let begin = ServerClock::anchored(Span::ZERO);
         let started = begin.now();
         let (count, down) = flooded_by(bytes).await;
-        // What a robot may say grows with time: a slow machine needs longer to read as much.
+        // The permitted amount grows with time: a slow machine needs longer to read it.
         let seconds = u64::try_from((begin.now() - started).as_nanos()).unwrap() / 1_000_000_000 + 1;
         let (more_messages, more_bytes) = (100 * seconds, 64 * 1024 * seconds);
         let Event::LinkDown { loss: Loss::Flooding { messages, bytes: came }, reason, .. } = down else {
@@ -208,7 +208,7 @@ async fn a_link_is_closed_on_which_far_more_comes_than_was_asked_for() {
         assert!(count <= most + more_messages, "{count} events of {:?}", &bytes[..3]);
         let told = format!("{messages} messages, {came} bytes in {seconds} s");
         assert!(messages <= 1_200 + more_messages && came < 6 * 1024 * 1024 + more_bytes, "{told}");
-        assert!(reason.contains("more than it was asked for"), "{reason}");
+        assert!(reason.contains("the robot sends far more than requested"), "{reason}");
     }
 }
 
@@ -228,17 +228,17 @@ async fn one_link_takes_no_more_of_the_queue_than_its_places() {
     while waiting.len() < 256 {
         waiting.push(tokio::time::timeout(PATIENCE, happened.recv()).await.unwrap().unwrap());
     }
-    // The test holds all of them, so no place becomes free.
+    // The test holds all places, so none becomes free.
     assert!(tokio::time::timeout(Duration::from_millis(300), happened.recv()).await.is_err());
     drop(waiting);
-    // The link is up, and 900 lines are garbled.
+    // One event for the link, 900 for garbled lines.
     for _ in 256..1 + 900 {
         tokio::time::timeout(PATIENCE, happened.recv()).await.unwrap().unwrap();
     }
     assert!(tokio::time::timeout(Duration::from_millis(300), happened.recv()).await.is_err());
 }
 
-/// A link to this port, and what happens on it.
+/// Returns a link to this port and its events.
 fn linked(port: u16) -> (Link, mpsc::Receiver<Happened>) {
     linked_as(crate::link::OfRobot::default(), port)
 }

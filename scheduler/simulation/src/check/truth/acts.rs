@@ -1,4 +1,4 @@
-//! What a report says of acts and scripts.
+//! The acts and scripts of a report.
 
 use downbeat_robot::set_log::LogEntry;
 use urrcp::Span;
@@ -8,7 +8,7 @@ use crate::Happened;
 use crate::check::facts::{SentAct, SentScript};
 use downbeat_mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, SkewBudget};
 
-/// A step that is set later than this after its deadline is counted as late.
+/// Delay after which a step is counted as late.
 const LATE: Span = Span::from_millis(1);
 
 impl Said<'_> {
@@ -19,7 +19,9 @@ impl Said<'_> {
             };
             match self.facts.acts.iter().rfind(same) {
                 Some(act) => self.act(act, said, wrong),
-                None => wrong.push(format!("act {} is reported, and was not promised so", said.number)),
+                None => {
+                    wrong.push(format!("act {} is reported, but was not promised like that", said.number))
+                }
             }
         }
         let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
@@ -30,7 +32,7 @@ impl Said<'_> {
         let reported = self.facts.acts.iter().filter(is_known);
         let missing = reported.map(|act| act.promise.number).filter(|number| !numbers.contains(number));
         if !self.is_withdrawn && self.report.acts_omitted == 0 {
-            wrong.extend(missing.map(|number| format!("act {number} was promised, and is not reported")));
+            wrong.extend(missing.map(|number| format!("act {number} was promised, but is not reported")));
         }
     }
 
@@ -39,35 +41,41 @@ impl Said<'_> {
         let promise = act.promise;
         if said.start != promise.start + act.ahead {
             wrong.push(format!(
-                "act {number} is said to start at {}, {} was promised",
+                "act {number} is reported to start at {}, but {} was promised",
                 said.start, promise.start
             ));
         }
         if (said.lead.total() - (promise.start - promise.timestamp)).abs() > GRAIN {
-            wrong.push(format!("act {number} is said to have a lead of {}", said.lead.total()));
+            wrong.push(format!("act {number} is reported with a lead of {}", said.lead.total()));
         }
         if !self.facts.was_resumed(act) {
-            // As the journal has it: it does not contain everything that is derived.
+            // In the form of the journal, which omits derived values.
             let json = |skew: Option<&SkewBudget>| serde_json::to_value(skew).ok();
             if json(said.skew.as_ref()) != json(act.skew) {
-                wrong.push(format!("act {number} is reported with another skew budget than was told"));
+                wrong.push(format!(
+                    "act {number} is reported with a different skew budget than was announced"
+                ));
             }
             if act.decided.is_some_and(|decided| decided.doubt != said.doubt) {
-                wrong.push(format!("act {number} is reported with {} of doubt, not as was told", said.doubt));
+                wrong
+                    .push(format!("act {number} is reported with {} of doubt, not as announced", said.doubt));
             }
         }
         self.window(act, said, wrong);
         let errors = || said.robots.iter().flat_map(firsts).filter_map(|script| script.start_error);
         let spread = errors().max().zip(errors().min()).map(|(most, least)| most - least);
         if spread != said.spread {
-            wrong.push(format!("act {number} has a spread of {:?}, its starts have {spread:?}", said.spread));
+            wrong.push(format!(
+                "act {number} is reported with a spread of {:?}, but its starts have {spread:?}",
+                said.spread
+            ));
         }
         for robot in &said.robots {
             self.robot(act, robot, wrong);
         }
     }
 
-    /// The robots of which a window is told have heard of the commitment within it.
+    /// Robots with an announced window have received the commitment within it.
     fn window(&self, act: &SentAct<'_>, said: &ActReport, wrong: &mut Vec<String>) {
         let number = said.number;
         let Some(window) = said.window else { return };
@@ -84,7 +92,7 @@ impl Said<'_> {
         });
         let Some(at) = told else {
             return wrong
-                .push(format!("act {number} is reported with a window of {window}, not as was told"));
+                .push(format!("act {number} is reported with a window of {window}, not as announced"));
         };
         for robot in act.robots() {
             let out = self.facts.dropped[robot].is_some_and(|dropped| dropped <= at);
@@ -92,7 +100,7 @@ impl Said<'_> {
             let heard =
                 heard.filter(|(_, what)| matches!(what, Happened::AtRobot(r, _) if *r == robot)).count();
             if heard == 0 && !out && self.facts.honest(robot) && !self.facts.clock_was_set(robot) {
-                wrong.push(format!("r{robot} heard nothing in the window of act {number}"));
+                wrong.push(format!("r{robot} received nothing in the window of act {number}"));
             }
         }
     }
@@ -103,13 +111,13 @@ impl Said<'_> {
         let ended = self.facts.ended(act);
         let at_the_end = self.facts.dropped[robot].is_some() && self.facts.dropped[robot] == ended;
         let dropped = self.facts.dropped[robot].filter(|at| ended.is_none_or(|ended| *at < ended));
-        // Nothing waits until the disk has the record that a robot was left out.
+        // Nothing waits until the record of a robot that was left out is on the disk.
         let loses_power = self.resumed_at.is_some() && self.facts.drawn().disk.loses_power;
         let is_kept = |at| self.facts.was_kept(at) && !loses_power;
         let is_lost = dropped.is_some_and(|at| !is_kept(at)) && !said.left_out;
         if !self.is_withdrawn && !at_the_end && !is_lost && said.left_out != dropped.is_some() {
             let was = if said.left_out { "was not" } else { "was" };
-            wrong.push(format!("r{robot} {was} left out of act {number}, and the report says otherwise"));
+            wrong.push(format!("r{robot} {was} left out of act {number}, but the report says otherwise"));
         }
         if !self.facts.honest(robot) {
             return;
@@ -123,12 +131,14 @@ impl Said<'_> {
                 Some(script) => self.script(act, script, device, wrong),
                 // It was left out before anything was promised to it.
                 None if said.left_out && device.state == DeviceState::Planned => {}
-                None => wrong.push(format!("r{robot} is reported with a script that act {number} has not")),
+                None => {
+                    wrong.push(format!("r{robot} is reported with a script that act {number} does not have"))
+                }
             }
         }
     }
 
-    /// One script, against what its robot logged of it.
+    /// Compares a script with its robot's log.
     fn script(
         &self,
         act: &SentAct<'_>,
@@ -142,30 +152,30 @@ impl Said<'_> {
         let (set, written) = (script.steps_set(), script.steps_written());
         let done = said.steps_done as usize;
         if said.steps_planned != written {
-            wrongly(format!("{} steps are said to be planned of {written}", said.steps_planned));
+            wrongly(format!("{} steps are reported as planned, but {written} are", said.steps_planned));
         }
         let over = matches!(said.state, DeviceState::Ended | DeviceState::Failed);
-        // By a clock that was set between two processes what a robot says of its script may seem impossible.
+        // If the clock was set between two processes, the robot's report about its script may seem impossible.
         let by_its_clock = act.ahead == self.facts.ran.server_ahead;
         let known = over && by_its_clock && !self.is_discredited(robot) && self.facts.counts_steps(robot);
         if done > set || (known && done != set) {
-            wrongly(format!("{done} steps are said to be done, {set} were set"));
+            wrongly(format!("{done} steps are reported as done, but {set} were set"));
         }
         if said.state == DeviceState::Ended && set != written {
-            wrongly(format!("said to have ended, {set} of {written} steps were set"));
+            wrongly(format!("reported as ended, but {set} of {written} steps were set"));
         }
         if said.state == DeviceState::Planned && script.began() {
-            wrongly("said not to be sent, and it moved".to_owned());
+            wrongly("reported as not sent, but it moved".to_owned());
         }
         if said.state == DeviceState::Started && !script.began() {
-            wrongly("said to have started, and it did not move".to_owned());
+            wrongly("reported as started, but it did not move".to_owned());
         }
         let late = script.steps().filter(|entry| entry.set_at - entry.due > LATE).count();
         let said_late = said.late_steps as usize;
         if said_late > late || (said.state == DeviceState::Ended && known && said_late != late) {
-            wrongly(format!("{said_late} late steps are said, {late} were late"));
+            wrongly(format!("{said_late} late steps are reported, but {late} were late"));
         }
-        // An answer without a name counts for the next script that it fits; where one is lost it is the wrong one.
+        // An answer without a name is assigned to the next matching script; if one is lost, that is the wrong script.
         let named = self.facts.counts_steps(robot);
         let lost = self.facts.offset_may_be_lost(act, script);
         if let Some(what) = wrong_start(act, script, said, lost).filter(|_| named) {
@@ -174,7 +184,7 @@ impl Said<'_> {
     }
 }
 
-/// The start is the one that the robot logged, by its own clock. If the script's offset may be lost, its error may be unknown.
+/// The reported start is the one that the robot logged, by its own clock. If the script's offset may be lost, its error may be unknown.
 fn wrong_start(
     act: &SentAct<'_>,
     script: &SentScript<'_>,
@@ -183,18 +193,20 @@ fn wrong_start(
 ) -> Option<String> {
     let started = said.started_at?;
     let Some(first) = script.log.first() else {
-        return Some(format!("said to have started at {started}, and it did not move"));
+        return Some(format!("reported as started at {started}, but it did not move"));
     };
     if (first.set_at - started).abs() > GRAIN {
-        return Some(format!("said to have started at {started}, it did at {}", first.set_at));
+        return Some(format!("reported as started at {started}, but it started at {}", first.set_at));
     }
     let error = error_by_its_clock(act, script, first);
-    // A record of the offset that is lost is known to the robot.
+    // If the record of the offset is lost, only the robot knows it.
     let by_robot = script.arrived_shift.filter(|_| lost).map(|shift| error + script.shift - shift);
     let is =
         |said: Span| (said - error).abs() <= GRAIN || by_robot.is_some_and(|it| (said - it).abs() <= GRAIN);
     let differs = said.start_error.map_or(!lost, |said| !is(said));
-    differs.then(|| format!("said to have started {:?} from its plan, it did {error}", said.start_error))
+    differs.then(|| {
+        format!("reported as started {:?} from its plan, but it started {error} from it", said.start_error)
+    })
 }
 
 /// Actual minus planned start, by the robot's own clock.
@@ -203,7 +215,7 @@ pub(super) fn error_by_its_clock(act: &SentAct<'_>, script: &SentScript<'_>, fir
     first.set_at - planned.assume_clock()
 }
 
-/// The first script of every device: those start together.
+/// The first script of every device: these start together.
 fn firsts(robot: &ActRobot) -> impl Iterator<Item = &DeviceReport> {
     let devices = robot.devices.iter().enumerate();
     let first = |(index, script): &(usize, &DeviceReport)| {

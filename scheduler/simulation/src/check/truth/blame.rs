@@ -1,4 +1,4 @@
-//! Who is said to have failed, and why: no robot is blamed for what it and its link had no part in.
+//! The reported failures and their reasons: no robot is blamed for a fault outside of itself and its link.
 
 use downbeat_plan::{RefillKind, refills_of_robots};
 use downbeat_robot::set_log::{LogEntry, MotionKind};
@@ -28,13 +28,13 @@ impl Said<'_> {
         for row in self.report.robots.iter().filter(|row| row.standing == Standing::Out) {
             let failed = self.report.failures.iter().any(|failure| failure.robot == row.robot);
             if !failed {
-                wrong.push(format!("{} is out, and the report does not say why", row.robot));
+                wrong.push(format!("{} is out, but the report does not contain the reason", row.robot));
             }
         }
     }
 
-    /// If a robot is honest, met no fault, and has a link that loses and delays nothing, only its clock and the time to send
-    /// may be wrong: as measured, or, where its link was faster at first than it can be, as a script that comes late.
+    /// If a robot is honest and without faults, and its link loses and delays nothing, then only its clock and the time to send may be
+    /// wrong. The latter is found by measurement or, if its link was faster at first than it can be, by a script that arrives late.
     fn no_innocent(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let steady = drawn.network == Network::Stream && drawn.tail == 0.0;
@@ -57,14 +57,14 @@ impl Said<'_> {
             }
             let hit = self.facts.hits.iter().any(|hit| hit.is_of(robot));
             if self.facts.honest(robot) && !hit {
-                wrong.push(format!("r{robot} is blamed, and nothing was wrong with it: {}", failure.kind));
+                wrong.push(format!("r{robot} is blamed, but nothing was wrong with it: {}", failure.kind));
             }
         }
     }
 
     /// In a mission that was resumed: whether an earlier process had stopped the robot, or never sent the script that the robot lacks.
-    /// The journal may not tell this. If the clock of the scheduler was set between two processes, a script may seem older than a stop
-    /// before it, and a report too early. Silence is not compared yet: a robot that takes no inquiries may be blamed without a question.
+    /// The journal may lack this. If the clock of the scheduler was set between two processes, a script may seem older than a stop before
+    /// it, and a report too early. Silence is not compared yet: a robot that accepts no inquiries may be blamed without an inquiry.
     fn followed_another_process(&self, robot: usize, kind: &FailureKind) -> bool {
         let Some(resumed) = self.resumed_at else { return false };
         let mut faults = self.facts.drawn().faults.iter();
@@ -112,8 +112,8 @@ impl Said<'_> {
         (reading - expected).abs() > JUMP && was_there && !self.facts.stopping.is_empty()
     }
 
-    /// A script came late for which its device has room for a shorter time than an exchange may take on this link: the few of the
-    /// greeting did not show that.
+    /// Whether a script arrived late because its device has room for a shorter time than an exchange may take on this link. The few
+    /// exchanges of the greeting did not show that.
     fn had_no_time(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Script { device, error } = kind else { return false };
         let drawn = &self.facts.drawn().robots[robot];
@@ -133,7 +133,7 @@ impl Said<'_> {
 }
 
 /// Whether the robot itself reports that the scheduler was silent for too long, or too late. If the scheduler ended or stalled, that is
-/// true. A robot must not fail for any other reason then.
+/// true, and the only permitted failure.
 fn blames_scheduler(kind: &FailureKind) -> bool {
     match kind {
         FailureKind::Script { error, .. } => matches!(error.code, ErrorCode::LinkLost | ErrorCode::Late),

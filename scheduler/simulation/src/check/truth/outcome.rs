@@ -1,4 +1,4 @@
-//! How a mission is said to have ended, and what is said to have become of its acts.
+//! The reported outcome of a mission and the reported fates of its acts.
 
 use urrcp::{RobotId, Server, Span, Timestamp};
 
@@ -10,7 +10,7 @@ use crate::check::situation::off_its_plan;
 use downbeat_mission::report::RobotReport;
 use downbeat_mission::{ActFate, Outcome, Progress, Record, Standing};
 
-/// What the mission may not know of a clock that it measures, apart from the round trip: at the bound of its drift, for a minute.
+/// Maximum error of a measured clock, apart from the round trip: at the maximum drift, for a minute.
 const CLOCK_ERROR: Span = Span::from_millis(6);
 
 impl Said<'_> {
@@ -26,8 +26,8 @@ impl Said<'_> {
         self.course(wrong);
     }
 
-    /// Every step of every script of every act was set once, and on time: the start within the tolerance, by the robot's own
-    /// clock, and later steps on time or counted as late. That nothing is set twice is an invariant of its own.
+    /// Every step of every script of every act was set once, and on time: the start within the tolerance, by the robot's own clock, and
+    /// later steps on time or counted as late. That nothing is set twice is a separate invariant.
     fn all_done(&self, wrong: &mut Vec<String>) {
         for act in self.facts.acts.iter().filter(|act| act.counts()) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
@@ -44,8 +44,8 @@ impl Said<'_> {
         }
     }
 
-    /// No robot whose clock is measured was further from its plan at the end of an act than the tolerance and what the mission cannot
-    /// know of that clock.
+    /// No robot with a measured clock deviated from its plan at the end of an act by more than the tolerance and the uncertainty of that
+    /// clock.
     fn none_drifted(&self, wrong: &mut Vec<String>) {
         // In an act that was resumed, the mission compares robots only with each other.
         for act in self.facts.acts.iter().filter(|act| act.counts() && !self.facts.was_resumed(act)) {
@@ -92,11 +92,11 @@ impl Said<'_> {
             }
         }
         if self.facts.dropped.iter().all(Option::is_none) && self.report.failures.is_empty() {
-            wrong.push("done without robots that failed, and none was left out".to_owned());
+            wrong.push("done without robots that failed, but none was left out".to_owned());
         }
     }
 
-    /// Unless it says itself that what a robot did is not known.
+    /// Checks that no robot moved, unless the report itself states that its actions are unknown.
     fn nothing_moved(&self, wrong: &mut Vec<String>) {
         for row in &self.report.robots {
             let Some(robot) = self.facts.index_of(&row.robot).filter(|robot| self.facts.honest(*robot))
@@ -105,29 +105,29 @@ impl Said<'_> {
             };
             let sure = !row.stop.is_unconfirmed() && row.unaccounted == 0;
             let moved = self.facts.ran.logs[robot].iter().any(|entry| entry.request_id.is_some());
-            // A process that only withdraws the mission cannot know that such a robot started a script that was not decided.
+            // A process that only withdraws the mission cannot know that such a robot started an undecided script.
             let is_known = !self.is_withdrawn || self.facts.drawn().robots[robot].block.pending_until;
             if moved && sure && is_known {
-                wrong.push(format!("not started, it says, and {} moved and is accounted for", row.robot));
+                wrong.push(format!("reported as not started, but {} moved and is accounted for", row.robot));
             }
         }
     }
 
-    /// A mission that failed says why: by a failure of a robot, by an act that waited for too long, or in words.
+    /// A mission that failed states the reason: a failure of a robot, an act that waited for too long, or a text.
     fn has_a_reason(&self, wrong: &mut Vec<String>) {
         let waited = self.report.course.iter().any(|act| matches!(act.fate, ActFate::TimedOut { .. }));
         if self.report.failures.is_empty() && self.report.because.is_none() && !waited {
-            wrong.push("failed, and no reason is given".to_owned());
+            wrong.push("failed, but no reason is given".to_owned());
         }
     }
 
-    /// No act begins beyond the bound, even after another process has taken up the mission.
+    /// No act begins beyond the bound, even after another process has resumed the mission.
     fn bound(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let written = |act: &&SentAct<'_>| act.counts() && act.promise.act < drawn.choreography.acts.len();
         let begun = self.facts.acts.iter().filter(written).count();
         if let Some(most) = drawn.acts_max.filter(|most| begun > *most as usize) {
-            wrong.push(format!("{begun} acts began, and no more than {most} may"));
+            wrong.push(format!("{begun} acts began, but at most {most} may"));
         }
     }
 
@@ -138,7 +138,7 @@ impl Said<'_> {
             // The mission ended before it had sent the next attempt.
             let before_attempt = self.facts.acts.iter().rfind(|act| act.promise.act == index);
             let before_attempt = before_attempt.is_some_and(|act| act.repeated);
-            // If an act was played several times, the last time counts.
+            // If an act was played several times, the last time is relevant.
             let last = sent.last();
             let began = last.into_iter().flat_map(|act| &act.scripts).any(|script| {
                 self.facts.honest(script.robot) && !self.facts.clock_was_set(script.robot) && script.began()
@@ -151,14 +151,14 @@ impl Said<'_> {
                 _ => None,
             });
             let ended = self.acts_ended(&course.act);
-            // A process that takes the mission up does not know what was prepared, and neither written down nor sent.
+            // A process that resumes the mission does not know of an act that was prepared, but neither recorded nor sent.
             let arrived = sent.iter().filter(|act| self.has_arrived(act)).count();
-            // What a process that died knew of robots that were left out may be lost with it: then what they did counts.
+            // The records of robots that were left out may be lost with a process that died; in that case, their actions are relevant.
             let was_played = |act: &SentAct<'_>| {
                 self.has_one_left(act)
                     || self.has_lost_drops(act) && act.robots().iter().any(|robot| act.is_whole_on(*robot))
             };
-            // A process that died may have sent it, and its promise may have been lost with it.
+            // A process that died may have sent it, and its promise may have been lost with that process.
             let is_lost = last.is_some_and(|act| !self.facts.was_kept(act.at));
             let truth = match &course.fate {
                 ActFate::NotReached => sent.is_empty() || is_lost && !began,
@@ -194,8 +194,8 @@ impl Said<'_> {
         })
     }
 
-    /// All robots that an act is written for had been left out when it was skipped, or were not there yet: from the beginning, or
-    /// for a fault of their own.
+    /// Whether all robots of an act had been left out when it was skipped, or were absent: from the beginning, or because of their own
+    /// faults.
     fn nobody_left(&self, act: usize, skipped: Timestamp<Server>) -> bool {
         let came_later = |robot: usize| {
             let name = self.facts.name(robot);
@@ -216,7 +216,7 @@ impl Said<'_> {
         !self.facts.drawn().choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
     }
 
-    /// Not all robots of an act had been left out when it ended: at one instant the order of the records tells.
+    /// Whether some robot of an act had not been left out when it ended; within one instant, the order of the records decides.
     fn has_one_left(&self, act: &SentAct<'_>) -> bool {
         let records = &self.facts.ran.records;
         let ended = records.iter().position(|(_, record)| match record {
@@ -236,7 +236,7 @@ impl Said<'_> {
         act.robots().iter().any(left)
     }
 
-    /// Whether a process that took up the mission may not have known that a robot of an act had been left out.
+    /// Whether a process that resumed the mission may not have known that a robot of an act had been left out.
     fn has_lost_drops(&self, act: &SentAct<'_>) -> bool {
         let dropped = act.robots().into_iter().filter_map(|robot| self.facts.dropped[robot]);
         dropped.into_iter().any(|at| !self.facts.was_kept(at))
@@ -249,7 +249,7 @@ impl Said<'_> {
         self.facts.acts.iter().rfind(|act| act.promise.act == index && states(act))
     }
 
-    /// When it ended, one of its robots had not said what became of all that it was sent.
+    /// Whether one of its robots had not accounted for all its scripts when it ended.
     fn has_one_unknown(&self, act: &SentAct<'_>) -> bool {
         self.facts.ran.records.iter().any(|(_, record)| match record {
             Record::ActEnded { report, flaws, .. } => {
@@ -259,7 +259,7 @@ impl Said<'_> {
         })
     }
 
-    /// A script of an act has reached a robot.
+    /// Whether a script of an act has reached a robot.
     fn has_arrived(&self, act: &SentAct<'_>) -> bool {
         self.facts.ran.history.iter().any(|(_, happened)| match happened {
             Happened::AtRobot(_, urrcp::Message::ControlRequest(request)) => act
@@ -270,7 +270,7 @@ impl Said<'_> {
         })
     }
 
-    /// How often an act is told to have ended.
+    /// How often the end of an act was reported.
     fn acts_ended(&self, name: &str) -> usize {
         let ended = self.facts.ran.history.iter().filter(|(_, happened)| match happened {
             Happened::Told(progress) => {

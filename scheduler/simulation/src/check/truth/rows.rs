@@ -1,4 +1,4 @@
-//! What a report says of each robot over all acts, and of its stop.
+//! The report's row for each robot over all acts, and the result of its stop.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Timestamp};
@@ -24,7 +24,7 @@ impl Said<'_> {
         self.totals(wrong);
     }
 
-    /// A row sums up what the acts say of the robot.
+    /// A row is the sum of the robot's data in the acts.
     fn sums(&self, row: &RobotReport, wrong: &mut Vec<String>) {
         if self.report.acts_omitted > 0 {
             return;
@@ -47,20 +47,20 @@ impl Said<'_> {
             ("scripts unaccounted for", row.unaccounted as u64, unaccounted as u64),
         ];
         for (what, said, truth) in said.into_iter().filter(|(_, said, truth)| said != truth) {
-            wrong.push(format!("{} has {said} {what} in all, its acts have {truth}", row.robot));
+            wrong.push(format!("{} reports {said} {what} in total, but its acts have {truth}", row.robot));
         }
         if row.started == row.scripts && row.accepted != (row.scripts > 0) {
             wrong.push(format!("{} started {} scripts, accepted: {}", row.robot, row.started, row.accepted));
         }
         if row.start_error.map(urrcp::Span::abs) != error {
             wrong.push(format!(
-                "{} started {:?} off at most, its acts say {error:?}",
+                "{} started at most {:?} off, but its acts report {error:?}",
                 row.robot, row.start_error
             ));
         }
     }
 
-    /// A robot that is told to be back was asked what it had missed, unless it was not there at first.
+    /// A robot that is reported as back received an inquiry about the meantime, unless it was absent at first.
     fn links(&self, row: &RobotReport, wrong: &mut Vec<String>) {
         let back = |(_, happened): &&(Timestamp<Server>, Happened)| match happened {
             Happened::Told(progress) => {
@@ -73,11 +73,14 @@ impl Said<'_> {
         let told = since.filter(back).count();
         let joins = self.facts.drawn().join == Join::NextAct;
         if !joins && told > row.reconnects as usize {
-            wrong.push(format!("{} was back {told} times, its report says {}", row.robot, row.reconnects));
+            wrong.push(format!(
+                "{} reconnected {told} times, but its report contains {}",
+                row.robot, row.reconnects
+            ));
         }
     }
 
-    /// No robot is believed to have done more than there is to do, and no number is certain of what did not happen.
+    /// No robot is credited with more steps than possible, and no number includes events that did not happen.
     fn claims(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
         let drawn = &self.facts.drawn().robots[robot];
         let lies = drawn.lie == Some(Lie::TooManySteps) && drawn.block.reports;
@@ -91,20 +94,20 @@ impl Said<'_> {
         let truth = self.facts.acts.iter().flat_map(|act| act.of(robot)).filter(began).count();
         if row.started > truth {
             wrong.push(format!(
-                "{} is said to have started {} scripts, and did {truth}",
+                "{} is reported to have started {} scripts, but started {truth}",
                 row.robot, row.started
             ));
         }
         let sure = !row.stop.is_unconfirmed() && row.unaccounted == 0;
         if sure && !self.is_withdrawn && !self.is_discredited(robot) && row.started != truth {
             wrong.push(format!(
-                "{} started {truth} scripts, and the report is sure of {}",
+                "{} started {truth} scripts, but the report is certain of {}",
                 row.robot, row.started
             ));
         }
     }
 
-    /// What is said of a stop holds for what the robot does afterwards.
+    /// The reported stop is consistent with the robot's subsequent behaviour.
     fn stop(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
         let ended = self.ended();
         let (rests_from, what) = match row.stop {
@@ -113,21 +116,21 @@ impl Said<'_> {
                     |(_, record)| matches!(record, Record::StopConfirmed { robot } if *robot == row.robot),
                 );
                 if !confirmed {
-                    wrong.push(format!("{} has confirmed its stop, it says, and never did", row.robot));
+                    wrong
+                        .push(format!("{} is reported to have confirmed its stop, but never did", row.robot));
                 }
-                (ended, "the stop that it is said to have confirmed")
+                (ended, "the stop that it is reported to have confirmed")
             }
             StopState::TakenOver => {
-                (ended, "another mission had it, and it is said to hold nothing of this one")
+                (ended, "another mission had it, and it is reported to hold nothing of this one")
             }
-            // A process that stood still, or whose clock was set back, continues with a script of which the report says that
-            // nothing is known.
+            // A process that stalled, or whose clock was set back, continues with a script that the report lists as unknown.
             StopState::NotSent if row.unaccounted > 0 => {
                 let later = self.stood_still(robot) + self.set_back(robot) + DRIFT;
-                let what = "the end, and all that its process stood still or its clock was set back";
+                let what = "the end, and the time for which its process stalled or its clock was set back";
                 (ended.map(|ended| ended + later), what)
             }
-            StopState::NotSent => (ended, "the end, and no stop is said to be needed"),
+            StopState::NotSent => (ended, "the end, and no stop is reported to be needed"),
             StopState::Unconfirmed { lease_ends } => {
                 let grace = DRIFT + self.slowest(robot);
                 let ends = lease_ends.filter(|_| !self.facts.clock_was_set(robot));
@@ -145,36 +148,36 @@ impl Said<'_> {
         }
     }
 
-    /// The longest that a message to this robot was under way, or that it stood still: a lease counts from what it heard.
+    /// The longest travel time of a message to this robot, or stall of its process: a lease is measured from the received message.
     pub(super) fn slowest(&self, robot: usize) -> urrcp::Span {
         let slow = |cause| matches!(cause, Cause::Slow | Cause::RobotPause | Cause::Partition);
         let hits = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && slow(hit.cause));
         hits.map(|hit| hit.until - hit.from).max().unwrap_or_default() + self.facts.drawn().delay.1
     }
 
-    /// The longest that its process stood still.
+    /// The longest stall of its process.
     fn stood_still(&self, robot: usize) -> urrcp::Span {
         let stood = |hit: &&Hit| hit.is_of(robot) && hit.cause == Cause::RobotPause;
         let hits = self.facts.hits.iter().filter(stood);
         hits.map(|hit| hit.until - hit.from).max().unwrap_or_default()
     }
 
-    /// By how much its clock was set back in all.
+    /// The total amount by which its clock was set back.
     fn set_back(&self, robot: usize) -> urrcp::Span {
         let set = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::ClockSet);
         set.map(|hit| urrcp::Span::ZERO - hit.by.min(urrcp::Span::ZERO))
             .fold(urrcp::Span::ZERO, |sum, by| sum + by)
     }
 
-    /// What the report says of the whole is what its acts say.
+    /// The totals of the report are consistent with its acts.
     fn totals(&self, wrong: &mut Vec<String>) {
         let report = self.report;
         let first = report.acts.first();
         if report.start != first.map(|act| act.start) || report.lead != first.map(|act| act.lead) {
-            wrong.push("start and lead of the report are not those of its first act".to_owned());
+            wrong.push("start and lead of the report differ from those of its first act".to_owned());
         }
         if report.spread != report.acts.iter().filter_map(|act| act.spread).max() {
-            wrong.push(format!("the largest spread is said to be {:?}", report.spread));
+            wrong.push(format!("the largest spread is reported as {:?}", report.spread));
         }
         let told = |from: Option<Timestamp<Server>>| {
             let told = self.facts.ran.history.iter().filter(|(at, happened)| match happened {
@@ -190,7 +193,7 @@ impl Said<'_> {
         // The disk of a process that ended may have lost its last failures.
         let (least, most) = (told(self.resumed_at), told(None));
         if !(least..=most).contains(&failures) {
-            wrong.push(format!("{failures} failures are reported, not {least} to {most} as before"));
+            wrong.push(format!("{failures} failures are reported, but {least} to {most} are expected"));
         }
     }
 }

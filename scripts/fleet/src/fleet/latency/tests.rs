@@ -9,7 +9,7 @@ const INIT: &str = r#"{"id": "arm", "api_version": "1", "devices": [
   {"id": "wrist", "available_control_types": {"position": {"min_value": 0, "max_value": 90, "granularity": 1}}},
   {"id": "angle", "available_control_types": {"sensor": {"min_value": 0, "max_value": 90}}}]}"#;
 
-/// The fleet of one arm with these keys, and this latency file if there is one.
+/// A fleet of one arm with these keys, and with this latency file if there is one.
 fn fleet(keys: &str, file: Option<&str>) -> (Option<Fleet>, Vec<Finding>) {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
@@ -20,7 +20,7 @@ fn fleet(keys: &str, file: Option<&str>) -> (Option<Fleet>, Vec<Finding>) {
     read_fleet(&folder.path().join("fleet.yaml"))
 }
 
-/// Of each device: its latency and spread in milliseconds, and where that is from.
+/// The latency and spread of each device in milliseconds, and their source.
 #[track_caller]
 fn latencies(keys: &str, file: Option<&str>) -> Vec<(String, f64, f64, LatencySource)> {
     let (fleet, findings) = fleet(keys, file);
@@ -67,17 +67,21 @@ fn check_refused(keys: &str, file: Option<&str>, (place, message): ((&str, usize
 #[test]
 fn a_latency_that_cannot_be_is_refused_where_it_is_written() {
     let negative = "latency:\n  arm:\n    elbow: {median: -3ms}\n";
-    check_refused("", Some(negative), (("latency.yaml", 3, 21), "`-3ms` cannot be read"));
+    check_refused("", Some(negative), (("latency.yaml", 3, 21), "invalid time `-3ms`"));
     let long = "latency:\n  arm:\n    elbow: {median: 3ms, spread: 11s}\n";
-    check_refused("", Some(long), (("latency.yaml", 3, 34), "11 s is too long"));
+    check_refused("", Some(long), (("latency.yaml", 3, 34), "a latency of 11 s is out of range"));
     check_refused(
         "",
         Some("latency:\n  arm:\n    elbow: {spread: 3ms}\n"),
         (("latency.yaml", 3, 12), "no `median`"),
     );
     check_refused("", Some("latency: [1"), (("latency.yaml", 1, 12), ""));
-    check_refused(", latency: 11s", None, (("fleet.yaml", 2, 48), "11 s is too long"));
-    check_refused(", latency: {angle: 1ms}", None, (("fleet.yaml", 2, 49), "`angle` takes no commands"));
+    check_refused(", latency: 11s", None, (("fleet.yaml", 2, 48), "a latency of 11 s is out of range"));
+    check_refused(
+        ", latency: {angle: 1ms}",
+        None,
+        (("fleet.yaml", 2, 49), "`angle` does not accept commands"),
+    );
     check_refused(", latency: {elbwo: 1ms}", None, (("fleet.yaml", 2, 49), "no device `elbwo`"));
 }
 

@@ -1,15 +1,15 @@
-//! Against all ways to hold a value, on movements small enough to try them all.
+//! Compares with all ways to hold a value, on movements small enough for an exhaustive search.
 
 use proptest::prelude::*;
 
 use super::*;
 
-/// Its ends are no values of the grid, which are -3 to 3.
+/// The ends are off the grid, whose values are -3 to 3.
 const GRID: Grid = Grid { min: -3.4, max: 3.3, granularity: 1.0 };
 const CLOSE: f64 = 1e-9;
 const MS: i64 = 1_000_000;
 
-/// A parabola over some milliseconds: its coefficients by milliseconds. If only the first one is there, a level.
+/// A parabola over some milliseconds, with coefficients per millisecond. It is constant if only the first coefficient is nonzero.
 #[derive(Clone, Debug)]
 struct Part {
     begin: i64,
@@ -30,7 +30,7 @@ impl Part {
         self.at(self.length as f64)
     }
 
-    /// Where it has a value, in order.
+    /// The times at which it has a value, in order.
     fn meets(&self, value: f64) -> Vec<f64> {
         let [a, b, c] = [self.c[0] - value, self.c[1], self.c[2]];
         let roots = if c == 0.0 {
@@ -42,7 +42,7 @@ impl Part {
         roots.into_iter().filter(|ms| *ms > 0.0 && *ms < self.length as f64).collect()
     }
 
-    /// Times between which each value serves all the time or not at all.
+    /// Times between which each value is either always or never within the tolerance.
     fn cuts(&self, tolerance: f64) -> Vec<f64> {
         let borders = (-3..=3).flat_map(|value| [-tolerance, tolerance].map(|off| f64::from(value) + off));
         let mut cuts: Vec<f64> = borders.flat_map(|border| self.meets(border)).collect();
@@ -56,7 +56,7 @@ impl Part {
 struct Case {
     parts: Vec<Part>,
     ends: Ends,
-    /// How much larger than the rates their bounds are.
+    /// Factor between the true rates and the given bounds.
     loose: f64,
 }
 
@@ -89,7 +89,7 @@ impl Case {
         movement.fewest(Some(&GRID), self.ends, self.written(), most)
     }
 
-    /// The fewest steps, by trying every value at every time between which it matters.
+    /// The fewest steps, by trying all values in all intervals of constant validity.
     fn by_trying(&self, tolerance: f64) -> Option<usize> {
         let last_is_near =
             self.ends.last.is_none_or(|last| (last - self.written()).abs() <= tolerance + CLOSE);
@@ -121,7 +121,7 @@ impl Case {
         fewest.iter().zip(&values).filter_map(ends).min()
     }
 
-    /// The largest error of steps, by looking at many times, and how much the movement changes in a nanosecond.
+    /// The largest error of steps, at many times, and the largest change of the movement per nanosecond.
     fn played(&self, steps: &[(f64, f64)]) -> (f64, f64) {
         let mut worst: f64 = 0.0;
         let mut steep: f64 = 0.0;
@@ -139,7 +139,7 @@ impl Case {
     }
 }
 
-/// Eighths, so that what touches a tolerance touches it exactly.
+/// Multiples of 1/8, so that values can meet a tolerance exactly.
 fn eighths(range: std::ops::Range<i32>) -> impl Strategy<Value = f64> {
     range.prop_map(|eighths| f64::from(eighths) / 8.0)
 }
@@ -186,7 +186,7 @@ proptest! {
                 let last = fit.steps[fewest - 1].1;
                 prop_assert_eq!(case.ends.last.unwrap_or(last), last);
                 prop_assert!(fit.steps.windows(2).all(|pair| pair[0].0 < pair[1].0 && pair[0].1 != pair[1].1));
-                // The allowance: a nanosecond, and a millionth of the tolerance.
+                // Allowance: one nanosecond, and a millionth of the tolerance.
                 let (worst, steep) = case.played(&fit.steps);
                 prop_assert!(fit.worst <= tolerance + CLOSE, "{}", fit.worst);
                 prop_assert!(worst <= fit.worst + steep + 1e-6 * tolerance + CLOSE, "{} {:?}", worst, fit);
@@ -206,7 +206,7 @@ proptest! {
     fn of_too_many_steps_more_than_that_are_found(case in cases(), tolerance in tolerances(), most in 0usize..6) {
         if let Ok(all) = case.fewest(tolerance) {
             let some = case.fewest_of(tolerance, most).unwrap();
-            // One that is set for less than a nanosecond may count here.
+            // A step shorter than a nanosecond may be counted here.
             prop_assert!(some.steps.len() == all.steps.len() || some.steps.len() > most && all.steps.len() >= most);
         }
     }

@@ -11,8 +11,8 @@ use crate::fit::{Ends, Fit, Grid, Movement, Rates};
 use crate::motion::{Between, Easing, Knot, Shape};
 
 impl Actuator<'_> {
-    /// The fewest steps of a device that holds, for the ways to the knots of `run`. A curve begins with its own value; the first
-    /// level of a movement made of steps may be set to another one. At the end the device has the value that is written there.
+    /// Adds the fewest steps of a device that holds, for the courses to the knots of `run`. A curve starts with its own value, but the
+    /// first level of a movement that consists of steps may be changed. At the end, the device has the written value.
     pub(super) fn hold(&self, track: &Tracked<'_>, run: Range<usize>, fitted: &mut Fitted, fits: &mut Fits) {
         let (played, tolerance) = (track.played, track.tolerance);
         let knots = &played.curve.knots;
@@ -43,7 +43,7 @@ impl Actuator<'_> {
         }
     }
 
-    /// Its times are counted from the beginning of the run.
+    /// Times are relative to the beginning of the run.
     fn held(&self, track: &Tracked<'_>, run: Range<usize>, ends: Ends, most: usize) -> Result<Fit, f64> {
         let curve = track.played.curve;
         let knots = &curve.knots;
@@ -70,8 +70,8 @@ impl Actuator<'_> {
 }
 
 impl Fitted {
-    /// Adds the steps of a device that holds. A first step that sets the same value again is left out, and a last step at the same
-    /// instant is replaced.
+    /// Adds the steps of a device that holds. A first step that repeats the current value is omitted, and a last step at the same instant
+    /// is replaced.
     fn hold(&mut self, begin: Span, fit: &Fit, scale: Option<f64>) {
         let tidied = |value: f64| scale.map_or(value, |scale| tidy(value, scale));
         let first = fit.steps.first().map(|first| tidied(first.1));
@@ -88,7 +88,7 @@ impl Fitted {
         self.off_by(fit.worst, at(fit.worst_at));
     }
 
-    /// Drops last steps that set the same value again.
+    /// Drops last steps that repeat the current value.
     pub(super) fn drop_idle(&mut self) {
         while let [.., before, last] = self.steps[..]
             && before.to == last.to
@@ -99,7 +99,7 @@ impl Fitted {
     }
 }
 
-/// The value that a device which holds is to keep on the way to a knot; `None` on a curve.
+/// The value that a device that holds must keep on the way to a knot; `None` on a curve.
 pub(super) fn level(knots: &[Knot], index: usize) -> Option<f64> {
     match knots[index].shape {
         Shape::Own | Shape::Eased(Easing::Step) | Shape::Sampled(Between::Own | Between::Step) => {

@@ -38,7 +38,7 @@ fn nanos(text: &str) -> i64 {
     found.unwrap_or_else(|| panic!("{text}: {:?}", reader.found)).as_nanos()
 }
 
-/// What is said of a wrong number, and of which characters.
+/// The characters, the message and the hint of the finding for a wrong number.
 #[track_caller]
 fn fault(text: &str) -> (String, String, Option<String>) {
     let (mut reader, node) = (reader(), Node::Text(text.to_owned()));
@@ -127,25 +127,25 @@ fn times_are_exact_and_keep_their_beats() {
 #[test]
 fn what_is_wrong_is_found_at_its_characters() {
     for (text, at, message) in [
-        ("1 + $b", "$b", "no variable `b` is known here"),
+        ("1 + $b", "$b", "unknown variable `b`"),
         ("1 + sine(3)", "sine", "unknown name `sine`"),
-        ("2 * (3 + 4", "(", "a bracket that is not closed"),
-        ("2 * 3)", ")", "`)` after a complete value"),
-        ("$a + ", "+", "the expression ends where a value belongs"),
-        ("$a * 1,5", ",", "`,` after a complete value"),
+        ("2 * (3 + 4", "(", "missing closing bracket"),
+        ("2 * 3)", ")", "unexpected `)` after a value"),
+        ("$a + ", "+", "unexpected end of the expression"),
+        ("$a * 1,5", ",", "unexpected `,` after a value"),
         ("$a + 5s", "+", "a plain number and a time cannot be added"),
-        ("$a / ($a - 3)", "/", "a division by zero"),
+        ("$a / ($a - 3)", "/", "division by zero"),
         ("sqrt(-1)", "sqrt", "`sqrt` of -1"),
-        ("$a < 3 ? 1 : 2", "?", "`?` after a complete value"),
-        ("2 * 3deg", "3deg", "`3deg` cannot be read"),
+        ("$a < 3 ? 1 : 2", "?", "unexpected `?` after a value"),
+        ("2 * 3deg", "3deg", "invalid value `3deg`"),
         ("1 < $a < 3", "<", "two comparisons in a row"),
         ("$a + $word", "$word", "`$word` is the text `hello`"),
-        ("2 * $pace", "2 * $pace", "the expression gives a time"),
-        ("1 + t", "t", "`t` has no value here"),
+        ("2 * $pace", "2 * $pace", "the result of the expression is a time"),
+        ("1 + t", "t", "`t` is not defined here"),
         ("sin(1, 2)", "sin", "`sin` with 2"),
         ("$a == 1s", "==", "a plain number and a time cannot be compared"),
         ("sin(90 + pi)", "+", "a plain number and an angle cannot be added"),
-        ("tan(90)", "tan", "`tan` has no value here"),
+        ("tan(90)", "tan", "`tan` is not defined at this angle"),
         ("5 * 3 s", "s", "`s` after a number"),
     ] {
         let (found, said, _) = fault(text);
@@ -162,7 +162,7 @@ fn the_index_is_known_only_in_what_a_robot_does() {
     let (mut reader, node) = (reader(), Node::Text("$index * 2".to_owned()));
     reader.robots.current = None;
     assert_eq!(reader.number(&At::document(&node, 0), "a number"), None);
-    assert!(reader.found[0].message.contains("differs from robot to robot"), "{:?}", reader.found);
+    assert!(reader.found[0].message.contains("differs between robots"), "{:?}", reader.found);
 }
 
 #[test]
@@ -259,7 +259,7 @@ fn formulas_are_values_over_time() {
 fn pieces_end_at_corners_and_jumps_to_the_nanosecond() {
     let found =
         |text: &str, seconds: i64| pieces(&formula(text), Span::from_millis(1_000 * seconds)).unwrap();
-    // A piece ends or begins within two nanoseconds of each.
+    // For each time in `wanted`, a piece begins within 2.5 ns of it.
     let cut_at = |pieces: &[Piece], wanted: &[f64]| {
         for wanted in wanted {
             let near = |at: Span| (at.as_millis_f64() - wanted).abs() < 2.5e-6;
@@ -283,7 +283,7 @@ proptest! {
         tried(&text);
     }
 
-    /// Bounds hold: no place of a piece is steeper or bends more than they say.
+    /// Slope and curvature do not exceed the bounds anywhere in a piece.
     #[test]
     fn slopes_and_curvatures_keep_within_their_bounds(
         kind in 0usize..8, p in 1i32..9, q in 1i32..9,

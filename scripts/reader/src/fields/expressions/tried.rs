@@ -1,4 +1,4 @@
-//! Any text as an expression of every kind, for `fuzz/`: what must hold of it is checked.
+//! Reads any text as an expression of every kind, and checks invariants of the result, for `fuzz/`.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use downbeat_yaml::node::Node;
 /// Reads the text as a number, a time, a truth value, the value of a variable and a formula.
 ///
 /// # Panics
-/// When a finding points outside of the text, a number is not finite, or the pieces of a formula have gaps.
+/// Panics if a finding points outside the text, a number is not finite, or the pieces of a formula have gaps.
 pub fn tried(text: &str) {
     let mut reader = Reader::default();
     for (name, value) in [("a", Node::Number(3.0)), ("a-b", Node::Number(-0.5))] {

@@ -1,5 +1,5 @@
-//! Tables of places: x, y and z in the first three columns, or in those that the header names. Where semicolons or tabs separate columns,
-//! a comma is that of a decimal number, as spreadsheets write it in many countries.
+//! Tables of places: x, y and z are in the first three columns, or in those that the header names. If columns are separated by semicolons
+//! or tabs, a comma is a decimal separator, as in spreadsheets of many countries.
 
 use super::{Format, ITEMS_MAX};
 use crate::formation::{Point, Unfit};
@@ -19,7 +19,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
             Some(columns) => columns,
             None => {
                 if let Some(name) = named_twice(&cells) {
-                    return Err(Format::Csv.unfit(format!("line {line} names the column `{name}` twice")));
+                    return Err(Format::Csv.unfit(format!("duplicate column `{name}` in line {line}")));
                 }
                 let (found, headed) = header(&cells);
                 columns = Some(found);
@@ -31,7 +31,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
         };
         let number = |column: usize| cells.get(column).and_then(|cell| number(cell));
         let [Some(x), Some(y), Some(z)] = columns.map(number) else {
-            return Err(Format::Csv.unfit(format!("line {line} has no three numbers")));
+            return Err(Format::Csv.unfit(format!("line {line} does not have three numbers")));
         };
         points.push([x, y, z]);
         if points.len() > ITEMS_MAX {
@@ -49,13 +49,13 @@ fn number(cell: &str) -> Option<f64> {
     cell.replace(',', ".").parse().ok()
 }
 
-/// A coordinate that several columns are called.
+/// Returns a coordinate that names several columns.
 fn named_twice(cells: &[&str]) -> Option<&'static str> {
     let of_name = |name: &str| cells.iter().filter(|cell| cell.eq_ignore_ascii_case(name)).count();
     ["x", "y", "z"].into_iter().find(|name| of_name(name) > 1)
 }
 
-/// The columns of x, y and z, and whether the line is a header: a first line without any number is one.
+/// Returns the columns of x, y and z, and whether the line is a header. A first line without any number is a header.
 fn header(cells: &[&str]) -> ([usize; 3], bool) {
     let named = |name: &str| {
         cells.iter().position(|cell| {
@@ -81,7 +81,7 @@ mod tests {
     #[test]
     fn a_coordinate_with_two_columns_is_told() {
         let told = read(b"x,x,y,z\n1,2,3,4\n").err().map(|unfit| unfit.message);
-        assert_eq!(told.as_deref(), Some("line 1 names the column `x` twice"));
+        assert_eq!(told.as_deref(), Some("duplicate column `x` in line 1"));
         check("x,x_speed,y,z\n1,2,3,4\n", &[[1.0, 3.0, 4.0]]);
     }
 

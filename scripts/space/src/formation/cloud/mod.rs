@@ -1,4 +1,4 @@
-//! Files with points or a surface: PLY, STL and CSV, told apart by the end of the name.
+//! Files with points or a surface: PLY, STL and CSV, distinguished by their extension.
 
 mod csv;
 mod ply;
@@ -10,12 +10,12 @@ use super::spread::Triangle;
 use super::{Point, Unfit};
 use downbeat_yaml::formats;
 
-/// Most points or triangles of a file.
+/// Maximum number of points or triangles in a file.
 const ITEMS_MAX: usize = 1_000_000;
-/// Furthest coordinate in a file, in its unit: it may be in millimetres, or on the globe.
+/// Largest coordinate in a file, in its unit, which may be millimetres or refer to the globe.
 const FURTHEST: f64 = 1e12;
 
-/// What a file holds.
+/// The contents of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cloud {
     /// Points.
@@ -24,7 +24,7 @@ pub enum Cloud {
     Surface(Vec<Triangle>),
 }
 
-/// The formats, by the ends of their names.
+/// The formats, distinguished by extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Ply,
@@ -37,15 +37,15 @@ const FORMATS: [(&str, Format); 3] = [("ply", Format::Ply), ("stl", Format::Stl)
 /// Reads a file by its name and its bytes. The points are finite.
 ///
 /// # Errors
-/// It is of no known format, not what its name says, damaged, empty or too large.
+/// The format is unknown or does not match the name, or the file is damaged, empty or too large.
 pub fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
     let end = Path::new(name).extension().and_then(|end| end.to_str()).unwrap_or("").to_ascii_lowercase();
     let Some((_, format)) = FORMATS.iter().find(|(known, _)| *known == end) else {
-        let message = "the name does not say what the file is".to_owned();
-        return Err(Unfit { message, expected: "a file that ends with .ply, .stl or .csv" });
+        let message = "unknown extension of the file name".to_owned();
+        return Err(Unfit { message, expected: "a file name that ends with .ply, .stl or .csv" });
     };
     if let Some(what) = formats::binary(bytes) {
-        let message = format!("this is {what}, not what its name says");
+        let message = format!("this is {what}, which does not match the extension of the file name");
         return Err(Unfit { message, expected: format.expected() });
     }
     let cloud = match format {
@@ -61,14 +61,14 @@ pub fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
     if sound {
         Ok(cloud)
     } else {
-        Err(format.unfit("a coordinate is not a finite number, or far too large".to_owned()))
+        Err(format.unfit("a coordinate is not a finite number, or is too large".to_owned()))
     }
 }
 
 impl Format {
     const fn expected(self) -> &'static str {
         match self {
-            Self::Ply => "a PLY file with an element `vertex` that has `x`, `y` and `z`, at most 1000000",
+            Self::Ply => "a PLY file with 1 to 1000000 elements `vertex` that have `x`, `y` and `z`",
             Self::Stl => "an STL file with 1 to 1000000 triangles",
             Self::Csv => "a table with three columns of numbers, x, y and z",
         }

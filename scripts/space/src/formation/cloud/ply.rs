@@ -1,4 +1,4 @@
-//! The vertices of a PLY file, as text or binary. Faces are left out.
+//! The vertices of a PLY file, as text or binary. Faces are ignored.
 
 use std::io::Cursor;
 
@@ -8,10 +8,10 @@ use ply_rs_bw::ply::{Encoding, Property, PropertyAccess, PropertyAccessResult};
 use super::{Format, ITEMS_MAX};
 use crate::formation::{Point, Unfit};
 
-/// Longest header: most are below a kilobyte.
+/// Maximum length of the header; most are below a kilobyte.
 const HEADER_MAX: usize = 65_536;
 
-/// An element, of which only these properties are kept.
+/// An element; only these properties are kept.
 #[derive(Clone, Copy, Debug)]
 struct Vertex(Point);
 
@@ -43,23 +43,23 @@ impl PropertyAccess for Vertex {
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
     let unfit = |message: String| Format::Ply.unfit(message);
     if !bytes.starts_with(b"ply") {
-        return Err(unfit("this is no PLY file".to_owned()));
+        return Err(unfit("this is not a PLY file".to_owned()));
     }
     let marker = b"end_header";
     let header_ends = bytes.windows(marker.len()).take(HEADER_MAX).any(|window| window == marker);
     if !header_ends {
-        return Err(unfit("the header of the PLY file does not end".to_owned()));
+        return Err(unfit("missing end of the PLY header".to_owned()));
     }
     let failed = |error: ply_rs_bw::parser::ParseError| unfit(shown(&error.to_string()));
     let parser = Parser::<Vertex>::new();
     let mut reader = Reader::new(Cursor::new(bytes));
     let header = parser.read_header(&mut reader).map_err(failed)?;
     for (name, element) in &header.elements {
-        // Every element takes a byte or more, so the file bounds the work.
+        // Every element takes at least one byte, so the file size bounds the work.
         let is_bounded = header.encoding == Encoding::Ascii || !element.properties.is_empty();
         if element.count > bytes.len() || !is_bounded {
             return Err(unfit(format!(
-                "the file is shorter than its {} elements `{}`",
+                "the file is too short for its {} elements `{}`",
                 element.count,
                 shown(name)
             )));
@@ -82,7 +82,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
     Err(unfit("the file has no element `vertex`".to_owned()))
 }
 
-/// The first line of what a library says, shortened.
+/// Returns the first line of a library's message, shortened.
 fn shown(text: &str) -> String {
     downbeat_yaml::shown::shortened(text.lines().next().unwrap_or(""))
 }

@@ -7,7 +7,7 @@ use super::{Format, ITEMS_MAX};
 use crate::formation::Unfit;
 use crate::formation::spread::{Triangle, area};
 
-/// A header, and how many triangles there are.
+/// Length of the header including the number of triangles.
 const HEADER: usize = 84;
 const TRIANGLE: usize = 50;
 
@@ -16,10 +16,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
     let failed = |error: std::io::Error| unfit(downbeat_yaml::shown::shortened(&error.to_string()));
     let mut bytes = Cow::Borrowed(bytes);
     match is_binary(&bytes) {
-        // Some binary files begin with the word that begins those of text.
+        // Some binary files begin with the same word as text files.
         true => bytes.to_mut()[0] = 0,
         false if bytes.starts_with(b"solid") => {}
-        false => return Err(unfit("this is no STL file, or it is not complete".to_owned())),
+        false => return Err(unfit("this is not an STL file, or it is incomplete".to_owned())),
     }
     let mut cursor = Cursor::new(&*bytes);
     let triangles = stl_io::create_stl_reader(&mut cursor).map_err(failed)?;
@@ -34,7 +34,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
     if surface.iter().any(|triangle| area(triangle) > 0.0) {
         Ok(surface)
     } else {
-        Err(unfit("the file has no triangle with an area".to_owned()))
+        Err(unfit("the file has no triangle with an area above 0".to_owned()))
     }
 }
 

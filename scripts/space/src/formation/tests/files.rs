@@ -22,7 +22,7 @@ fn refused(name: &str, bytes: &[u8], message: &str) {
     assert!(found.contains(message), "{found}");
 }
 
-/// The square as a binary file whose header begins like one of text.
+/// The square as a binary file whose header begins like that of a text file.
 fn binary_stl() -> Vec<u8> {
     let mut bytes = b"solid but binary".to_vec();
     bytes.resize(80, 0);
@@ -58,7 +58,7 @@ fn tables_are_read_with_and_without_a_header() {
     points("a.csv", b"1,2,3\n-1,0.5,0\n", &expected);
     points("a.csv", b"\xef\xbb\xbf# by hand\nx [m],y [m],z [m]\n1,2,3\n-1,0.5,0", &expected);
     points("A.CSV", b"name;Z;Y;X\nd1;3;2;1\nd2;0;0.5;-1", &expected);
-    refused("a.csv", b"x,y,z\n1,2,3\n4,5\n", "line 3 has no three numbers");
+    refused("a.csv", b"x,y,z\n1,2,3\n4,5\n", "line 3 does not have three numbers");
     refused("a.csv", b"1,2,nan\n", "not a finite number");
     refused("a.csv", b"x,y,z\n", "no rows");
     refused("a.csv", b"", "no rows");
@@ -74,7 +74,11 @@ fn a_drawing_with_an_arc_beyond_all_measure_is_refused_soon() {
         [huge.as_str(), "M0 0A1e40 2 0 1 0-5-5", "M.5.5A2 2 0 1 0 .5.5e40,5", "M0,0a2,2,0,1,0-1E+30,5"]
     {
         let told = crate::formation::svg::read(path(data).as_bytes()).unwrap_err();
-        assert!(told.message.starts_with("a path of the drawing has the number"), "{data}: {}", told.message);
+        assert!(
+            told.message.starts_with("a path of the drawing contains the number"),
+            "{data}: {}",
+            told.message
+        );
     }
     let entity = "<!DOCTYPE svg [<!ENTITY far '1e40'>]><svg xmlns='http://www.w3.org/2000/svg'><path d='M0 0 A2 2 0 1 0 &far; 5' stroke='red'/></svg>";
     assert!(crate::formation::svg::read(entity.as_bytes()).is_err());
@@ -92,13 +96,13 @@ fn vertices_are_read_from_text_and_binary() {
     refused(
         "a.ply",
         b"ply\nformat ascii 1.0\nelement vertex 999999999\nproperty float x\nend_header\n",
-        "shorter",
+        "too short",
     );
     let endless = "ply\nformat binary_little_endian 1.0\nelement a 99\nend_header\n";
     refused("a.ply", endless.as_bytes(), "");
     let flat = TEXT_PLY.replace("property float z", "property float w");
     refused("a.ply", flat.as_bytes(), "the element `vertex` has no `z`");
-    refused("a.ply", b"ply\nformat ascii 1.0\n", "does not end");
+    refused("a.ply", b"ply\nformat ascii 1.0\n", "missing end of the PLY header");
 }
 
 #[test]
@@ -120,9 +124,9 @@ fn triangles_are_read_from_text_and_binary() {
 #[test]
 fn a_file_that_is_not_what_its_name_says_is_refused() {
     refused("a.ply", b"\x89PNG\r\n", "a picture");
-    refused("a.ply", &binary_stl(), "no PLY");
-    refused("a.stl", TEXT_PLY.as_bytes(), "no STL");
-    refused("a.obj", b"v 1 2 3", "does not say");
+    refused("a.ply", &binary_stl(), "not a PLY");
+    refused("a.stl", TEXT_PLY.as_bytes(), "not an STL");
+    refused("a.obj", b"v 1 2 3", "unknown extension");
 }
 
 #[test]
@@ -138,7 +142,7 @@ fn a_surface_and_many_points_are_thinned_evenly() {
             let places = formation.places(count).unwrap();
             assert_eq!(places.len(), count);
             let nearest = nearest_pair(&places).unwrap().distance;
-            // So far apart are the points of a square grid.
+            // The distance between points of a square grid.
             let even = 4.0 / (f64::from(u32::try_from(count).unwrap()).sqrt() - 1.0);
             assert!(nearest > 0.6 * even, "{count}: {nearest} of {even}");
         }

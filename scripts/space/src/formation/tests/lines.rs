@@ -1,4 +1,4 @@
-//! Places along strokes, of texts and of drawings.
+//! Places along strokes of texts and drawings.
 
 use std::sync::Arc;
 
@@ -123,8 +123,8 @@ fn a_drawing_has_its_y_axis_up_and_its_groups_and_styles_are_resolved() {
 #[test]
 fn what_is_no_drawing_is_refused() {
     let refused = |bytes: &[u8]| svg::read(bytes).unwrap_err().message;
-    assert!(refused(b"solid").contains("no SVG"));
-    assert!(refused(b"\xff\xfe").contains("no SVG"));
+    assert!(refused(b"solid").contains("not an SVG"));
+    assert!(refused(b"\xff\xfe").contains("not an SVG"));
     assert!(refused(b"<svg xmlns='http://www.w3.org/2000/svg'/>").contains("no paths"));
 }
 
@@ -149,7 +149,7 @@ fn nested_groups_and_multiplied_paths_end() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(256))]
 
-    /// Any lines: as many places as asked for, on the lines.
+    /// For any lines, the places have the requested number and are on the lines.
     #[test]
     fn places_are_on_the_lines(
         lines in prop::collection::vec(prop::collection::vec((0..6i32, 0..6i32), 1..6), 1..5),

@@ -1,4 +1,4 @@
-//! Arms against closed forms, and against a slow reading: matrices for the joints, a search along the links for distances.
+//! Arms, compared with closed forms and with a slow reading: matrices for the joints, a search along the links for distances.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -34,7 +34,7 @@ fn arm(body: &Body, base: [f64; 4], joints: Vec<Axis>, ends: f64) -> Mover {
     Mover::new(Path::of(&axes, true), Solid::of(body, 0.0), ends, 3)
 }
 
-/// Its tip is at `2 cos(angle)` before the base, as the elbow turns back by twice the angle of the shoulder.
+/// Its tip is at `2 cos(angle)` in front of the base, because the elbow turns back by twice the angle of the shoulder.
 fn reaching(base: [f64; 4], angles: [f64; 2]) -> Mover {
     let shoulder = axis(&[(0.0, angles[0]), (2.0, angles[1])]);
     let elbow = axis(&[(0.0, -2.0 * angles[0]), (2.0, -2.0 * angles[1])]);
@@ -86,7 +86,7 @@ fn an_arm_touches_a_floor_that_has_no_end() {
         most: [f64::INFINITY, f64::INFINITY, 0.0],
     });
     let floor = Mover::new(Path::resting(place, 2.0), solid, 2.0, 3);
-    // The tip is half a metre lower after 30 degrees.
+    // After 30 degrees, the tip is half a metre lower.
     let first = first_contact(&arm, &floor).unwrap();
     assert!((first - 2.0 / 3.0).abs() < 1e-3, "{first}");
 }
@@ -94,7 +94,7 @@ fn an_arm_touches_a_floor_that_has_no_end() {
 #[test]
 fn roll_pitch_and_yaw_are_about_fixed_axes_and_a_joint_may_slide() {
     let mut turned = joint([0.0, 0.0, 1.0]);
-    // x goes up, then to the left of where it was: by the pitch first, then by the yaw.
+    // x goes up, then to the left of its initial direction: by the pitch first, then by the yaw.
     turned.rpy = [0.3, -FRAC_PI_2, FRAC_PI_2];
     let mut slides = joint([0.5, 0.0, 0.0]);
     (slides.kind, slides.axis) = (JointKind::Prismatic, [1.0, 0.0, 0.0]);
@@ -124,7 +124,7 @@ fn arms_that_turn_absurdly_far_are_judged_in_no_time() {
     }
 }
 
-/// Rows of a rotation, and a place.
+/// Rows of a rotation, with a translation.
 type Matrix = [[f64; 4]; 3];
 
 fn times(a: &Matrix, b: &Matrix) -> Matrix {
@@ -149,7 +149,7 @@ fn turned([x, y, z]: [f64; 3], angle: f64) -> Matrix {
     ]
 }
 
-/// Where the joints and the tip are, by matrices.
+/// Returns the places of the joints and the tip, by matrices.
 fn joints_by_matrices(body: &Body, place: &Place) -> Vec<[f64; 3]> {
     let [x, y, z, yaw] = place.base;
     let mut matrix = times(&moved([x, y, z]), &turned([0.0, 0.0, 1.0], yaw));
@@ -170,7 +170,7 @@ fn joints_by_matrices(body: &Body, place: &Place) -> Vec<[f64; 3]> {
     points
 }
 
-/// The least of a convex function of a share, by thirds.
+/// Returns the minimum of a convex function of a share, by ternary search.
 fn least(of: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..60 {
@@ -204,7 +204,7 @@ fn to_box(point: [f64; 3], place: &Place, size: [f64; 3]) -> f64 {
     length(std::array::from_fn(|i| (local[i].abs() - size[i] / 2.0).max(0.0)))
 }
 
-/// All links of an arm against another body, slowly.
+/// Returns the distance of an arm's links from another body, by a slow method.
 fn slow_distance((body, place): (&Body, &Place), (other, at): (&Body, &Place)) -> f64 {
     let points = joints_by_matrices(body, place);
     let others = joints_by_matrices(other, at);
@@ -243,7 +243,7 @@ fn any_joint() -> impl Strategy<Value = Joint> {
     )
 }
 
-/// An arm on a base that may be a box.
+/// Draws an arm on a base that may be a box.
 fn any_arm() -> impl Strategy<Value = Body> {
     let base =
         prop_oneof![Just(POINT), [0.1..0.5f64, 0.1..0.5, 0.1..0.5].prop_map(|size| Shape::Box { size })];
@@ -255,12 +255,12 @@ fn any_arm() -> impl Strategy<Value = Body> {
     })
 }
 
-/// An arm, a ball or a box.
+/// Draws an arm, a ball or a box.
 fn any_body() -> impl Strategy<Value = Body> {
     prop_oneof![any_arm(), shape().prop_map(|shape| Body { shape, ..Body::default() })]
 }
 
-/// Where the coordinates of any body are, at seconds, so that one has as many as it needs.
+/// Draws the values of coordinates over seconds, as many as any body needs.
 fn ways() -> impl Strategy<Value = Vec<Vec<(f64, f64)>>> {
     let way = proptest::collection::vec((0u32..40, -15i32..15), 1..6).prop_map(|mut points| {
         points.push((0, points[0].1));
@@ -279,7 +279,7 @@ fn path((body, ways): &(Body, Vec<Vec<(f64, f64)>>)) -> Path {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
-    /// Looking every millisecond finds nothing closer, whatever the depth of the trees.
+    /// Sampling every millisecond finds nothing closer, regardless of the depth of the trees.
     #[test]
     fn the_closest_approach_of_arms_is_that_of_a_slow_search(
         a in (any_arm(), ways()), b in (any_body(), ways()), deep in 0u32..7,
@@ -301,7 +301,7 @@ proptest! {
         prop_assert!((found.distance - gap(found.at)).abs() < 1e-6, "{found:?}, but there {}", gap(found.at));
     }
 
-    /// No point of a link moves further, or bends more, than is said.
+    /// No point of a link moves or bends more than its bound.
     #[test]
     fn links_move_no_further_than_their_bound(of in (any_arm(), ways()), part in 0.0..1.0f64) {
         let (body, ways) = &of;
@@ -310,7 +310,7 @@ proptest! {
             ways[..4 + body.joints.len()].iter().map(|way| way[i.min(way.len() - 1)].1).collect()
         };
         let (mut from, mut to) = (Place::from_values(&values(0)), Place::from_values(&values(1)));
-        // Its base shifts besides.
+        // The movement of its base is excluded.
         (0..3).for_each(|i| (from.base[i], to.base[i]) = (0.0, 0.0));
         let sways = solid.sways(&from, &to);
         let points = |s: f64| joints_by_matrices(body, &from.towards(&to, s));
@@ -330,7 +330,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-    /// A library finds the distance of a link from a box; what it finds is what a search along the link finds.
+    /// A library computes the distance of a link from a box; a search along the link finds the same distance.
     #[test]
     fn the_distance_of_a_link_from_a_box_is_what_a_search_finds(
         a in vector(1.5), b in vector(1.5), size in [0.05f64..1.0, 0.05..1.0, 0.05..1.0],
@@ -352,7 +352,7 @@ proptest! {
     fn the_distance_of_links_is_what_a_search_finds(
         a in [vector(1.0), vector(1.0)], b in [vector(1.0), vector(1.0)], alike in prop_oneof![Just(0.0), Just(1e-6), Just(1.0)],
     ) {
-        // Often parallel, or nearly.
+        // Often parallel, or nearly so.
         let b = [b[0], std::array::from_fn(|i| b[0][i] + alike * b[1][i] + (1.0 - alike) * (a[1][i] - a[0][i]))];
         let part = |ends: [[f64; 3]; 2]| {
             let [a, b] = ends.map(Vector::from_array);

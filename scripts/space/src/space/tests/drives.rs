@@ -1,4 +1,4 @@
-//! Bodies that are driven by speeds, against circles and straight lines, and against a slow integration.
+//! Bodies that are driven by speeds, compared with circles, straight lines and a slow integration.
 
 use std::f64::consts::{PI, TAU};
 
@@ -20,7 +20,7 @@ fn drive(drive: &Drive, signals: [Axis; 2], ends: f64, lever: f64) -> Driven {
     drive.path(Pose::at([0.0; 3]), &signals, ends, lever).unwrap()
 }
 
-/// Where the polyline is.
+/// Returns the pose of the polyline.
 fn at(driven: &Driven, time: f64) -> [f64; 3] {
     let [x, y, yaw] = driven.axes.clone();
     let base = Path::of(&[x, y, fixed(0.0), yaw], true).within(time, time).next().unwrap().place.base;
@@ -35,7 +35,7 @@ fn holding(steps: &[(f64, f64)]) -> Axis {
 #[test]
 fn constant_wheel_speeds_lead_round_a_circle() {
     let wheel = |speed: f64| holding(&[(0.0, speed), (TAU, 0.0)]);
-    // 0.5 m/s ahead and 1 rad/s to the left: a radius of half a metre.
+    // 0.5 m/s forward and 1 rad/s to the left: a radius of half a metre.
     let driven = drive(&wheels(0.2), [wheel(0.4), wheel(0.6)], TAU, 0.0);
     for eighth in 0..=8 {
         let angle = TAU * f64::from(eighth) / 8.0;
@@ -78,7 +78,7 @@ fn absurd_speeds_are_judged_in_no_time() {
     }
 }
 
-/// Small steps of the midpoint rule, one after another: from the values of both signals.
+/// Integrates the values of both signals by small steps of the midpoint rule.
 fn slowly(signals: &[Axis; 2], ends: f64, looks: usize) -> Vec<[f64; 3]> {
     let values = Path::of(&[signals[0].clone(), signals[1].clone(), fixed(0.0), fixed(0.0)], true);
     let steps = 40_000;
@@ -114,7 +114,7 @@ fn signal() -> impl Strategy<Value = Axis> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// The polyline is where a slow integration is, but for its margin.
+    /// The polyline equals a slow integration up to its margin.
     #[test]
     fn a_driven_body_is_where_a_slow_integration_brings_it(speed in signal(), turn in signal(), lever in 0.0..1.0f64) {
         let (ends, looks) = (10.0, 1_000);
@@ -126,7 +126,7 @@ proptest! {
             let time = ends * look as f64 / looks as f64;
             let [x, y, _, yaw] = path.within(time, time).next().unwrap().place.base;
             let off = (x - expected[0]).hypot(y - expected[1]) + lever * (yaw - expected[2]).abs();
-            // The slow one is off by some micrometres itself.
+            // The slow integration itself has an error of some micrometres.
             prop_assert!(off <= driven.margin + 5e-6, "{time}: {off}, {}", driven.margin);
         }
     }

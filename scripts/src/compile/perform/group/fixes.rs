@@ -1,4 +1,4 @@
-//! Changes that let a group do what its cue asks. A hint names only changes that work when they are tried.
+//! Searches for changes that make a group movement possible. A hint contains only changes that were tried successfully.
 
 use std::collections::HashMap;
 
@@ -15,24 +15,24 @@ use crate::scenario::Cue;
 use crate::shown::shortened;
 use crate::transit::Required;
 
-/// The robots of all trials together: a trial takes time with their square at least.
+/// Maximum number of robots in all trials together: the duration of a trial grows at least quadratically.
 const ROBOTS_MAX: usize = 600;
-/// Times that are tried, as factors of the one that is given.
+/// Durations tried, as factors of the given one.
 const LONGER: [f64; 5] = [1.25, 1.5, 2.0, 3.0, 4.0];
-/// Sizes that are tried, as factors of the least one that could be enough.
+/// Sizes tried, as factors of the least potentially sufficient one.
 const LARGER: [f64; 5] = [1.0, 1.1, 1.25, 1.5, 2.0];
-/// Sizes that are tried, as factors of the largest one that could be small enough.
+/// Sizes tried, as factors of the largest potentially fitting one.
 const SMALLER: [f64; 4] = [1.0, 0.97, 0.9, 0.75];
-/// Places that may leave the limits of a device by rounding, in its units.
+/// Distance by which rounding may move places beyond the limits of a device, in its units.
 const ROUNDING: f64 = 1e-6;
 
-/// A group that cannot do what its cue asks.
+/// A group that cannot do its task.
 pub(super) struct Fixes<'f> {
     cue: &'f Cue,
     group: &'f Together,
     dancers: &'f [Dancer<'f>],
     ground: Ground<'f>,
-    /// Trials that are left.
+    /// Number of remaining trials.
     left: usize,
 }
 
@@ -46,7 +46,7 @@ impl<'f> Fixes<'f> {
         Self { cue, group, dancers, ground, left: ROBOTS_MAX / dancers.len().max(1) }
     }
 
-    /// Every kind of change that works for a fault, as a hint.
+    /// Returns all kinds of successful changes for a fault, as a hint.
     pub(super) fn hint(mut self, fault: &Fault) -> Option<String> {
         let changes = match fault {
             Fault::TooShort { seconds, .. } => vec![self.longer(&[seconds / self.seconds()])],
@@ -70,7 +70,7 @@ impl<'f> Fixes<'f> {
         }
     }
 
-    /// How the ways come to end within the limits of the devices.
+    /// Suggests a change that keeps the ends of the movements within the limits of the devices.
     pub(super) fn within_limits(mut self, ways: &[Moved]) -> Option<String> {
         match &self.group.action {
             Action::Form(Form { to: Target::Formation(_), .. }) => {
@@ -95,7 +95,7 @@ impl<'f> Fixes<'f> {
         }
     }
 
-    /// How much nearer to each other two bodies may be by their steps, in metres.
+    /// Distance by which steps may bring two bodies closer to each other, in metres.
     fn stepped(&self) -> f64 {
         let error = |dancer: &Dancer<'_>| {
             let axes = dancer.axes.iter().map(|axis| axis.error(self.cue.tolerance).powi(2));
@@ -108,7 +108,7 @@ impl<'f> Fixes<'f> {
         self.group.over.as_millis_f64() / 1_000.0
     }
 
-    /// The part of each way beyond a point that stays within the limits of its devices: the least of all.
+    /// Smallest share of the movements beyond a point that stays within the limits of the devices.
     fn part_within(&self, ways: &[Moved], from: impl Fn(&Dancer<'_>, usize) -> f64) -> Option<f64> {
         let mut least = 1.0f64;
         for (dancer, moved) in self.dancers.iter().zip(ways) {
@@ -124,7 +124,7 @@ impl<'f> Fixes<'f> {
         least.is_finite().then_some(least)
     }
 
-    /// The formation that is asked, with what its size is called and how large it is.
+    /// Returns the target formation, the key that defines its size, and the size.
     fn formation(&self) -> Option<(&'f Formation, &'static str, f64)> {
         let Action::Form(Form { to: Target::Formation(name), .. }) = &self.group.action else { return None };
         let written = self.ground.of_scenario.formations.get(name)?;
@@ -132,12 +132,12 @@ impl<'f> Fixes<'f> {
         Some((written.formation.as_ref()?, key, size))
     }
 
-    /// A size that is enough, at least `factor` times the written one; with more time, if it needs that.
+    /// Suggests a sufficient size, at least `factor` times the written one; with more time if needed.
     fn larger(&mut self, factor: f64) -> Option<String> {
         self.resized(&LARGER.map(|more| factor * more), f64::ceil, |edit| format!("{edit} is enough"))
     }
 
-    /// A size that is small enough, at most `part` of the written one.
+    /// Suggests a fitting size, at most `part` of the written one.
     fn smaller(&mut self, part: f64) -> Option<String> {
         self.resized(&SMALLER.map(|factor| part * factor), f64::floor, |edit| format!("at most {edit} fits"))
     }
@@ -162,7 +162,8 @@ impl<'f> Fixes<'f> {
         None
     }
 
-    /// The time with which another size of the formation works; the shortest that is enough, if the one that is given is too short.
+    /// Returns the time with which another size of the formation works: the given one or, if it is too short, the shortest sufficient
+    /// one.
     fn tried(&mut self, factor: f64) -> Option<Span> {
         let mut over = self.group.over;
         for _ in 0..2 {
@@ -175,14 +176,14 @@ impl<'f> Fixes<'f> {
         None
     }
 
-    /// A time that is enough.
+    /// Suggests a sufficient time.
     fn longer(&mut self, factors: &[f64]) -> Option<String> {
         let overs = factors.iter().map(|factor| up(self.seconds() * factor)).collect::<Vec<_>>();
         let over = overs.into_iter().find(|over| matches!(self.ways(1.0, *over), Some(Ok(()))))?;
         Some(format!("`over: {}` is enough", written(over)))
     }
 
-    /// Another formation from which the way is free.
+    /// Suggests another formation from which the movement is free.
     fn by_way_of(&mut self) -> Option<String> {
         let (target, _) = self.target()?;
         let mut names: Vec<&String> = self.ground.of_scenario.formations.keys().collect();
@@ -194,7 +195,7 @@ impl<'f> Fixes<'f> {
                 self.dancers.iter().zip(&there).map(|(dancer, moved)| at(dancer, moved.end())).collect();
             self.trial(self.group, &between, self.ground.of_scenario.formations)?.ok()?;
             Some(format!(
-                "via `{0}`: let a cue with `form: {0}` and the same `over` be before it",
+                "via `{0}`: add a cue with `form: {0}` and the same `over` before it",
                 shortened(name)
             ))
         })
@@ -216,7 +217,7 @@ impl<'f> Fixes<'f> {
         together
     }
 
-    /// Whether the group can do it with its formation scaled by `factor` in the time `over`; `None` if no trials are left.
+    /// Tries the task with the formation scaled by `factor` in the time `over`. `None` if no trials are left.
     fn ways(&mut self, factor: f64, over: Span) -> Option<Result<(), Fault>> {
         let together = Together { over, ..self.group.clone() };
         let mut formations: HashMap<String, WrittenFormation> = HashMap::new();
@@ -245,7 +246,7 @@ impl<'f> Fixes<'f> {
         Some(ways.and_then(|ways| if self.are_within(&ways) { Ok(ways) } else { Err(Fault::ToldElsewhere) }))
     }
 
-    /// Whether all ways end within the limits of the devices.
+    /// Whether all movements end within the limits of the devices.
     pub(super) fn are_within(&self, ways: &[Moved]) -> bool {
         self.dancers.iter().zip(ways).all(|(dancer, moved)| {
             let within = |(axis, to): (&Axis<'_>, f64)| {
@@ -256,19 +257,19 @@ impl<'f> Fixes<'f> {
     }
 }
 
-/// The factor of a group that grows by a part of what it is to grow by.
+/// Returns the factor of a group that performs a share of its growth.
 fn grown(sweep: &Sweep, part: f64) -> f64 {
     let factor = 1.0 + (sweep.grow - 1.0) * part;
     rounded(factor, if sweep.grow > 1.0 { f64::floor } else { f64::ceil })
 }
 
-/// The same robot at another place.
+/// Returns the same robot at another place.
 fn at<'d>(dancer: &Dancer<'d>, from: Point) -> Dancer<'d> {
     let Dancer { robot, delay, body, axes, .. } = *dancer;
     Dancer { robot, delay, body, axes, from }
 }
 
-/// The least and the largest coordinate to which the device of an axis can go, in metres.
+/// Returns the range of the coordinate of an axis, in metres.
 fn ends(axis: &Axis<'_>) -> Option<[f64; 2]> {
     let Axis::Moved { device, scale, offset, .. } = *axis else { return None };
     let all = limits_of(device, ControlType::Position).map(|limits| [limits.min_value, limits.max_value]);
@@ -277,15 +278,15 @@ fn ends(axis: &Axis<'_>) -> Option<[f64; 2]> {
     Some(if scale < 0.0 { [ends[1], ends[0]] } else { ends })
 }
 
-/// A time of two decimals that is no shorter, in seconds.
+/// Rounds up to two decimals, in seconds.
 pub(super) fn up(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0)
 }
 
-/// A figure of three digits.
+/// Rounds to three significant digits with `round`.
 fn rounded(value: f64, round: fn(f64) -> f64) -> f64 {
     let scale = 10f64.powf(2.0 - value.abs().log10().floor());
-    // What is such a figure already stays, whatever its last bit is.
+    // A number that already has three digits remains unchanged, regardless of its last bit.
     let near = (value * scale).round();
     let scaled = if (near - value * scale).abs() < 1e-6 { near } else { round(value * scale) };
     let rounded = (scaled / scale * 1e9).round() / 1e9 + 0.0;

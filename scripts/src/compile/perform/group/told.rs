@@ -1,4 +1,4 @@
-//! What is wrong with a group, in words.
+//! Reports the faults of a group.
 
 use super::Performer;
 use crate::compile::check_formations::{apart, between, crowded, differing};
@@ -17,7 +17,7 @@ use super::Ground;
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
 
 impl Performer<'_, '_> {
-    /// Robots that have no place in space, or none that is known.
+    /// Reports robots without a place in space, or with an unknown one.
     pub(super) fn tell_excluded(
         &mut self,
         cue: &Cue,
@@ -29,19 +29,17 @@ impl Performer<'_, '_> {
             let message = format!("{} no `body` whose x and y are devices", self.cast.have(without));
             let expected =
                 "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
-            let hint = Some(
-                "leave them out of this cue, or say in the fleet file what their devices mean in space"
-                    .to_owned(),
-            );
+            let hint =
+                Some("remove them from this cue, or describe their `body` in the fleet file".to_owned());
             self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, hint);
         }
-        // Where something is wrong already, a movement may be missing.
+        // After another error, a movement may be missing.
         let is_other = |code: Code| code != Code::NotInGroup && code.severity() == Severity::Error;
         let errors = self.findings.found.iter().any(|found| is_other(found.code));
         if !unknown.is_empty() && !errors {
             let are = if unknown.len() == 1 { "is" } else { "are" };
             let message = format!(
-                "nothing says where {} {are} when `{}` begins",
+                "{} {are} at an unknown position when `{}` begins",
                 self.cast.names(unknown),
                 shortened(&cue.name)
             );
@@ -52,18 +50,18 @@ impl Performer<'_, '_> {
         }
     }
 
-    /// Two groups of which each has to know where the other leaves a robot.
+    /// Reports two groups that each depend on where the other leaves a robot.
     pub(super) fn tell_entangled(&mut self, cue: &Cue, group: &Together) {
         let name = shortened(&cue.name);
         let message = format!(
-            "`{name}` begins for one robot before another group moves it, and for another robot after that"
+            "`{name}` begins before the movement of another group for one robot, and after it for another robot"
         );
-        let expected = "groups that follow each other for all robots that they share";
-        let hint = Some("let one of them begin later, or with a shorter `canon`".to_owned());
+        let expected = "groups in the same order for all robots that they share";
+        let hint = Some("start one of them later, or use a shorter `canon`".to_owned());
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    /// Reports why a group of these robots cannot do what its cue asks. `fix`: a change that works, if one was found.
+    /// Reports why a group of these robots cannot do its task. `fix`: a successful change, if one was found.
     pub(super) fn tell(
         &mut self,
         cue: &Cue,
@@ -82,23 +80,24 @@ impl Performer<'_, '_> {
                 self.findings.add(Code::TooMuch, here, message, format!("at most {GROUP_MAX} robots"), hint);
             }
             Fault::Flat { dancer, why } => {
-                let message = format!("{why}, and `{}` cannot change its own", self.cast.id(robots[*dancer]));
+                let message =
+                    format!("{why}, but `{}` cannot change its height", self.cast.id(robots[*dancer]));
                 let expected = "one height for all, or bodies whose z is a device";
                 self.findings.add(Code::NotInGroup, here, message, expected, None);
             }
             Fault::Homeless(homeless) => {
                 let homeless: Vec<usize> = homeless.iter().map(|dancer| robots[*dancer]).collect();
                 let message =
-                    format!("{} no `default_value` for each of its coordinates", self.cast.have(&homeless));
-                let expected = "devices with a `default_value`: that is where home is";
+                    format!("{} no `default_value` for every coordinate", self.cast.have(&homeless));
+                let expected = "devices with a `default_value`, which defines `home`";
                 let hint =
-                    Some("add `default_value` in the initialization block, or name a formation".to_owned());
+                    Some("add `default_value` in the initialization block, or use a formation".to_owned());
                 self.findings.add(Code::NotInGroup, here, message, expected, hint);
             }
             Fault::Unmoved => {
-                let message = "all robots of this cue stand in the middle of the group, so nothing moves";
+                let message = "all robots of this cue are at the centre of the group, so none of them moves";
                 let expected =
-                    "robots at several places, or another middle, as in `turn: {by: 90, about: [0, 0]}`";
+                    "robots at different places, or another centre, as in `turn: {by: 90, about: [0, 0]}`";
                 self.findings.add(Code::NotInGroup, here, message, expected, None);
             }
             Fault::TooShort { dancer, seconds } => self.tell_too_short(group, robots[*dancer], *seconds, fix),
@@ -116,7 +115,7 @@ impl Performer<'_, '_> {
         }
     }
 
-    /// What is wrong with the places of a formation.
+    /// Reports faults of the places of a formation.
     fn tell_of_formation(
         &mut self,
         group: &Together,
@@ -148,11 +147,11 @@ impl Performer<'_, '_> {
                 let message = format!("{robots_are} for the {places_are} of `{name}`");
                 let hint = if robots > *places {
                     format!(
-                        "`form: {{to: {name}, spare: stay}}` lets those without a place stay where they are, `spare: home` sends them home"
+                        "use `form: {{to: {name}, spare: stay}}` to leave robots without a place where they are, or `spare: home` to send them home"
                     )
                 } else {
                     format!(
-                        "`form: {{to: {name}, thin: evenly}}` leaves places free at even steps, `thin: nearest` those that are far"
+                        "use `form: {{to: {name}, thin: evenly}}` to leave places free at regular intervals, or `thin: nearest` to leave distant places free"
                     )
                 };
                 let expected = format!("{}, or a choice", counted(*places, "robot"));
@@ -163,15 +162,14 @@ impl Performer<'_, '_> {
                 let message =
                     format!("places {a} and {b} of `{}` {}", shortened(name), apart(*distance, *required));
                 let expected = between(*distance, *required);
-                let hint = fix
-                    .unwrap_or_else(|| "make the formation larger, or let fewer robots take part".to_owned());
+                let hint = fix.unwrap_or_else(|| "make the formation larger, or use fewer robots".to_owned());
                 self.findings.add_once(crowded(name), Code::NoWayPast, here, message, expected, Some(hint));
             }
             _ => {}
         }
     }
 
-    /// What is wrong with a path, or with the robots that go along it.
+    /// Reports faults of a path, or of the robots that move along it.
     fn tell_of_path(
         &mut self,
         group: &Together,
@@ -198,15 +196,15 @@ impl Performer<'_, '_> {
                 self.findings.add(Code::WrongType, there, message, "a closed path for laps", hint);
             }
             Fault::NoHeading => {
-                let message = format!("`{name}` leads straight up or down, where it has no heading");
-                let expected = "a path without upright parts, or no `turning`";
+                let message = format!("`{name}` has no heading where it leads straight up or down");
+                let expected = "a path without vertical parts, or no `turning`";
                 self.findings.add(Code::WrongType, there, message, expected, None);
             }
             Fault::TooManyPoints(count) => {
                 let points = counted(*count, "point");
                 let message =
-                    format!("{points} of all laps of `{name}`, with the places of robots that follow");
-                let hint = Some("let several cues follow each other, with fewer laps each".to_owned());
+                    format!("{points} in all laps of `{name}`, including the places of the following robots");
+                let hint = Some("use several consecutive cues with fewer laps each".to_owned());
                 self.findings.add(
                     Code::TooMuch,
                     there,
@@ -216,11 +214,13 @@ impl Performer<'_, '_> {
                 );
             }
             Fault::SamePlace { behind, ahead } => {
-                let message = format!("`{}` stands where `{}` does, which it follows", id(behind), id(ahead));
+                let message =
+                    format!("`{}` is at the same place as `{}`, which it follows", id(behind), id(ahead));
                 self.tell_no_row(group, message);
             }
             Fault::TurnsBack { dancer } => {
-                let message = format!("the way of those that follow bends too sharply at `{}`", id(dancer));
+                let message =
+                    format!("the path of the following robots bends too sharply at `{}`", id(dancer));
                 self.tell_no_row(group, message);
             }
             _ => {}
@@ -229,12 +229,12 @@ impl Performer<'_, '_> {
 
     fn tell_no_row(&mut self, group: &Together, message: String) {
         let expected =
-            "robots in a row, each behind the one that is named before it, and the path ahead of the first";
-        let hint = Some("name the robots in another order, or `form` a line first".to_owned());
+            "robots in a row, each behind the previous one in the list, with the path ahead of the first";
+        let hint = Some("list the robots in another order, or `form` a line first".to_owned());
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    /// `elsewhere`: what else bears the name.
+    /// `elsewhere`: another kind of object with this name.
     fn tell_unknown(
         &mut self,
         code: Code,
@@ -269,8 +269,11 @@ impl Performer<'_, '_> {
     fn tell_too_short(&mut self, group: &Together, robot: usize, seconds: f64, fix: Option<String>) {
         let needed = Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0);
         let needed = duration::written(needed);
-        let message =
-            format!("`{}` needs {needed} for its way, and has {}", self.cast.id(robot), told(group.over));
+        let message = format!(
+            "`{}` needs {needed} for its path, but has only {}",
+            self.cast.id(robot),
+            told(group.over)
+        );
         let expected = format!("`over: {needed}` or more");
         self.findings.add(Code::BodyTooFast, group.over_place.clone(), message, expected, fix);
     }
@@ -293,29 +296,27 @@ impl Performer<'_, '_> {
             blocked.required;
         let [found, wanted] = differing(blocked.distance, limit);
         let message = format!(
-            "`{a}` and `{b}` come within {found} m of each other {} after `{}` begins, from middle to middle{more}",
+            "`{a}` and `{b}` come within {found} m of each other {} after `{}` begins, measured between centres{more}",
             told(at),
             shortened(&cue.name)
         );
         let is_home = matches!(&group.action, Action::Form(Form { to: Target::Home, .. }));
         let tried = "delays and arcs were tried";
         let expected = match blocked.required {
-            Required::Apart(_) => format!("at least {wanted} m, with what steps may be off; {tried}"),
-            Required::AsAtEnds(_) => format!("at least {wanted} m, as where they begin or end; {tried}"),
+            Required::Apart(_) => format!("at least {wanted} m, including the error of the steps; {tried}"),
+            Required::AsAtEnds(_) => format!("at least {wanted} m, as at their start or end; {tried}"),
             Required::AtEnd { end, least } => {
                 let [end, least] = differing(end, least);
                 format!("at least {least} m; they end {end} m apart")
             }
         };
         let hint = match (blocked.required, is_home) {
-            (Required::AtEnd { .. }, true) => "let the homes of these two be further apart",
+            (Required::AtEnd { .. }, true) => "move the homes of these two robots further apart",
             (Required::AtEnd { .. }, false) => {
-                "make the formation larger: these two need more room where they end"
+                "make the formation larger: these two robots need more room at their end positions"
             }
-            (_, true) => {
-                "give it more time, let them begin one after another with `canon`, or form a row first"
-            }
-            (_, false) => "give it more time, make the formation larger, or form another one on the way",
+            (_, true) => "allow more time, start them one after another with `canon`, or form a row first",
+            (_, false) => "allow more time, make the formation larger, or form another one on the way",
         };
         let hint = fix.unwrap_or_else(|| hint.to_owned());
         self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint));

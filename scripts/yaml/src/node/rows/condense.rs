@@ -1,4 +1,4 @@
-//! Runs cut out of a text, and put back into the tree of what is left.
+//! Cuts runs of keyframes out of a text, and puts them back into the tree of the remaining text.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use crate::node::Node;
 
 /// Shorter runs are left to the library.
 const ROWS_MIN: usize = 8;
-/// Stands around the number of a run; texts that contain it are left to the library.
+/// Encloses the number of a run. Texts that already contain this character are left to the library.
 const MARK: char = '\u{e000}';
 
 /// A text without its runs, and the runs.
@@ -17,7 +17,7 @@ pub struct Condensed {
     runs: Vec<Arc<Rows>>,
 }
 
-/// Cuts the runs out; none if there is nothing to cut.
+/// Cuts out all runs; `None` if there are none.
 pub fn condense(text: &str) -> Option<Condensed> {
     if text.contains(MARK) {
         return None;
@@ -42,8 +42,8 @@ pub fn condense(text: &str) -> Option<Condensed> {
 }
 
 impl Condensed {
-    /// Puts the runs into the tree of the text that is left. None if one of them did not stand where items stand, or aliases
-    /// multiply them to more than this many values more than there are.
+    /// Puts the runs back into the tree of the remaining text. `None` if a run was not at the place of a list item, or if aliases add
+    /// more than `aliased_max` values.
     pub fn restore(&self, mut root: Node, aliased_max: usize) -> Option<Node> {
         let mut used = vec![0; self.runs.len()];
         self.put_back(&mut root, &mut used)?;
@@ -72,7 +72,7 @@ impl Condensed {
         }
     }
 
-    /// Puts back the rows of a list that has other items as well.
+    /// Puts back the rows of a list that also has other items.
     fn put_back_among(&self, nodes: &mut Vec<Node>, used: &mut [usize]) -> Option<()> {
         if nodes.iter().any(|node| matches!(node, Node::Text(text) if text.contains(MARK))) {
             let mut all = Vec::with_capacity(nodes.len());

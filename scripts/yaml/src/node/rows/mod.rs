@@ -1,9 +1,9 @@
-//! Long runs of plain keyframes, such as `- {at: 40ms, to: 12.5, ease: smooth}`, read without a tree of the YAML library, which
-//! takes a kilobyte for each.
+//! Reads long runs of plain keyframes, such as `- {at: 40ms, to: 12.5, ease: smooth}`, without a tree of the YAML library, which needs a
+//! kilobyte per keyframe.
 //!
-//! Every run is cut out of the text and a marker put in its place. The library reads what is left. A run counts only if its
-//! marker comes back as an item of a list: then the run stood where items stand, and not in a text or a comment. In all
-//! other cases the whole text is read by the library alone, so that nothing is read otherwise than it would be by itself.
+//! Each run is cut out of the text and replaced by a marker. The library reads the remaining text. A run is accepted only if its marker
+//! is parsed as an item of a list: this excludes runs in texts and comments. In all other cases, the library reads the whole text. The
+//! result is therefore always the same as with the library alone.
 
 mod condense;
 mod run;
@@ -20,7 +20,7 @@ use crate::node::Node;
 
 pub use condense::condense;
 
-/// The items of a list. Those of a long run of keyframes become nodes only where they are looked at.
+/// The items of a list. Items of a long run of keyframes become nodes only on access.
 #[derive(Clone, Debug)]
 pub enum Items {
     /// As nodes.
@@ -30,7 +30,7 @@ pub enum Items {
 }
 
 impl Items {
-    /// Its nodes, but for long runs of keyframes, in which there is no name.
+    /// The nodes of the list; empty for long runs of keyframes, which contain no names.
     pub fn nodes_mut(&mut self) -> &mut [Node] {
         match self {
             Self::Nodes(nodes) => nodes,
@@ -67,17 +67,17 @@ impl<'a> IntoIterator for &'a Items {
     }
 }
 
-/// Words after `ease:` that a row may have. A keyframe with another one is read as an ordinary node, so this list may lack an easing.
+/// Words that may follow `ease:` in a row. A keyframe with another word is read as an ordinary node, so this list need not be complete.
 pub const EASES: [&str; 4] = ["linear", "smooth", "cubic", "step"];
 
-/// Keyframes of one device, each with as many values.
+/// Keyframes of one device, each with the same number of values.
 #[derive(Debug, Default)]
 pub struct Rows {
     times: Vec<Span>,
-    /// Those of each row one after another.
+    /// The values of all rows, concatenated.
     pub(super) values: Vec<f64>,
     pub(super) width: Width,
-    /// The position of the easing of each row in [`EASES`]; empty if no row has one.
+    /// The index in [`EASES`] for each row; empty if no row has an easing.
     eases: Vec<Option<u8>>,
     nodes: OnceLock<Vec<Node>>,
 }
@@ -88,7 +88,7 @@ pub enum Width {
     /// A single number.
     #[default]
     One,
-    /// A list of this many.
+    /// A list of this length.
     List(usize),
 }
 
@@ -119,12 +119,12 @@ impl Rows {
         self.times.len()
     }
 
-    /// How the values of its rows are written.
+    /// How the values of the rows are written.
     pub fn width(&self) -> Width {
         self.width
     }
 
-    /// The rows from the first on.
+    /// The rows in order.
     pub fn iter(&self) -> impl Iterator<Item = Row<'_>> {
         (0..self.count()).map(|row| self.row(row))
     }

@@ -1,4 +1,4 @@
-//! A run of keyframes as it is in a text, read byte by byte.
+//! Reads a run of keyframes from a text, byte by byte.
 
 use urrcp::Span;
 
@@ -8,14 +8,14 @@ use crate::duration::parse_duration;
 /// Longest number of a row, in bytes.
 const NUMBER_BYTES_MAX: usize = 40;
 
-/// How rows follow each other.
+/// How the rows of a run are separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Style {
-    /// `{..}, {..}` within a list in brackets.
+    /// `{..}, {..}` within brackets.
     Brackets,
-    /// `- {..}` a line, with this many spaces ahead.
+    /// `- {..}` per line, indented by this number of spaces.
     Lines(usize),
-    /// `- at: ..` and `to: ..` in lines of their own.
+    /// `- at: ..` and `to: ..` on separate lines, indented by this number of spaces.
     Blocks(usize),
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Start {
     pub(super) style: Style,
 }
 
-/// Where a run may begin.
+/// The next position at which a run may begin.
 pub(super) fn next_start(text: &str, at: usize) -> Option<Start> {
     let bytes = text.as_bytes();
     let mut from = at;
@@ -41,7 +41,7 @@ pub(super) fn next_start(text: &str, at: usize) -> Option<Start> {
     }
 }
 
-/// How far a dash is indented that alone stands ahead in its line.
+/// The indentation, if only spaces and a dash precede on the line.
 fn indent_of_dash(ahead: &[u8]) -> Option<usize> {
     let spaces = ahead.strip_suffix(b"- ")?;
     let indent = spaces.iter().rev().take_while(|byte| **byte == b' ').count();
@@ -52,7 +52,7 @@ fn blank(bytes: &[u8]) -> bool {
     bytes.iter().all(|byte| *byte == b' ')
 }
 
-/// A run that is being read, from the first byte of its first row on.
+/// A run that is being read; starts at the first byte of its first row.
 pub(super) struct Run<'t> {
     text: &'t str,
     at: usize,
@@ -65,7 +65,7 @@ impl<'t> Run<'t> {
         Self { text, at: start.from, style: start.style, rows: Rows::default() }
     }
 
-    /// Takes as many rows as there are; returns where the last one ends.
+    /// Reads as many rows as possible, and returns the end of the last one.
     pub(super) fn read(&mut self) -> usize {
         let mut end = self.at;
         while self.row().is_some() {
@@ -77,7 +77,7 @@ impl<'t> Run<'t> {
         end
     }
 
-    /// To the beginning of the next row.
+    /// Advances to the beginning of the next row.
     fn next(&mut self) -> Option<()> {
         match self.style {
             Style::Brackets => {
@@ -107,7 +107,7 @@ impl<'t> Run<'t> {
             Style::Brackets => true,
             Style::Lines(_) | Style::Blocks(_) => matches!(self.peek(), None | Some(b'\n' | b'\r')),
         });
-        // Lists of values have no easing.
+        // Rows with lists of values have no easing.
         let row = row.filter(|(_, ease)| ease.is_none() || self.rows.width == Width::One);
         let Some((at, ease)) = row else {
             self.rows.values.truncate(known.0);
@@ -118,7 +118,7 @@ impl<'t> Run<'t> {
         Some(())
     }
 
-    /// `{at: 1s, to: 2, ease: smooth}`, the keys also in quotes and in any order.
+    /// `{at: 1s, to: 2, ease: smooth}`, with optional quotes around the keys, in any order.
     fn braces(&mut self) -> Option<(Span, Option<u8>)> {
         self.byte(b'{')?;
         let (mut at, mut to, mut ease) = (None, None, None);
@@ -142,7 +142,7 @@ impl<'t> Run<'t> {
         }
     }
 
-    /// The same in lines of their own, at and to first.
+    /// The same on separate lines, with `at` and `to` first.
     fn block(&mut self, indent: usize) -> Option<(Span, Option<u8>)> {
         self.word("at: ")?;
         let at = self.time()?;
@@ -188,7 +188,7 @@ impl<'t> Run<'t> {
         Some(time)
     }
 
-    /// One number, or a list of as many as the rows before have.
+    /// One number, or a list of the same length as in the previous rows.
     fn values(&mut self) -> Option<()> {
         let before = self.rows.values.len();
         let width = match self.peek()? {
@@ -258,7 +258,7 @@ impl<'t> Run<'t> {
         }
     }
 
-    /// Exactly this many spaces.
+    /// Skips exactly this many spaces.
     fn indent(&mut self, indent: usize) -> Option<()> {
         let spaces = self.text.as_bytes().get(self.at..self.at + indent)?;
         blank(spaces).then(|| self.at += indent)
@@ -269,7 +269,7 @@ impl<'t> Run<'t> {
         self.byte(b'\n')
     }
 
-    /// Some bytes, not none and not very many.
+    /// At least one and at most [`NUMBER_BYTES_MAX`] bytes.
     fn take_while(&mut self, part: impl Fn(u8) -> bool) -> Option<&str> {
         let rest = &self.text.as_bytes()[self.at..];
         let length = rest.iter().take(NUMBER_BYTES_MAX + 1).take_while(|byte| part(**byte)).count();
@@ -285,19 +285,19 @@ enum Key {
     Ease,
 }
 
-/// Whole milliseconds or seconds.
+/// A whole number of milliseconds or seconds.
 fn short_time(text: &str) -> Option<Span> {
     let (digits, nanos) = match text.strip_suffix("ms") {
         Some(digits) => (digits, 1_000_000),
         None => (text.strip_suffix('s')?, 1_000_000_000),
     };
-    // Longer ones may be more than a time can be.
+    // A longer number could exceed the longest time.
     let short = (1..8).contains(&digits.len()) && digits.bytes().all(|byte| byte.is_ascii_digit());
     let value = || digits.bytes().fold(0, |value, digit| value * 10 + i64::from(digit - b'0'));
     short.then(|| Span::from_nanos(value() * nanos))
 }
 
-/// A number that every reader of YAML takes for the same.
+/// A number that all YAML parsers read identically.
 fn number(text: &str) -> Option<f64> {
     let digits = text.strip_prefix('-').unwrap_or(text);
     let whole = digits.bytes().take_while(u8::is_ascii_digit).count();

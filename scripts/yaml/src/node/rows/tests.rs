@@ -1,4 +1,4 @@
-//! A text with runs is read as it is read without them.
+//! A text with runs is read as if by the library alone.
 
 use proptest::prelude::*;
 
@@ -11,7 +11,7 @@ fn source(text: &str) -> Source {
     Source { name: "s.yaml".into(), text: text.to_owned() }
 }
 
-/// A time is reported as the same time, not letter for letter.
+/// Equal times may be spelled differently.
 fn alike(node: &Node) -> Node {
     match node {
         Node::Text(text) => Node::Text(parse_duration(text).map_or_else(|| text.clone(), written)),
@@ -25,7 +25,7 @@ fn alike(node: &Node) -> Node {
     }
 }
 
-/// Reads it both ways; whether a run was found.
+/// Reads the text both ways, and returns whether a run was found.
 #[track_caller]
 fn same(text: &str) -> bool {
     let source = source(text);
