@@ -24,7 +24,7 @@ use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
 use downbeat::server_clock::ServerClock;
 use downbeat::stop_lane::Operator;
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
-use downbeat_robot::zenoh::{Haste, Key, Listener, Network, Networks, connect};
+use downbeat_robot::zenoh::{Key, Listener, Network, Networks, Urgency, connect};
 use downbeat_robot::{Host, HostOptions, serve, serve_zenoh};
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
@@ -240,7 +240,7 @@ fn one_connection(router: Option<u16>) {
             }
             Some(port) => {
                 let network = Network::open_with(&configuration(port)).unwrap();
-                let open = async || connect(&network, &key(0), Haste::None).await.unwrap();
+                let open = async || connect(&network, &key(0), Urgency::None).await.unwrap();
                 (round_trips(&mut open().await).await, throughput(open().await).await)
             }
         }

@@ -16,7 +16,7 @@ use urrcp::{
 use crate::held::{Held, Limit, Steps};
 use crate::ids::{CommandId, LinkId};
 use crate::late_steps::LateSteps;
-use crate::lease::{LastHeard, Lease};
+use crate::lease::{LastMessages, Lease};
 use crate::plans::Lookahead;
 use crate::reach::Reach;
 use crate::signal::{Rates, Signal, default_of, first_value, rest_of, with_values};
@@ -193,7 +193,7 @@ impl DeviceMachine {
     }
 
     /// Marks the position as unknown.
-    pub(crate) const fn displace(&mut self) {
+    pub(crate) const fn forget_position(&mut self) {
         self.is_placed = false;
     }
 
@@ -220,7 +220,7 @@ impl DeviceMachine {
     }
 
     /// Returns when the next event is due: a lease end or a step.
-    pub(crate) fn next_wakeup(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+    pub(crate) fn next_wakeup(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let event = self.queue.front().and_then(Held::next_event);
         event.into_iter().chain(self.lease_end(heard)).min()
     }
@@ -237,18 +237,18 @@ impl DeviceMachine {
         (at < now).then(|| now - at)
     }
 
-    fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+    fn lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         self.pending_lease_end(heard).into_iter().chain(self.running_lease_end(heard)).min()
     }
 
     /// Returns when the first lease of a pending command ends.
-    fn pending_lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+    fn pending_lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began);
         pending.filter_map(|held| held.lease_end(heard)).min()
     }
 
     /// Returns when the first lease of a running command or of a continuing rate ends.
-    fn running_lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+    fn running_lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let guards = self.guards.iter().filter_map(|guard| heard.ends(&guard.lease));
         let running = self.queue.iter().filter(|held| held.began);
         running.filter_map(|held| held.lease_end(heard)).chain(guards).min()
@@ -256,7 +256,7 @@ impl DeviceMachine {
 
     /// Executes everything due at or before `now`, in the order of its time. Only an expired lease of a running command comes first:
     /// otherwise a delayed robot would now execute steps that were due before.
-    pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
+    pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastMessages, effects: &mut Vec<Effect>) {
         loop {
             if let Some(end) = self.running_lease_end(heard).filter(|end| *end <= now) {
                 self.lease_ended(end, now, heard, effects);
@@ -372,7 +372,7 @@ impl DeviceMachine {
         &mut self,
         at: Timestamp<Robot>,
         now: Timestamp<Robot>,
-        heard: &LastHeard,
+        heard: &LastMessages,
         effects: &mut Vec<Effect>,
     ) {
         let lost = |held: &&Held| !held.began && held.lease_end(heard) == Some(at);

@@ -62,28 +62,28 @@ impl Edge {
 
     /// Handles an input that reached the robot at `now`.
     pub(crate) fn receive(&mut self, now: Timestamp<HostTime>, link: LinkId, input: Input) {
-        self.look_after(now);
+        self.check_hardware(now);
         self.tell(now, |machine, now, out| machine.handle(now, link, input, out));
     }
 
     /// Executes everything due at or before `now`, and returns the outgoing messages.
     pub(crate) fn advance(&mut self, now: Timestamp<HostTime>, out: &mut Vec<Outgoing>) {
-        self.look_after(now);
+        self.check_hardware(now);
         self.tell(now, Robot::advance);
         out.append(&mut self.leaving);
     }
 
     /// Executes the movements due at or before `now`. Their reports are sent with the next [`Edge::advance`].
     pub(crate) fn advance_movements(&mut self, now: Timestamp<HostTime>) {
-        self.look_after(now);
+        self.check_hardware(now);
         self.tell(now, Robot::advance_movements);
     }
 
     /// Checks before other work whether the hardware answers, if a start is near, and whether the edge was delayed.
-    fn look_after(&mut self, now: Timestamp<HostTime>) {
+    fn check_hardware(&mut self, now: Timestamp<HostTime>) {
         let mailbox = Arc::clone(&self.mailbox);
         self.tell(now, |machine, now, out| {
-            machine.look_after(now, || mailbox.silence().map(Span::from), out);
+            machine.check_hardware(now, || mailbox.silence().map(Span::from), out);
         });
     }
 

@@ -6,7 +6,7 @@ use urrcp::{
 
 use crate::ids::{CommandId, LinkId};
 use crate::late_steps::LateSteps;
-use crate::lease::{self, LastHeard, Lease};
+use crate::lease::{self, LastMessages, Lease};
 
 /// A command that has been accepted and has not ended.
 #[derive(Clone, Debug)]
@@ -97,7 +97,7 @@ impl Held {
 
     /// Returns when its lease ends. If the lease that follows the next event would have ended by then, the event does not take place: the
     /// lease ends at that instant, and takes precedence over the event.
-    pub(crate) fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+    pub(crate) fn lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let over_by_then = self.next_event().filter(|at| {
             let first_step_is_later = !self.began && self.time_of(0) > Some(*at);
             let steps_done = if first_step_is_later { 0 } else { self.next_step + 1 };

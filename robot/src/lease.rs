@@ -8,7 +8,7 @@ use crate::ids::LinkId;
 
 /// The time of each party's last message. Links that are down stay silent, so their leases run out.
 #[derive(Clone, Debug)]
-pub(crate) struct LastHeard {
+pub(crate) struct LastMessages {
     at: BTreeMap<LinkId, Timestamp<Robot>>,
     /// The latest party is nearly always the one that is looked up, at every step of every device.
     latest: Option<(LinkId, Timestamp<Robot>)>,
@@ -19,14 +19,14 @@ pub(crate) struct LastHeard {
 /// The last message of at least this many parties is remembered.
 const PARTIES_MIN: usize = 1_024;
 
-impl Default for LastHeard {
+impl Default for LastMessages {
     fn default() -> Self {
         Self { at: BTreeMap::new(), latest: None, room: PARTIES_MIN }
     }
 }
 
-impl LastHeard {
-    /// Records a message. Returns whether it is time to [`LastHeard::keep`] only the parties that hold something.
+impl LastMessages {
+    /// Records a message. Returns whether it is time to [`LastMessages::keep`] only the parties that hold something.
     #[must_use]
     pub(crate) fn heard(&mut self, party: LinkId, now: Timestamp<Robot>) -> bool {
         self.at.insert(party, now);
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn parties_that_hold_nothing_are_forgotten_once_there_are_too_many() {
-        let mut heard = LastHeard::default();
+        let mut heard = LastMessages::default();
         let many = PARTIES_MIN as u64;
         let full: Vec<_> = (0..=many).map(|party| heard.heard(LinkId(party), at(1))).collect();
         assert_eq!(full.iter().filter(|full| **full).count(), 1, "with the last");
@@ -100,7 +100,7 @@ mod tests {
 
     #[test]
     fn many_that_hold_something_have_room_for_as_many_more() {
-        let mut heard = LastHeard::default();
+        let mut heard = LastMessages::default();
         let holding: HashSet<_> = (0..2_000).map(LinkId).collect();
         let full = holding.iter().filter(|party| heard.heard(**party, at(1))).count();
         assert_eq!(full, 2_000 - PARTIES_MIN);
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn a_lease_counts_from_its_begin_or_from_what_was_heard_last() {
-        let mut heard = LastHeard::default();
+        let mut heard = LastMessages::default();
         let silence = Millis::new(100.0).ok();
         let lease = Lease { link: LinkId(1), granted: at(50), silence };
         assert_eq!(heard.ends(&lease), Some(at(150)));

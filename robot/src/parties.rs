@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashMap};
 use urrcp::{Label, Robot, SessionId, Span, Timestamp};
 
 use crate::ids::LinkId;
-use crate::lease::LastHeard;
+use crate::lease::LastMessages;
 use urrcp::Proof;
 
 /// An idle robot whose session has been silent for this long may be claimed by another.
@@ -123,7 +123,7 @@ impl Parties {
         &self,
         now: Timestamp<Robot>,
         idle: bool,
-        heard: &LastHeard,
+        heard: &LastMessages,
     ) -> Option<&(Claimant, LinkId)> {
         self.owner.as_ref().filter(|(_, party)| {
             let recent = heard.last(*party).is_some_and(|at| now < at + CLAIM_SILENCE);
@@ -267,8 +267,8 @@ mod tests {
         let mut parties = Parties::default();
         let party = parties.join(ONE, &session("s"));
         parties.claim(parties.claimant(ONE, &session("s")), party);
-        let mut heard = LastHeard::default();
-        let owned = |parties: &Parties, heard: &LastHeard, millis, idle| {
+        let mut heard = LastMessages::default();
+        let owned = |parties: &Parties, heard: &LastMessages, millis, idle| {
             parties.owner(at(millis), idle, heard).is_some()
         };
         assert_eq!([true, false].map(|idle| owned(&parties, &heard, 0, idle)), [false, true]);

@@ -21,7 +21,7 @@ use crate::counts::Counts;
 use crate::device::{DeviceMachine, Effect, Motion, MotionLimits, Rest};
 use crate::hardware::{Hardware, ReadingId};
 use crate::ids::LinkId;
-use crate::lease::LastHeard;
+use crate::lease::LastMessages;
 #[cfg(feature = "host")]
 use crate::parties::Claimant;
 use crate::parties::Parties;
@@ -122,7 +122,7 @@ pub struct Robot {
     block: InitializationBlock,
     devices: Vec<DeviceMachine>,
     index_of: HashMap<DeviceId, usize>,
-    heard: LastHeard,
+    heard: LastMessages,
     parties: Parties,
     /// Earliest possible wake-up of each device; a renewed lease makes an entry early, never late.
     wakeups: BTreeSet<(Timestamp<urrcp::Robot>, usize)>,
@@ -156,7 +156,7 @@ impl Robot {
         Self {
             devices,
             index_of,
-            heard: LastHeard::default(),
+            heard: LastMessages::default(),
             parties: Parties::default(),
             wakeups: BTreeSet::new(),
             wakeup_of,

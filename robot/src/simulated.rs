@@ -81,13 +81,13 @@ pub enum Fault {
 
 /// Simulated hardware behind the machine, as behind an edge.
 #[derive(Clone, Debug, Default)]
-struct Hands {
+struct SimulatedHardware {
     /// Since when it no longer acts or answers.
     dead_since: Option<Timestamp<True>>,
     readings: HashMap<DeviceId, f64>,
 }
 
-impl Hands {
+impl SimulatedHardware {
     fn silence(&self, now: Timestamp<True>) -> Option<Span> {
         let silence = now - self.dead_since?;
         (silence > SILENCE_MAX.into()).then_some(silence)
@@ -139,7 +139,7 @@ pub struct SimulatedRobot {
     /// Whether it has closed its links permanently.
     gone: bool,
     /// `None`: the robot itself moves.
-    hands: Option<Hands>,
+    hands: Option<SimulatedHardware>,
     bodies: Vec<MovedBody>,
 }
 
@@ -181,7 +181,7 @@ impl SimulatedRobot {
     pub fn with_hardware(block: InitializationBlock, settings: Settings, now: Timestamp<True>) -> Self {
         let mut robot = Self::new(block, settings);
         robot.robot = Robot::driven(robot.robot.block().clone()).with_limits(&robot.settings.limits);
-        robot.hands = Some(Hands::default());
+        robot.hands = Some(SimulatedHardware::default());
         robot.hardware_found(now);
         robot
     }
@@ -338,7 +338,7 @@ impl SimulatedRobot {
     fn look_after_hardware(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &self.hands {
             let at = self.robot_from_true(now);
-            self.robot.look_after(at, || hands.silence(now), &mut self.outputs);
+            self.robot.check_hardware(at, || hands.silence(now), &mut self.outputs);
             self.perform(now);
         }
     }

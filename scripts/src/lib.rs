@@ -46,7 +46,7 @@ pub use approach::{Approach, add_approach, plan_approach};
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
-pub use downbeat_fleet::address::{Address, NoAddress, Protection};
+pub use downbeat_fleet::address::{Address, InvalidAddress, Protection};
 pub use downbeat_fleet::fleet::{
     Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
     LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,

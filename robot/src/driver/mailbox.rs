@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use urrcp::{ControlType, DeviceId, Robot, Setpoint};
 
-use super::PlanWord;
+use super::PlanReport;
 use super::pulse::{Demand, Pulse, QUIET};
 use crate::clock::HostClock;
 use crate::confirmation::Ticket;
@@ -78,7 +78,7 @@ pub(crate) type Drive = (Key, Option<Value>, Option<Movement>);
 
 /// Properties of a connection's driver that the mailbox depends on.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Manners {
+pub(crate) struct DriverTraits {
     /// Whether the hardware has a value once the driver's call has returned.
     pub(crate) acknowledges: bool,
     /// Whether the driver receives all values of one instant in one call.
@@ -98,7 +98,7 @@ pub(crate) enum Work {
     /// Take or end a script.
     Plan(PlanOrder),
     /// Forward the driver's reports about scripts that it times by itself.
-    Words(Vec<PlanWord>),
+    Words(Vec<PlanReport>),
     /// Report that the hardware has taken the orders that these tickets ask about.
     Confirm(Vec<Ticket>),
     /// Ask the hardware for a sign of life.
@@ -143,7 +143,7 @@ struct State {
     readings: VecDeque<(ReadingId, DeviceId, Instant)>,
     /// With their order numbers, oldest first.
     plans: VecDeque<(u64, PlanOrder)>,
-    words: Vec<PlanWord>,
+    words: Vec<PlanReport>,
     /// Whether reports were forwarded last: a driver with many reports does not delay other work.
     words_were_last: bool,
     /// Order counter.
@@ -152,7 +152,7 @@ struct State {
     in_hand: Vec<(DeviceId, u64)>,
     confirms: Vec<Confirm>,
     /// `Some` while connected.
-    manners: Option<Manners>,
+    manners: Option<DriverTraits>,
     /// Unsolicited sensor readings, and their times.
     pushed: HashMap<DeviceId, (f64, Instant)>,
     fault: Option<String>,
@@ -254,7 +254,7 @@ impl Mailbox {
     }
 
     /// Records a new connection; only its orders are accepted.
-    pub(crate) fn connected(&self, connection: u64, manners: Manners) {
+    pub(crate) fn connected(&self, connection: u64, manners: DriverTraits) {
         let now = self.now();
         let mut state = self.lock();
         let mut pulse = Pulse::new(now, manners.ping_period);
@@ -338,7 +338,7 @@ impl Mailbox {
     }
 
     /// Adds a report of the driver about a script.
-    pub(super) fn told_of_plan(&self, word: PlanWord) {
+    pub(super) fn told_of_plan(&self, word: PlanReport) {
         let mut state = self.lock();
         if state.connection == 0 {
             return;
@@ -353,7 +353,7 @@ impl Mailbox {
     }
 
     /// Takes the driver's reports about scripts since the last call.
-    pub(super) fn words(&self) -> Vec<PlanWord> {
+    pub(super) fn words(&self) -> Vec<PlanReport> {
         std::mem::take(&mut self.lock().words)
     }
 

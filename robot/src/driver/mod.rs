@@ -32,7 +32,7 @@ pub(crate) use self::mailbox::{Key, Mailbox};
 pub(crate) use self::planned::PlanNews;
 pub use self::program::{Program, Timeouts};
 pub(crate) use self::pulse::Demand;
-pub(crate) use self::pushes::PlanWord;
+pub(crate) use self::pushes::PlanReport;
 pub use self::pushes::Pushes;
 pub use self::rates::{
     HARDWARE_SILENCE_MAX, PINGS_BOUNDS, PINGS_PER_SECOND, READINGS_BOUNDS, Rates, SAMPLES_BOUNDS,

@@ -8,7 +8,7 @@ use urrcp::{ControlError, DeviceId, ErrorCode, Robot, Span, Timestamp};
 use super::grid::on_grid;
 use super::mailbox::{PlanOrder, Sign};
 use super::worker::{Lost, News, Worker};
-use super::{DriverError, PlanWord};
+use super::{DriverError, PlanReport};
 use crate::clock::{HostClock, HostTime};
 use crate::plans::{PlanCancel, PlanEvent, PlanId, PlanPart};
 
@@ -130,8 +130,8 @@ impl Worker {
     }
 
     /// Forwards the driver's reports about scripts. A driver may still report on a script that is over.
-    pub(super) fn pass_on(&mut self, words: Vec<PlanWord>) -> Result<(), Lost> {
-        for PlanWord { plan, at, event } in words {
+    pub(super) fn pass_on(&mut self, words: Vec<PlanReport>) -> Result<(), Lost> {
+        for PlanReport { plan, at, event } in words {
             let Some(have) = self.given.plans.get(&plan) else {
                 if plan > self.given.last || plan.0 == 0 {
                     return Err(Lost::Fault(format!("it reported plan {}, which it does not have", plan.0)));

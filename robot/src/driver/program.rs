@@ -27,7 +27,7 @@ use serde::Deserialize;
 use serde_json::json;
 use urrcp::{ControlType, DeviceId, InitializationBlock, LATENCY_MS_MAX, Setpoint, Span};
 
-use super::running::{Ear, Running};
+use super::running::{Running, UnsolicitedInput};
 use super::{
     Driver, DriverError, Lifeline, PINGS_BOUNDS, Pushes, READINGS_BOUNDS, Ramp, Rates, SAMPLES_BOUNDS,
 };
@@ -110,7 +110,7 @@ pub struct Program {
     timeouts: Timeouts,
     running: Option<Running>,
     declared: Declared,
-    ear: Option<Ear>,
+    ear: Option<UnsolicitedInput>,
     /// Time between the hardware's last sign of life and the last ping, if the program reports it.
     last_sign: Option<Duration>,
     /// Silences of the edge after which it does not begin a script, and ends a running one, in milliseconds.
@@ -425,7 +425,7 @@ impl Driver for Program {
         let sensors =
             self.block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
         let sensors = Arc::new(sensors.map(|device| device.id.clone()).collect::<HashSet<_>>());
-        self.ear = Some(Ear { pushes, sensors });
+        self.ear = Some(UnsolicitedInput { pushes, sensors });
     }
 
     fn set_is_acknowledged(&self) -> bool {

@@ -10,7 +10,7 @@ use crate::plans::{PlanEvent, PlanId};
 
 /// A driver's report about a script that it times by itself.
 #[derive(Clone, Debug)]
-pub(crate) struct PlanWord {
+pub(crate) struct PlanReport {
     pub(super) plan: PlanId,
     pub(super) at: Timestamp<SystemClock>,
     pub(super) event: PlanEvent,
@@ -39,7 +39,7 @@ impl Pushes {
     /// Reports an event of a script that the driver times by itself. Times are those of the clock by which the script was handed over: if
     /// that clock is set, they continue as before. Ignored while the hardware is not connected.
     pub fn plan(&self, plan: PlanId, at: Timestamp<SystemClock>, event: PlanEvent) {
-        self.0.told_of_plan(PlanWord { plan, at, event });
+        self.0.told_of_plan(PlanReport { plan, at, event });
     }
 
     /// Reports a fault of the hardware: everything that runs or waits ends, and the driver is connected again. Ignored while the hardware

@@ -53,12 +53,12 @@ fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, 
 
 /// Receives a program's unsolicited reports.
 #[derive(Clone, Debug)]
-pub(super) struct Ear {
+pub(super) struct UnsolicitedInput {
     pub(super) pushes: Pushes,
     pub(super) sensors: Arc<HashSet<DeviceId>>,
 }
 
-impl Ear {
+impl UnsolicitedInput {
     /// Takes the line, if it is not an answer.
     fn hears(&self, line: &str) -> bool {
         match line.split_once(' ') {
@@ -100,7 +100,7 @@ pub(super) struct Running {
 }
 
 impl Running {
-    pub(super) fn start(command: &str, ear: Option<Ear>) -> std::io::Result<Self> {
+    pub(super) fn start(command: &str, ear: Option<UnsolicitedInput>) -> std::io::Result<Self> {
         let mut shell = Command::new("sh");
         shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped());
         // A process group of its own: Ctrl-C is for the edge, which then brings its devices to rest.
@@ -223,7 +223,11 @@ fn write_within(
 }
 
 /// Forwards each line, as an answer or as an unsolicited report.
-fn hear(mut output: impl BufRead, ear: Option<&(Ear, Arc<AtomicBool>)>, answers: &SyncSender<String>) {
+fn hear(
+    mut output: impl BufRead,
+    ear: Option<&(UnsolicitedInput, Arc<AtomicBool>)>,
+    answers: &SyncSender<String>,
+) {
     loop {
         let mut line = Vec::new();
         match output.by_ref().take(ANSWER_BYTES_MAX).read_until(b'\n', &mut line) {
@@ -323,10 +327,10 @@ mod tests {
     }
 
     /// Returns an ear for the sensor `eye`, on a mailbox with a connection.
-    fn ear() -> (Ear, Arc<crate::driver::Mailbox>) {
+    fn ear() -> (UnsolicitedInput, Arc<crate::driver::Mailbox>) {
         let mailbox = Arc::new(crate::driver::Mailbox::default());
         let ping_period = Duration::from_millis(25);
-        let manners = crate::driver::mailbox::Manners {
+        let manners = crate::driver::mailbox::DriverTraits {
             acknowledges: true,
             takes_frames: false,
             ping_period,
@@ -334,7 +338,7 @@ mod tests {
         };
         mailbox.connected(1, manners);
         let sensors = Arc::new(HashSet::from([DeviceId::new("eye").unwrap()]));
-        (Ear { pushes: Pushes::into(Arc::clone(&mailbox)), sensors }, mailbox)
+        (UnsolicitedInput { pushes: Pushes::into(Arc::clone(&mailbox)), sensors }, mailbox)
     }
 
     #[expect(clippy::disallowed_methods, reason = "asks what waits now")]

@@ -326,7 +326,7 @@ fn value_of(device: &str, done: &str) -> Option<f64> {
 }
 
 /// Of a driver that receives one value at a time.
-const MANNERS: mailbox::Manners = mailbox::Manners {
+const MANNERS: mailbox::DriverTraits = mailbox::DriverTraits {
     acknowledges: false,
     takes_frames: false,
     ping_period: Duration::from_millis(25),

@@ -9,10 +9,10 @@ use urrcp::{ControlType, DeviceId, InitializationBlock, Setpoint, Span};
 
 use super::grid::on_grid;
 use super::lifeline::Watcher;
-use super::mailbox::{Drive, Manners, Movement, Sign, Value, Work};
+use super::mailbox::{Drive, DriverTraits, Movement, Sign, Value, Work};
 use super::planned::{Given, PlanNews};
 use super::rates::HARDWARE_SILENCE_MAX;
-use super::{Driver, DriverError, DriverOptions, Key, Mailbox, PlanWord, Pushes, Ramp, Rates};
+use super::{Driver, DriverError, DriverOptions, Key, Mailbox, PlanReport, Pushes, Ramp, Rates};
 use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
 use crate::plans::Lookahead;
@@ -166,7 +166,7 @@ impl Worker {
                         self.touched = if self.owes_rest { Touched::Before } else { Touched::Never };
                     }
                     self.rates = self.driver.rates();
-                    let manners = Manners {
+                    let manners = DriverTraits {
                         ping_period: self.rates.ping_period(&self.options),
                         silence_max: self.rates.silence_max,
                         acknowledges: self.driver.set_is_acknowledged(),
@@ -283,7 +283,7 @@ impl Worker {
     }
 
     /// Takes the driver's reports about scripts that were not forwarded yet.
-    pub(super) fn words(&self) -> Vec<PlanWord> {
+    pub(super) fn words(&self) -> Vec<PlanReport> {
         self.mailbox.words()
     }
 

@@ -30,7 +30,7 @@ impl Robot {
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
         let mut robot = Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) };
-        robot.devices.iter_mut().for_each(DeviceMachine::displace);
+        robot.devices.iter_mut().for_each(DeviceMachine::forget_position);
         robot
     }
 
@@ -149,7 +149,7 @@ impl Robot {
 
     /// Checks before other work whether the robot was delayed, and whether the hardware answers, if a start is near. `silence` returns
     /// for how long it has not answered, if that is too long.
-    pub(crate) fn look_after(
+    pub(crate) fn check_hardware(
         &mut self,
         now: Now,
         silence: impl FnOnce() -> Option<Span>,
@@ -199,7 +199,7 @@ impl Robot {
             let why = format!("a value reached the hardware {late} late and was not set");
             self.fail_unconfirmed(now, index, &ControlError::new(ErrorCode::Late, why.clone()), out);
             self.fail_late(now, index, &why, out);
-            self.devices[index].displace();
+            self.devices[index].forget_position();
         }
     }
 

@@ -142,7 +142,7 @@ impl Robot {
             self.plans.will_fail(id, error.clone());
         }
         self.devices[index].stop(now, &error, Rest::InPlace, &mut self.effects);
-        self.devices[index].displace();
+        self.devices[index].forget_position();
         self.settle(now, index, out);
     }
 

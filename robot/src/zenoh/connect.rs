@@ -11,7 +11,7 @@ use ::zenoh::{Session, Wait};
 use tokio::sync::{mpsc, oneshot};
 
 use super::keys::{Key, LinkId, STOPS, asks_to_hear, hears};
-use super::network::{Haste, Network};
+use super::network::{Network, Urgency};
 use super::offers::Offers;
 use super::stream::{Shared, Stream, Target, link_of};
 
@@ -22,7 +22,7 @@ const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 ///
 /// # Errors
 /// No robot is at the key, several are, or the network does not carry messages.
-pub async fn connect(network: &Network, key: &Key, haste: Haste) -> io::Result<Stream> {
+pub async fn connect(network: &Network, key: &Key, haste: Urgency) -> io::Result<Stream> {
     open(network, key, (haste, &[])).await
 }
 
@@ -33,10 +33,10 @@ pub async fn connect(network: &Network, key: &Key, haste: Haste) -> io::Result<S
 /// # Errors
 /// As [`connect`].
 pub async fn connect_sharing(network: &Network, key: &Key, audiences: &[u32]) -> io::Result<Stream> {
-    open(network, key, (Haste::None, audiences)).await
+    open(network, key, (Urgency::None, audiences)).await
 }
 
-async fn open(network: &Network, key: &Key, (haste, audiences): (Haste, &[u32])) -> io::Result<Stream> {
+async fn open(network: &Network, key: &Key, (haste, audiences): (Urgency, &[u32])) -> io::Result<Stream> {
     let nobody = || {
         let why = "no robot answers at this key: the robot or a router on the way is not running";
         io::Error::new(io::ErrorKind::NotFound, why)
@@ -86,7 +86,7 @@ struct Opening {
     network: Network,
     link: LinkId,
     pipe: Shared,
-    haste: Haste,
+    haste: Urgency,
     audiences: Vec<u32>,
 }
 
@@ -128,8 +128,8 @@ impl Opening {
             let _gave_up = answer.send(said.map(robot));
         };
         let asked = match haste {
-            Haste::None => link.to_string(),
-            Haste::Stop => format!("{link} {STOPS}"),
+            Urgency::None => link.to_string(),
+            Urgency::Stop => format!("{link} {STOPS}"),
         };
         let asking = session.get(key.open()).payload(asked).target(QueryTarget::All);
         let asking = asking.attachment(offers.as_ref().and(asks));

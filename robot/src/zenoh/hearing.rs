@@ -12,7 +12,7 @@ use ::zenoh::{Session, Wait};
 use urrcp::ContentHash;
 
 use super::keys::Audience;
-use super::network::{Call, Haste, Kept, Network};
+use super::network::{Call, Kept, Network, Urgency};
 use super::stream::Shared;
 use super::texts::{Supply, TEXT_MAX, Texts};
 
@@ -81,7 +81,7 @@ impl Hearing {
         // It was published before the frame that names it, on the same route: if it has not arrived already, it will not arrive.
         let asking = Asking { hearing: Arc::downgrade(self), hash };
         let key = self.key.clone();
-        network.call(Haste::None, move |session| {
+        network.call(Urgency::None, move |session| {
             let reply = move |reply: Reply| asking.answered(&reply);
             let asked = session.get(key).payload(hash.bytes()).target(QueryTarget::All);
             // An answer with another content must not replace one with the text.

@@ -12,7 +12,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use super::hearing::Hearing;
 use super::keys::{HEARS, Key, LinkId, STOPS, asked_to_hear};
-use super::network::{Haste, Kept, Network};
+use super::network::{Kept, Network, Urgency};
 use super::presence::Following;
 use super::stream::{Shared, Stream, Target, link_of};
 
@@ -46,7 +46,7 @@ impl Listener {
             let why = "another robot already uses this key; each robot needs its own key";
             return Err(io::Error::new(io::ErrorKind::AddrInUse, why));
         }
-        network.declare(Haste::None, move |session| {
+        network.declare(Urgency::None, move |session| {
             let _waits = told.send(links.declare(session).map_err(|error| error.to_string()));
         });
         let kept = declared.await.map_err(|_| ended())?.map_err(io::Error::other)?;
@@ -71,7 +71,7 @@ impl Listener {
 impl Drop for Listener {
     fn drop(&mut self) {
         let kept = self.kept.take();
-        self.network.declare(Haste::None, move |_| drop(kept));
+        self.network.declare(Urgency::None, move |_| drop(kept));
     }
 }
 
@@ -84,7 +84,7 @@ async fn is_taken(network: &Network, key: &Key) -> io::Result<bool> {
     let (found, mut tokens) = mpsc::unbounded_channel();
     let (told, asked) = oneshot::channel();
     let tokens_at = key.robot("*");
-    network.declare(Haste::None, move |session| {
+    network.declare(Urgency::None, move |session| {
         let reply = move |_| {
             let _gave_up = found.send(());
         };
@@ -164,8 +164,8 @@ impl Links {
         let Some(asked) = asked else { return };
         let (name, how) = asked.split_once(' ').unwrap_or((&asked, ""));
         let haste = match how {
-            STOPS => Haste::Stop,
-            "" => Haste::None,
+            STOPS => Urgency::Stop,
+            "" => Urgency::None,
             _ => return,
         };
         let Ok(link) = name.parse::<LinkId>() else { return };
@@ -174,7 +174,7 @@ impl Links {
         let pipe = Shared::default();
         let Ok(target) = Target::new(key.from(&link.session())) else { return };
         let audiences = asked_to_hear(query.attachment());
-        let hears = haste == Haste::None && !audiences.is_empty();
+        let hears = haste == Urgency::None && !audiences.is_empty();
         let hearing = hears.then(|| network.hearing(key.shared(&link.session()))).flatten();
         match self.0.lock().entry(link) {
             // Its owner opens a connection once.

@@ -44,7 +44,7 @@ pub use config::NetworkError;
 pub use connect::{connect, connect_sharing};
 pub use keys::{AUDIENCES_MAX, Key, NoKey};
 pub use listener::Listener;
-pub use network::{Haste, Network};
+pub use network::{Network, Urgency};
 pub use networks::Networks;
 pub use offers::Text;
 pub use stream::Stream;

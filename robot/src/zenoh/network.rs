@@ -26,7 +26,7 @@ use super::stream::{Shared, Target};
 
 /// Priority of the messages on a connection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Haste {
+pub enum Urgency {
     /// Normal order.
     #[default]
     None,
@@ -34,7 +34,7 @@ pub enum Haste {
     Stop,
 }
 
-impl Haste {
+impl Urgency {
     pub(super) const fn priority(self) -> Priority {
         match self {
             Self::None => Priority::Data,
@@ -168,10 +168,10 @@ impl Network {
     }
 
     /// Waits for permission to open a connection. The returned permit must be kept while the connection is being opened.
-    pub(super) async fn may_open(&self, haste: Haste) -> io::Result<SemaphorePermit<'_>> {
+    pub(super) async fn may_open(&self, haste: Urgency) -> io::Result<SemaphorePermit<'_>> {
         let opening = match haste {
-            Haste::None => &self.0.opening.calm,
-            Haste::Stop => &self.0.opening.hasty,
+            Urgency::None => &self.0.opening.calm,
+            Urgency::Stop => &self.0.opening.hasty,
         };
         opening.acquire().await.map_err(io::Error::other)
     }
@@ -250,20 +250,20 @@ impl Network {
     }
 
     /// Executes a slow declaration, or its end, on the session's thread for these.
-    pub(super) fn declare(&self, haste: Haste, call: impl FnOnce(&Session) + Send + 'static) {
+    pub(super) fn declare(&self, haste: Urgency, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
-            Haste::None => &self.0.declaring,
-            Haste::Stop => &self.0.hasty,
+            Urgency::None => &self.0.declaring,
+            Urgency::Stop => &self.0.hasty,
         };
         // Its thread ends with this.
         let _ended = calls.send(Box::new(call));
     }
 
     /// Executes a call on the session, after earlier ones.
-    pub(super) fn call(&self, haste: Haste, call: impl FnOnce(&Session) + Send + 'static) {
+    pub(super) fn call(&self, haste: Urgency, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
-            Haste::None => &self.0.calm,
-            Haste::Stop => &self.0.hasty,
+            Urgency::None => &self.0.calm,
+            Urgency::Stop => &self.0.hasty,
         };
         // Its thread ends with this.
         let _ended = calls.send(Box::new(call));
@@ -272,13 +272,13 @@ impl Network {
     /// Ends the session at once, as if its process had ended.
     #[cfg(test)]
     pub(super) fn cut(&self) {
-        self.call(Haste::None, |session| session.close().wait().unwrap_or_default());
+        self.call(Urgency::None, |session| session.close().wait().unwrap_or_default());
     }
 
     /// Publishes a frame of a connection, which breaks if that fails.
     pub(super) fn publish(
         &self,
-        haste: Haste,
+        haste: Urgency,
         (link, target): (LinkId, Arc<Target>),
         frame: Vec<u8>,
         pipe: &Shared,

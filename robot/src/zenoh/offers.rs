@@ -12,7 +12,7 @@ use urrcp::ContentHash;
 
 use super::frame::Part;
 use super::keys::{Audience, Key};
-use super::network::{Call, Haste, Network};
+use super::network::{Call, Network, Urgency};
 use super::stream::Target;
 use super::texts::{Kept, TEXT_MAX};
 
@@ -119,7 +119,7 @@ impl Offers {
         let bytes: Arc<[u8]> = text.as_slice().into();
         offered.kept.keep(hash, Arc::clone(&bytes));
         // Queued before any other caller can name it: frames that name it are published after it.
-        network.call(Haste::None, move |session| {
+        network.call(Urgency::None, move |session| {
             let put =
                 session.put(target.declared(session), text).congestion_control(CongestionControl::Block);
             if let Err(error) = put.wait() {

@@ -15,7 +15,7 @@ use urrcp::ContentHash;
 
 use super::frame::Part;
 use super::keys::{Key, LinkId};
-use super::network::{Haste, Network};
+use super::network::{Network, Urgency};
 use super::offers::{Offers, Text};
 use super::pipe::{Pipe, Written};
 
@@ -91,7 +91,7 @@ struct Ends {
     pipe: Shared,
     link: LinkId,
     target: Arc<Target>,
-    haste: Haste,
+    haste: Urgency,
     /// Declarations that end with the connection, by being dropped.
     kept: Mutex<Option<Box<dyn Any + Send>>>,
     /// The key of the robot, and the publications for several robots that it receives there.
@@ -113,7 +113,7 @@ impl Stream {
         network: Network,
         pipe: Shared,
         (link, target): (LinkId, Arc<Target>),
-        haste: Haste,
+        haste: Urgency,
     ) -> Self {
         let (kept, hears) = (Mutex::default(), OnceLock::new());
         Self(Arc::new(Ends { network, pipe, link, target, haste, kept, hears }))

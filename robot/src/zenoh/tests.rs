@@ -10,7 +10,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use urrcp::ContentHash;
 
 use super::network::{HEARINGS_MAX, OPENING_MAX};
-use super::{Haste, Key, Listener, Network, Networks, Stream, Text, connect, connect_sharing};
+use super::{Key, Listener, Network, Networks, Stream, Text, Urgency, connect, connect_sharing};
 
 fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
@@ -42,7 +42,7 @@ async fn soon<T>(what: impl Future<Output = T>) -> T {
 async fn bytes_go_both_ways_and_the_end_is_read_behind_them() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
-    let mut near = soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
+    let mut near = soon(connect(&schedulers, &key("hall/arm"), Urgency::None)).await.unwrap();
     let mut far = soon(listener.accept()).await.unwrap();
     assert_eq!(near.name(), far.name());
     near.write_all(b"ask").await.unwrap();
@@ -64,7 +64,7 @@ async fn a_key_without_a_robot_and_a_key_with_another_are_told_apart() {
     let taken = Listener::bind(&schedulers, key("hall/arm")).await.unwrap_err();
     assert_eq!(taken.kind(), std::io::ErrorKind::AddrInUse);
     Listener::bind(&schedulers, key("hall/other")).await.unwrap();
-    let nobody = soon(connect(&schedulers, &key("hall/nobody"), Haste::None)).await.unwrap_err();
+    let nobody = soon(connect(&schedulers, &key("hall/nobody"), Urgency::None)).await.unwrap_err();
     assert_eq!(nobody.kind(), std::io::ErrorKind::NotFound);
 }
 
@@ -81,7 +81,7 @@ async fn many_robots_are_shared_out_among_sessions_that_all_reach_them() {
     assert_eq!(firsts, [0, 0, 2, 2, 4]);
     let mut arm = Listener::bind(&listening[4], key("hall/arm")).await.unwrap();
     for session in &sessions {
-        let mut near = soon(connect(session, &key("hall/arm"), Haste::None)).await.unwrap();
+        let mut near = soon(connect(session, &key("hall/arm"), Urgency::None)).await.unwrap();
         let mut far = soon(arm.accept()).await.unwrap();
         near.write_all(b"x").await.unwrap();
         assert_eq!(soon(far.read_u8()).await.unwrap(), b'x');
@@ -138,10 +138,10 @@ async fn while_many_connections_are_being_opened_others_wait_but_no_stop_does() 
     let (arm, _listener) = (key("a"), Listener::bind(&robots, key("a")).await.unwrap());
     let mut opening = Vec::new();
     for _ in 0..OPENING_MAX {
-        opening.push(soon(schedulers.may_open(Haste::None)).await.unwrap());
+        opening.push(soon(schedulers.may_open(Urgency::None)).await.unwrap());
     }
-    soon(connect(&schedulers, &arm, Haste::Stop)).await.unwrap();
-    let mut waiting = Box::pin(connect(&schedulers, &arm, Haste::None));
+    soon(connect(&schedulers, &arm, Urgency::Stop)).await.unwrap();
+    let mut waiting = Box::pin(connect(&schedulers, &arm, Urgency::None));
     assert!(tokio::time::timeout(Duration::from_millis(300), &mut waiting).await.is_err());
     drop(opening.pop());
     soon(waiting).await.unwrap();
@@ -151,7 +151,7 @@ async fn while_many_connections_are_being_opened_others_wait_but_no_stop_does() 
 async fn much_goes_through_a_small_window_and_arrives_whole() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("a")).await.unwrap();
-    let mut near = soon(connect(&schedulers, &key("a"), Haste::None)).await.unwrap();
+    let mut near = soon(connect(&schedulers, &key("a"), Urgency::None)).await.unwrap();
     let mut far = soon(listener.accept()).await.unwrap();
     let much: Vec<u8> = (0..5_000_000_u32).map(|i| u8::try_from(i % 251).unwrap()).collect();
     let sent = much.clone();
@@ -171,7 +171,7 @@ async fn connections_end_when_a_process_of_either_side_does() {
     for robot_goes in [true, false] {
         let (robots, schedulers) = two();
         let mut listener = Listener::bind(&robots, key("a")).await.unwrap();
-        let mut near = soon(connect(&schedulers, &key("a"), Haste::Stop)).await.unwrap();
+        let mut near = soon(connect(&schedulers, &key("a"), Urgency::Stop)).await.unwrap();
         let mut far = soon(listener.accept()).await.unwrap();
         near.write_all(b"x").await.unwrap();
         soon(far.read_u8()).await.unwrap();
@@ -188,10 +188,10 @@ async fn connections_end_when_a_process_of_either_side_does() {
 async fn a_stop_does_not_wait_behind_much_that_is_not_read() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("a")).await.unwrap();
-    let mut near = soon(connect(&schedulers, &key("a"), Haste::None)).await.unwrap();
+    let mut near = soon(connect(&schedulers, &key("a"), Urgency::None)).await.unwrap();
     let _unread = soon(listener.accept()).await.unwrap();
     let writing = tokio::spawn(async move { near.write_all(&vec![0; 5_000_000]).await });
-    let mut stop = soon(connect(&schedulers, &key("a"), Haste::Stop)).await.unwrap();
+    let mut stop = soon(connect(&schedulers, &key("a"), Urgency::Stop)).await.unwrap();
     let mut heard = soon(listener.accept()).await.unwrap();
     stop.write_all(b"s").await.unwrap();
     assert_eq!(soon(heard.read_u8()).await.unwrap(), b's');
@@ -205,7 +205,7 @@ async fn connections_to_one_robot_hear_their_own_frames_and_no_others() {
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let mut pairs = Vec::new();
     for _ in 0..3 {
-        let near = soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
+        let near = soon(connect(&schedulers, &key("hall/arm"), Urgency::None)).await.unwrap();
         let far = soon(listener.accept()).await.unwrap();
         assert_eq!(near.name(), far.name());
         pairs.push((near, far));
@@ -229,18 +229,18 @@ async fn connections_to_one_robot_hear_their_own_frames_and_no_others() {
 async fn a_robot_that_has_left_and_come_back_is_reached_again() {
     let (robots, schedulers) = two();
     let listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
-    soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
+    soon(connect(&schedulers, &key("hall/arm"), Urgency::None)).await.unwrap();
     drop(listener);
     let refused = async {
-        while connect(&schedulers, &key("hall/arm"), Haste::None).await.is_ok() {
+        while connect(&schedulers, &key("hall/arm"), Urgency::None).await.is_ok() {
             tokio::task::yield_now().await;
         }
-        connect(&schedulers, &key("hall/arm"), Haste::None).await.unwrap_err()
+        connect(&schedulers, &key("hall/arm"), Urgency::None).await.unwrap_err()
     };
     assert_eq!(soon(refused).await.kind(), std::io::ErrorKind::NotFound);
     let _again = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let reached = async {
-        while connect(&schedulers, &key("hall/arm"), Haste::None).await.is_err() {
+        while connect(&schedulers, &key("hall/arm"), Urgency::None).await.is_err() {
             tokio::task::yield_now().await;
         }
     };
@@ -276,7 +276,7 @@ fn around(text: &[u8]) -> Vec<u8> {
 fn heard(network: &Network, keys: &'static str) -> Arc<Mutex<Vec<usize>>> {
     let heard = Arc::new(Mutex::new(Vec::new()));
     let (hears, (declared, begun)) = (Arc::clone(&heard), std::sync::mpsc::channel());
-    network.declare(Haste::None, move |session| {
+    network.declare(Urgency::None, move |session| {
         let subscriber = session.declare_subscriber(keys);
         let subscriber =
             subscriber.callback(move |sample| hears.lock().unwrap().push(sample.payload().len()));
@@ -361,7 +361,7 @@ async fn where_a_text_cannot_be_had_the_connection_ends_and_the_next_one_carries
     robots.hearing(shared.clone()).unwrap().withhold();
     // Another session answers in place of the scheduler, but not with the text.
     let (declared, begun) = std::sync::mpsc::channel();
-    robots.declare(Haste::None, move |session| {
+    robots.declare(Urgency::None, move |session| {
         let liar = session.declare_queryable(shared.clone()).complete(true);
         let liar = liar.callback(move |query| query.reply(shared.clone(), "a lie").wait().unwrap());
         liar.background().wait().unwrap();
@@ -389,7 +389,7 @@ async fn what_another_session_publishes_changes_nothing() {
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
     let (near, far) = sharing(&schedulers, &mut listener).await;
     let shared = format!("hall/shared/{}", schedulers.id());
-    schedulers.call(Haste::None, move |session| {
+    schedulers.call(Urgency::None, move |session| {
         session.put(format!("{shared}/7"), "a lie").wait().unwrap();
         session.put(format!("{shared}/7"), vec![0; 8 * 1024 * 1024]).wait().unwrap();
     });
@@ -417,7 +417,7 @@ async fn a_text_goes_to_its_audience_alone() {
 async fn only_connections_to_robots_that_hear_what_is_published_may_name_it() {
     let (robots, schedulers) = two();
     let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
-    let plain = soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
+    let plain = soon(connect(&schedulers, &key("hall/arm"), Urgency::None)).await.unwrap();
     assert!(offer(&plain, b"text").is_none(), "it was not asked for");
     drop(soon(listener.accept()).await.unwrap());
     let _others: Vec<_> = (0..16).map(|i| robots.hearing(format!("hall/shared/{i}")).unwrap()).collect();

@@ -4,7 +4,7 @@ use urrcp::{ControlResponse, Message, Server, Status, Timestamp};
 
 /// A message of the robot, as received.
 #[derive(Clone, Debug)]
-pub(super) struct Heard<T> {
+pub(super) struct Received<T> {
     /// Arrival by the server's clock.
     pub(super) at: Timestamp<Server>,
     /// The line as text.
@@ -19,7 +19,7 @@ pub(super) struct Ticket(usize);
 
 /// A request with all its responses.
 #[derive(Clone, Debug)]
-pub(super) struct Asked {
+pub(super) struct SentRequest {
     pub(super) id: Option<String>,
     pub(super) device: String,
     pub(super) text: String,
@@ -27,10 +27,10 @@ pub(super) struct Asked {
     pub(super) sent: Timestamp<Server>,
     /// Number of times that it was sent and has not been answered.
     unanswered: u32,
-    pub(super) heard: Vec<Heard<ControlResponse>>,
+    pub(super) heard: Vec<Received<ControlResponse>>,
 }
 
-impl Asked {
+impl SentRequest {
     fn has(&self, status: &Status) -> bool {
         self.heard.iter().any(|heard| heard.message.status == *status)
     }
@@ -43,7 +43,7 @@ impl Asked {
 
 /// The requests of one line in the order in which they were sent.
 #[derive(Debug, Default)]
-pub(super) struct Exchanges(Vec<Asked>);
+pub(super) struct Exchanges(Vec<SentRequest>);
 
 impl Exchanges {
     pub(super) fn ask(
@@ -53,13 +53,13 @@ impl Exchanges {
         text: String,
         sent: Timestamp<Server>,
     ) -> Ticket {
-        self.0.push(Asked { id, device, text, sent, unanswered: 1, heard: Vec::new() });
+        self.0.push(SentRequest { id, device, text, sent, unanswered: 1, heard: Vec::new() });
         Ticket(self.0.len() - 1)
     }
 
     /// Adopts a request from another line, with its previous responses.
-    pub(super) fn adopt(&mut self, asked: Asked) -> Ticket {
-        self.0.push(Asked { unanswered: 0, ..asked });
+    pub(super) fn adopt(&mut self, asked: SentRequest) -> Ticket {
+        self.0.push(SentRequest { unanswered: 0, ..asked });
         Ticket(self.0.len() - 1)
     }
 
@@ -69,17 +69,17 @@ impl Exchanges {
         asked.sent = sent;
     }
 
-    pub(super) fn of(&self, ticket: Ticket) -> &Asked {
+    pub(super) fn of(&self, ticket: Ticket) -> &SentRequest {
         &self.0[ticket.0]
     }
 
     pub(super) fn any_held(&self) -> bool {
-        self.0.iter().any(Asked::is_held)
+        self.0.iter().any(SentRequest::is_held)
     }
 
     /// Assigns a response to its request. Without a `request_id`, an answer belongs to the oldest request that awaits one, a report to
     /// the oldest request that is held. Returns the response if no request matches.
-    pub(super) fn note(&mut self, heard: Heard<ControlResponse>) -> Option<Heard<ControlResponse>> {
+    pub(super) fn note(&mut self, heard: Received<ControlResponse>) -> Option<Received<ControlResponse>> {
         let Some(index) = self.find(&heard.message) else { return Some(heard) };
         let asked = &mut self.0[index];
         if !is_report(&heard.message, asked.is_held()) {
@@ -93,8 +93,8 @@ impl Exchanges {
         if let Some(id) = &response.request_id {
             return self.0.iter().rposition(|asked| asked.id.as_deref() == Some(id.as_str()));
         }
-        let of_device = |asked: &&Asked| asked.device == response.device_id.as_str();
-        let place = |wanted: &dyn Fn(&Asked) -> bool| {
+        let of_device = |asked: &&SentRequest| asked.device == response.device_id.as_str();
+        let place = |wanted: &dyn Fn(&SentRequest) -> bool| {
             self.0.iter().position(|asked| of_device(&asked) && wanted(asked))
         };
         let held = place(&|asked| {
@@ -142,7 +142,7 @@ mod tests {
         for fields in said {
             let line = format!(r#"{{"timestamp":"2026-11-20T19:00:00Z","device_id":"d",{fields}}}"#);
             let message = serde_json::from_str(&line).unwrap();
-            exchanges.note(Heard { at, text: String::new(), message });
+            exchanges.note(Received { at, text: String::new(), message });
         }
         let given: Vec<_> = tickets.iter().map(|ticket| exchanges.of(*ticket).heard.len()).collect();
         assert_eq!(given, expected);

@@ -5,7 +5,7 @@ use urrcp::{
     RequestId, SessionId, Status,
 };
 
-use super::heard::Heard;
+use super::heard::Received;
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
@@ -20,19 +20,19 @@ pub(super) const ALL: [Requirement; 8] = [
     Requirement {
         name: "repeated-request",
         demands: "A request that is repeated with its request_id is answered again and not executed again.",
-        section: "Asked twice (D)",
+        section: "SentRequest twice (D)",
         check: repeated_request,
     },
     Requirement {
         name: "repeated-refusal",
         demands: "A refused request that is repeated is refused again with the same code, even if its content differs.",
-        section: "Asked twice (D)",
+        section: "SentRequest twice (D)",
         check: repeated_refusal,
     },
     Requirement {
         name: "kept-answers",
         demands: "The last answer to a request is kept until 256 others have ended: if the request is repeated before that, the robot repeats the answer and does not execute the request again.",
-        section: "Asked twice (D)",
+        section: "SentRequest twice (D)",
         check: kept_answers,
     },
     Requirement {
@@ -230,13 +230,13 @@ pub(super) fn claim(
     trial: &Trial,
     line: &mut Line,
     name: &SessionId,
-) -> Result<(String, Heard<AvailabilityResponse>), Unmet> {
+) -> Result<(String, Received<AvailabilityResponse>), Unmet> {
     let request =
         AvailabilityRequest { timestamp: Some(trial.stamp()), session: Some(name.clone()), seize: false };
     let sent = line.say(&Message::AvailabilityRequest(request))?;
     match line.other(trial.patience())? {
-        Some(Heard { at, text, message: Message::AvailabilityResponse(message) }) => {
-            Ok((sent, Heard { at, text, message }))
+        Some(Received { at, text, message: Message::AvailabilityResponse(message) }) => {
+            Ok((sent, Received { at, text, message }))
         }
         other => {
             let came = other
@@ -254,7 +254,7 @@ fn session_reading(trial: &Trial) -> Checked {
     let name = format!("{}/owner", trial.fresh_id());
     let owner = SessionId::new(name).map_err(|error| not_applicable(error.to_string()))?;
     let mut stranger = trial.connect()?;
-    let mut line = trial.connect_beside()?;
+    let mut line = trial.connect_second()?;
     let ticket = line.held(&ControlRequest { session: Some(owner.clone()), ..trial.pending(actor) })?;
     let refused = stranger.refuses(&trial.request(&actor.device.id, Command::ReadSensor), ErrorCode::Busy);
     line.listen(trial.soon(100), |line| line.asked(ticket).heard.len() > 1)?;
@@ -279,7 +279,7 @@ fn session(trial: &Trial) -> Checked {
     };
     let (ours, theirs) = (name(1)?, name(2)?);
     let mut second = trial.connect()?;
-    let mut first = trial.connect_beside()?;
+    let mut first = trial.connect_second()?;
     let (sent, taken) = claim(trial, &mut first, &ours)?;
     if taken.message.status != Status::Ok {
         return Err(differs(&sent, &taken.text, "status `OK`: the robot is free"));

@@ -381,7 +381,7 @@ fn session(trial: &Trial) -> Checked {
     };
     let (ours, theirs) = (name(1)?, name(2)?);
     let mut stranger = trial.connect()?;
-    let mut line = trial.connect_beside()?;
+    let mut line = trial.connect_second()?;
     stranger.inquire(&Inquiry { session: Some(theirs.clone()), ..Inquiry::default() })?;
     // The stranger has only inquired and claimed nothing, so another session may claim the robot.
     let request = ControlRequest { session: Some(ours.clone()), ..trial.pending(actor) };

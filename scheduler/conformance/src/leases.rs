@@ -354,7 +354,7 @@ fn lease_link_down(trial: &Trial) -> Checked {
 fn lease_two_links(trial: &Trial) -> Checked {
     trial.reporting()?;
     let mut line = trial.connect()?;
-    let mut other = trial.connect_beside()?;
+    let mut other = trial.connect_second()?;
     let ticket = line.held(&short(trial.pending(trial.actor()?)))?;
     chatter(trial, &mut other, &|| presence(trial), Span::from_millis(900))?;
     line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| {
@@ -366,7 +366,7 @@ fn lease_two_links(trial: &Trial) -> Checked {
 }
 
 /// All requests that a server may send to a robot that belongs to another session.
-fn asks_in_vain(trial: &Trial, session: &SessionId) -> Result<Vec<u8>, Unmet> {
+fn sends_rejected_requests(trial: &Trial, session: &SessionId) -> Result<Vec<u8>, Unmet> {
     let actor = trial.actor()?;
     let (named, timestamp) = (Some(session.clone()), Some(trial.stamp()));
     let mut messages = vec![
@@ -386,11 +386,11 @@ fn lease_stranger(trial: &Trial) -> Checked {
     trial.reporting()?;
     let (ours, theirs) = (session(trial)?, session(trial)?);
     let mut line = trial.connect()?;
-    let mut stranger = trial.connect_beside()?;
+    let mut stranger = trial.connect_second()?;
     let request = short(trial.pending(trial.actor()?));
     let ticket = line.held(&ControlRequest { session: Some(ours), ..request })?;
-    asks_in_vain(trial, &theirs)?;
-    let asks = || asks_in_vain(trial, &theirs).unwrap_or_default();
+    sends_rejected_requests(trial, &theirs)?;
+    let asks = || sends_rejected_requests(trial, &theirs).unwrap_or_default();
     chatter(trial, &mut stranger, &asks, Span::from_millis(900))?;
     line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| {
         unmet.within(|why| format!("silent for 900 ms, while another session was refused: {why}"))

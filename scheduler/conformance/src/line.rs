@@ -10,7 +10,7 @@ use urrcp::{
     encode,
 };
 
-use super::heard::{Asked, Exchanges, Heard, Ticket, says_malformed};
+use super::heard::{Exchanges, Received, SentRequest, Ticket, says_malformed};
 use super::requirement::{Unmet, differs, shown};
 use super::stream::Stream;
 use super::trial::Trial;
@@ -30,7 +30,7 @@ pub(super) struct Line<'a> {
     exchanges: Exchanges,
     /// The most recently named session, which owns the held commands.
     session: Option<SessionId>,
-    others: VecDeque<Heard<Message>>,
+    others: VecDeque<Received<Message>>,
     /// The reason, once the peer has closed the connection.
     ended: Option<String>,
 }
@@ -89,7 +89,7 @@ impl<'a> Line<'a> {
     }
 
     /// Registers a request that was sent on another connection, because its reports may arrive on this one.
-    pub(super) fn expect_for(&mut self, asked: &Asked) -> Ticket {
+    pub(super) fn expect_for(&mut self, asked: &SentRequest) -> Ticket {
         self.exchanges.adopt(asked.clone())
     }
 
@@ -136,7 +136,7 @@ impl<'a> Line<'a> {
         Ok(String::from_utf8_lossy(&line).into_owned())
     }
 
-    pub(super) fn asked(&self, ticket: Ticket) -> &Asked {
+    pub(super) fn asked(&self, ticket: Ticket) -> &SentRequest {
         self.exchanges.of(ticket)
     }
 
@@ -201,14 +201,14 @@ impl<'a> Line<'a> {
         match decoder.next_message() {
             None => {}
             Some(Ok(Message::ControlResponse(response))) => {
-                let stray = self.exchanges.note(Heard { at, text, message: response });
-                self.others.extend(stray.map(|stray| Heard {
+                let stray = self.exchanges.note(Received { at, text, message: response });
+                self.others.extend(stray.map(|stray| Received {
                     at,
                     text: stray.text,
                     message: Message::ControlResponse(stray.message),
                 }));
             }
-            Some(Ok(message)) => self.others.push_back(Heard { at, text, message }),
+            Some(Ok(message)) => self.others.push_back(Received { at, text, message }),
             Some(Err(error)) => {
                 return Err(Unmet::Failed(format!(
                     "the robot sent a line that is not a message: {error}: {}",
@@ -230,12 +230,16 @@ impl<'a> Line<'a> {
     }
 
     /// The first answer to a request.
-    pub(super) fn answer(&mut self, ticket: Ticket) -> Result<Heard<ControlResponse>, Unmet> {
+    pub(super) fn answer(&mut self, ticket: Ticket) -> Result<Received<ControlResponse>, Unmet> {
         self.nth_answer(ticket, 0)
     }
 
     /// The n-th response to a request, from 0.
-    pub(super) fn nth_answer(&mut self, ticket: Ticket, n: usize) -> Result<Heard<ControlResponse>, Unmet> {
+    pub(super) fn nth_answer(
+        &mut self,
+        ticket: Ticket,
+        n: usize,
+    ) -> Result<Received<ControlResponse>, Unmet> {
         let until = self.trial.patience();
         self.listen(until, |line| line.asked(ticket).heard.len() > n)?;
         let found = self.asked(ticket).heard.get(n).cloned();
@@ -245,7 +249,7 @@ impl<'a> Line<'a> {
         })
     }
 
-    pub(super) fn accepted(&mut self, ticket: Ticket) -> Result<Heard<ControlResponse>, Unmet> {
+    pub(super) fn accepted(&mut self, ticket: Ticket) -> Result<Received<ControlResponse>, Unmet> {
         let answer = self.answer(ticket)?;
         match answer.message.status {
             Status::Accepted => Ok(answer),
@@ -264,7 +268,7 @@ impl<'a> Line<'a> {
         &mut self,
         ticket: Ticket,
         codes: &[ErrorCode],
-    ) -> Result<Heard<ControlResponse>, Unmet> {
+    ) -> Result<Received<ControlResponse>, Unmet> {
         let answer = self.answer(ticket)?;
         if is_failure(&answer.message, codes) {
             Ok(answer)
@@ -287,8 +291,8 @@ impl<'a> Line<'a> {
         ticket: Ticket,
         status: &Status,
         until: Timestamp<Server>,
-    ) -> Result<Heard<ControlResponse>, Unmet> {
-        let ended = |asked: &Asked| {
+    ) -> Result<Received<ControlResponse>, Unmet> {
+        let ended = |asked: &SentRequest| {
             asked.heard.iter().any(|h| h.message.status == *status || h.message.status == Status::Failed)
         };
         self.listen(until, |line| ended(line.asked(ticket)))?;
@@ -309,8 +313,9 @@ impl<'a> Line<'a> {
         ticket: Ticket,
         code: ErrorCode,
         until: Timestamp<Server>,
-    ) -> Result<Heard<ControlResponse>, Unmet> {
-        let failed = |asked: &Asked| asked.heard.iter().any(|heard| heard.message.status == Status::Failed);
+    ) -> Result<Received<ControlResponse>, Unmet> {
+        let failed =
+            |asked: &SentRequest| asked.heard.iter().any(|heard| heard.message.status == Status::Failed);
         self.listen(until, |line| failed(line.asked(ticket)))?;
         let asked = self.asked(ticket);
         let last = asked.heard.last();
@@ -325,7 +330,7 @@ impl<'a> Line<'a> {
     }
 
     /// The next message that does not belong to a control request.
-    pub(super) fn other(&mut self, until: Timestamp<Server>) -> Result<Option<Heard<Message>>, Unmet> {
+    pub(super) fn other(&mut self, until: Timestamp<Server>) -> Result<Option<Received<Message>>, Unmet> {
         self.listen(until, |line| !line.others.is_empty())?;
         Ok(self.others.pop_front())
     }
@@ -333,7 +338,7 @@ impl<'a> Line<'a> {
     /// Sends an availability request and waits for its answer; ignores `Failed` ones, which belong to another request.
     pub(super) fn availability(
         &mut self,
-    ) -> Result<(String, Timestamp<Server>, Heard<AvailabilityResponse>), Unmet> {
+    ) -> Result<(String, Timestamp<Server>, Received<AvailabilityResponse>), Unmet> {
         let request =
             AvailabilityRequest { timestamp: Some(self.trial.stamp()), session: None, seize: false };
         let sent_at = self.trial.now();
@@ -344,7 +349,7 @@ impl<'a> Line<'a> {
             match heard.message {
                 Message::AvailabilityResponse(message) if message.status == Status::Ok => {
                     self.trial.saw_round_trip(heard.at - sent_at);
-                    return Ok((sent, sent_at, Heard { at: heard.at, text: heard.text, message }));
+                    return Ok((sent, sent_at, Received { at: heard.at, text: heard.text, message }));
                 }
                 _ => last = Some(heard.text),
             }
@@ -354,7 +359,7 @@ impl<'a> Line<'a> {
     }
 
     /// Checks that the robot continues to answer after `before` was sent.
-    pub(super) fn goes_on_after(&mut self, before: &str) -> Result<(), Unmet> {
+    pub(super) fn survives(&mut self, before: &str) -> Result<(), Unmet> {
         match self.availability() {
             Ok(_) => Ok(()),
             Err(Unmet::Failed(why)) => Err(Unmet::Failed(format!(
@@ -366,12 +371,12 @@ impl<'a> Line<'a> {
     }
 
     /// Requests the initialization block.
-    pub(super) fn initialization(&mut self) -> Result<(String, Heard<InitializationBlock>), Unmet> {
+    pub(super) fn initialization(&mut self) -> Result<(String, Received<InitializationBlock>), Unmet> {
         let sent = self.say(&Message::InitializationRequest(urrcp::InitializationRequest::default()))?;
         let until = self.trial.patience();
         while let Some(heard) = self.other(until)? {
             if let Message::InitializationBlock(message) = heard.message {
-                return Ok((sent, Heard { at: heard.at, text: heard.text, message }));
+                return Ok((sent, Received { at: heard.at, text: heard.text, message }));
             }
         }
         Err(differs(&sent, &self.nothing(), "an initialization_block"))

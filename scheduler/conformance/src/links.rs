@@ -73,18 +73,18 @@ fn many_messages(trial: &Trial) -> Checked {
 }
 
 fn slow_reader(trial: &Trial) -> Checked {
-    let mut other = trial.connect_beside()?;
+    let mut other = trial.connect_second()?;
     let mut deaf = trial.connect()?;
     let asked = deaf.overfill()?;
     let what = format!("{asked} initialization requests on another connection, whose answers are not read,");
     // All buffers between the two sides take a while to fill.
     let until = trial.soon(1_000);
     while trial.now() < until {
-        other.goes_on_after(&what)?;
+        other.survives(&what)?;
         trial.pause(Span::from_millis(50))?;
     }
     drop(deaf);
-    trial.connect()?.goes_on_after(&what)?;
+    trial.connect()?.survives(&what)?;
     Ok(format!("{asked} answers were left unread"))
 }
 
@@ -102,16 +102,16 @@ fn two_links(trial: &Trial) -> Checked {
     let mut first = trial.connect()?;
     first.availability()?;
     let mut second = trial.connect()?;
-    second.goes_on_after("a second connection was opened while the first one was open")?;
-    first.goes_on_after("a second connection was opened")?;
-    second.goes_on_after("both connections were served once")?;
+    second.survives("a second connection was opened while the first one was open")?;
+    first.survives("a second connection was opened")?;
+    second.survives("both connections were served once")?;
     pass()
 }
 
 fn silent_peers(trial: &Trial) -> Checked {
     const PEERS: usize = 16;
     const OUT_MAX: Span = Span::from_millis(10_000);
-    drop(trial.connect_beside()?);
+    drop(trial.connect_second()?);
     let half = json!({"availability_request": {"timestamp": trial.stamp()}}).to_string();
     let mut peers = Vec::new();
     for n in 0..PEERS {

@@ -42,7 +42,7 @@ fn session_stop(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let (ours, theirs) = (session(trial)?, session(trial)?);
     let mut stranger = trial.connect()?;
-    let mut line = trial.connect_beside()?;
+    let mut line = trial.connect_second()?;
     let ticket = line.held(&of(&ours, trial.pending(actor)))?;
     let stop = || trial.cancel(actor);
     let ahead = Some(trial.stamp() + Span::from_millis(200));
@@ -79,7 +79,7 @@ fn session_silence(trial: &Trial) -> Checked {
         return Err(differs(&sent, &taken.text, "status `OK`: the robot is free"));
     }
     trial.pause(Span::from_millis(4_000))?;
-    let mut second = trial.connect_beside()?;
+    let mut second = trial.connect_second()?;
     let (sent, early) = claim(trial, &mut second, &theirs)?;
     let silent = trial.now() - before;
     if early.message.status == Status::Ok && silent < SILENCE {
@@ -118,7 +118,7 @@ fn reports_follow(trial: &Trial) -> Checked {
 fn follows(trial: &Trial, session: &SessionId, route: &[usize], millis: f64) -> Result<bool, Unmet> {
     let actor = trial.actor()?;
     let first = trial.connect()?;
-    let mut lines = [first, trial.connect_beside()?];
+    let mut lines = [first, trial.connect_second()?];
     let (from, to) = (route[0], route[route.len() - 1]);
     let starts = trial.now() + Span::from_millis_f64(millis);
     let command = of(session, trial.set(actor, actor.rest)).starting_in(millis).leased(LEASE_MS);

@@ -385,6 +385,6 @@ fn roles(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     line.refuses(&trial.set(actor, actor.rest), ErrorCode::Forbidden)?;
     line.refuses(&trial.cancel(actor), ErrorCode::Forbidden)?;
-    line.goes_on_after("forbidden requests")?;
+    line.survives("forbidden requests")?;
     pass()
 }

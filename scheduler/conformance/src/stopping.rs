@@ -115,7 +115,7 @@ fn home(trial: &Trial) -> Checked {
 fn take_back(trial: &Trial) -> Checked {
     let actor = trial.scripted()?;
     let mut upload = trial.connect()?;
-    let mut stop = trial.connect_beside()?;
+    let mut stop = trial.connect_second()?;
     let overtaken = trial.pending(actor);
     let stopping = trial.cancel(actor);
     cancels(

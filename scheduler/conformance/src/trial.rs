@@ -165,7 +165,7 @@ impl Trial {
     }
 
     /// Opens an additional connection, if the robot serves several.
-    pub(super) fn connect_beside(&self) -> Result<Line<'_>, Unmet> {
+    pub(super) fn connect_second(&self) -> Result<Line<'_>, Unmet> {
         let second = self.connect().and_then(|mut line| line.availability().map(|_| line));
         second.map_err(|unmet| match unmet {
             Unmet::Failed(why) => not_applicable(format!(

@@ -103,7 +103,7 @@ fn all_malformed(line: &mut Line, lines: &[Vec<u8>]) -> Checked {
         line.is_malformed(bytes)?;
     }
     let last = lines.last().map(|bytes| String::from_utf8_lossy(bytes).into_owned()).unwrap_or_default();
-    line.goes_on_after(&last)?;
+    line.survives(&last)?;
     pass()
 }
 
@@ -136,7 +136,7 @@ fn unknown_message(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let sent = "{\"x_greeting\":{\"text\":\"hello\"}}\n";
     line.send(sent.as_bytes())?;
-    line.goes_on_after(sent)?;
+    line.survives(sent)?;
     pass()
 }
 
@@ -195,7 +195,7 @@ fn deep_nesting(trial: &Trial) -> Checked {
         let expected = "an answer: `OK`, since unknown keys are ignored, or `malformed`";
         return Err(differs(&sent, "nothing", expected));
     }
-    line.goes_on_after(&sent)?;
+    line.survives(&sent)?;
     pass()
 }
 
@@ -256,14 +256,14 @@ fn huge_line(trial: &Trial) -> Checked {
     match heard {
         Some(heard) if says_malformed(&heard.message) => {
             if sent.is_ok() {
-                line.goes_on_after(&what)?;
+                line.survives(&what)?;
             }
         }
         Some(heard) => return Err(differs(&what, &heard.text, "`malformed`, or the end of the connection")),
         None if line.has_ended() => {}
         None => return Err(differs(&what, "nothing", "`malformed`, or the end of the connection")),
     }
-    trial.connect()?.goes_on_after(&what)?;
+    trial.connect()?.survives(&what)?;
     pass()
 }
 
@@ -287,7 +287,7 @@ fn half_line(trial: &Trial) -> Checked {
     }
     line.send(half)?;
     drop(line);
-    trial.connect()?.goes_on_after("half a message and a closed connection")?;
+    trial.connect()?.survives("half a message and a closed connection")?;
     pass()
 }
 

@@ -76,7 +76,12 @@ impl Mission {
 
     /// Whether a message comes from the right robot. Messages of another robot, or of one that has not identified itself yet, are
     /// ignored.
-    pub(super) fn is_the_one(&mut self, now: Timestamp<Server>, robot: usize, message: &Message) -> bool {
+    pub(super) fn is_expected_robot(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: usize,
+        message: &Message,
+    ) -> bool {
         match message {
             _ if !self.asks_names() => true,
             Message::InitializationBlock(block) if block.id == self.robots[robot].own_id => true,

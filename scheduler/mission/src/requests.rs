@@ -18,7 +18,7 @@ const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
     pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
-        if !self.is_the_one(now, robot, &message) {
+        if !self.is_expected_robot(now, robot, &message) {
             return;
         }
         let named = self.robots[robot].named();
@@ -78,7 +78,7 @@ impl Mission {
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         if stopped && response.status == Status::Ok && names_nothing(response) {
             // It is unknown whether the script or the stop has ended.
-            act.lose_sight_of(script);
+            act.mark_unknown(script);
             return self.goes_on(now);
         }
         let noted = act.answered(script, response, self.arrived, &self.robots);
@@ -163,7 +163,7 @@ impl Mission {
     /// Sends a message. While an act of the robot approaches its start, the message follows a question that carries the lease. Between
     /// the critical instant and the commitment, it waits.
     pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, mut message: Message) {
-        let waits = |act: &Act| act.hushes(robot, now) && !act.lets_through(robot, now);
+        let waits = |act: &Act| act.holds_messages_to(robot, now) && !act.lets_through(robot, now);
         if self.acts.iter().any(waits) {
             return self.deferred.push((robot, message));
         }

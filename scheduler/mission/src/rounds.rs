@@ -98,14 +98,14 @@ impl Mission {
         if self.acts.iter().any(|act| act.approaches(robot)) {
             return self.inquire(now, robot);
         }
-        if !self.acts.iter().any(|act| act.hushes(robot, now)) {
+        if !self.acts.iter().any(|act| act.holds_messages_to(robot, now)) {
             self.ask_about(now, robot, Vec::new());
         }
     }
 
     /// Asks a robot about all its scripts, and makes it shorten their leases as far as acts approach their start.
     pub(super) fn inquire(&mut self, now: Timestamp<Server>, robot: usize) {
-        if !self.acts.iter().any(|act| act.hushes(robot, now)) {
+        if !self.acts.iter().any(|act| act.holds_messages_to(robot, now)) {
             self.inquire_now(now, robot);
         }
     }

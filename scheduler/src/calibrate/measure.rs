@@ -6,7 +6,7 @@ use urrcp::{ControlType, Interpolation, Millis, Script, Setpoint, Span, Step};
 
 use super::NotMeasured;
 use super::plan::PlannedDevice;
-use super::talk::{Talk, TalkError};
+use super::talk::{DialogueError, RobotDialogue};
 
 /// Number of readings before the first movement.
 const AT_REST: usize = 24;
@@ -71,9 +71,9 @@ struct AtRest {
 /// Measures one device and moves it back to its original position.
 ///
 /// # Errors
-/// Returns [`NotMeasured`]. The device may not be at its original position then: call [`hold`](Talk::hold) for it.
+/// Returns [`NotMeasured`]. The device may not be at its original position then: call [`hold`](RobotDialogue::hold) for it.
 pub async fn measure(
-    talk: &mut Talk,
+    talk: &mut RobotDialogue,
     planned: &PlannedDevice,
     trials: usize,
     mut tell: impl FnMut(Progress),
@@ -102,11 +102,11 @@ pub async fn measure(
     measured(&estimate, &rest)
 }
 
-async fn at_rest(talk: &mut Talk, planned: &PlannedDevice) -> Result<AtRest, NotMeasured> {
+async fn at_rest(talk: &mut RobotDialogue, planned: &PlannedDevice) -> Result<AtRest, NotMeasured> {
     let mut readings = Vec::new();
     let began = talk.now();
     for _ in 0..AT_REST {
-        readings.push(Talk::reading_since(began, talk.read_again(&planned.how.sensor).await?));
+        readings.push(RobotDialogue::reading_since(began, talk.read_again(&planned.how.sensor).await?));
         talk.ping().await?;
     }
     let link = talk.clock_reading().map_or(Span::ZERO, |reading| reading.delay_min);
@@ -129,7 +129,7 @@ async fn at_rest(talk: &mut Talk, planned: &PlannedDevice) -> Result<AtRest, Not
 }
 
 struct Mover<'a> {
-    talk: &'a mut Talk,
+    talk: &'a mut RobotDialogue,
     planned: &'a PlannedDevice,
     rest: &'a AtRest,
     lasts: Span,
@@ -206,7 +206,7 @@ impl Mover<'_> {
         let mut samples = Vec::new();
         while self.talk.now() < until {
             let read = self.talk.read_again(&self.planned.how.sensor).await?;
-            let reading = Talk::reading_since(start, read);
+            let reading = RobotDialogue::reading_since(start, read);
             let (at, uncertainty) = reading.instant(self.rest.link, self.planned.how.taken);
             samples.push(Sample {
                 at: at - self.planned.how.sensor_delay,
@@ -231,7 +231,7 @@ impl Mover<'_> {
             Interpolation::Linear => (vec![step(self.lasts, there)], Commanded::ramp(self.lasts)),
             _ => self.stairs(here, there, step),
         };
-        let script = Script::new(steps).map_err(|error| TalkError::Refused(error.to_string()))?;
+        let script = Script::new(steps).map_err(|error| DialogueError::Refused(error.to_string()))?;
         Ok((script, commanded))
     }
 

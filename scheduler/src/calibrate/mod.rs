@@ -18,7 +18,7 @@ use downbeat_onset::Unclear;
 
 pub use measure::{Measured, Progress, measure};
 pub use plan::{PlannedDevice, PlannedRobot, Unplanned, plan};
-pub use talk::{Talk, TalkError};
+pub use talk::{DialogueError, RobotDialogue};
 
 /// The reason why a device was not measured.
 #[derive(Debug, thiserror::Error)]
@@ -26,7 +26,7 @@ pub use talk::{Talk, TalkError};
 pub enum NotMeasured {
     /// The robot does not answer, refuses, or is a different one.
     #[error(transparent)]
-    Talk(#[from] TalkError),
+    Dialogue(#[from] DialogueError),
     /// The sensor shows no motion that can be judged.
     #[error("{of} of {trials} movements cannot be evaluated: {why}")]
     Unclear {

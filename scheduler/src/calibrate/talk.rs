@@ -30,7 +30,7 @@ const LEAD: Span = Span::from_millis(150);
 /// A robot cannot be measured.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum TalkError {
+pub enum DialogueError {
     /// The link broke, or the robot could not be reached.
     #[error("{0}")]
     Link(String),
@@ -70,7 +70,7 @@ pub enum TalkError {
 }
 
 /// A dialogue with one robot.
-pub struct Talk {
+pub struct RobotDialogue {
     link: Link,
     happened: mpsc::Receiver<Happened>,
     clock: ServerClock,
@@ -88,18 +88,18 @@ const MISSED_MAX: u32 = 3;
 /// Maximum number of stored reports.
 const REPORTS_MAX: usize = 256;
 
-impl Talk {
+impl RobotDialogue {
     /// Connects to a robot and checks its description and its clock against the fleet file. Then claims the robot.
     ///
     /// # Errors
-    /// Returns [`TalkError`].
+    /// Returns [`DialogueError`].
     pub async fn begin(
         robot: &FleetRobot,
         endpoint: Endpoint,
         clock: ServerClock,
         session: Session,
         patience: Span,
-    ) -> Result<Self, TalkError> {
+    ) -> Result<Self, DialogueError> {
         let (events, happened) = mpsc::channel(256);
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let mut talk = Self {
@@ -121,7 +121,7 @@ impl Talk {
         if let Some(reading) = talk.estimate.reading() {
             let beyond = reading.offset.abs() - reading.uncertainty;
             if talk.mode == ClockMode::Ntp && beyond > CLOCK_OFF_MAX {
-                return Err(TalkError::Clock(reading.offset));
+                return Err(DialogueError::Clock(reading.offset));
             }
         }
         Ok(talk)
@@ -143,27 +143,27 @@ impl Talk {
     async fn next(
         &mut self,
         until: Timestamp<Server>,
-    ) -> Result<Option<(Timestamp<Server>, Event)>, TalkError> {
+    ) -> Result<Option<(Timestamp<Server>, Event)>, DialogueError> {
         let at = self.clock.instant_of(until);
         match tokio::time::timeout_at(at.into(), self.happened.recv()).await {
             Err(_) => Ok(None),
             Ok(Some(Happened::OnLink { at, event, .. })) => match *event {
                 Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => {
-                    Err(TalkError::Link(reason))
+                    Err(DialogueError::Link(reason))
                 }
                 event => Ok(Some((at, event))),
             },
             Ok(Some(Happened::Event { at, event })) => Ok(Some((at, *event))),
-            Ok(_) => Err(TalkError::Link("the link ended".to_owned())),
+            Ok(_) => Err(DialogueError::Link("the link ended".to_owned())),
         }
     }
 
-    fn say(&self, message: Message) -> Result<(), TalkError> {
-        let full = |_| TalkError::Link("the robot does not read its incoming messages".to_owned());
+    fn say(&self, message: Message) -> Result<(), DialogueError> {
+        let full = |_| DialogueError::Link("the robot does not read its incoming messages".to_owned());
         self.link.send(message, Urgency::InOrder).map_err(full)
     }
 
-    async fn block(&mut self) -> Result<InitializationBlock, TalkError> {
+    async fn block(&mut self) -> Result<InitializationBlock, DialogueError> {
         let until = self.now() + self.patience;
         while let Some((_, event)) = self.next(until).await? {
             match event {
@@ -178,14 +178,14 @@ impl Talk {
                 _ => {}
             }
         }
-        Err(TalkError::Silent(self.patience))
+        Err(DialogueError::Silent(self.patience))
     }
 
     /// Asks for availability. This claims the robot, renews its leases and measures its clock.
     ///
     /// # Errors
-    /// Returns [`TalkError`].
-    pub async fn ping(&mut self) -> Result<(), TalkError> {
+    /// Returns [`DialogueError`].
+    pub async fn ping(&mut self) -> Result<(), DialogueError> {
         let sent = self.now();
         let session = Some(self.session.on_the_wire().clone());
         self.say(Message::AvailabilityRequest(AvailabilityRequest {
@@ -207,7 +207,7 @@ impl Talk {
                 other => self.keep(other),
             }
         }
-        Err(TalkError::Silent(self.patience))
+        Err(DialogueError::Silent(self.patience))
     }
 
     fn keep(&mut self, event: Event) {
@@ -230,7 +230,7 @@ impl Talk {
     async fn ask(
         &mut self,
         mut request: ControlRequest,
-    ) -> Result<(Timestamp<Server>, Timestamp<Server>, ControlResponse), TalkError> {
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, ControlResponse), DialogueError> {
         let name = self.name();
         request.request_id = Some(name.clone());
         request.session = Some(self.session.on_the_wire().clone());
@@ -247,17 +247,17 @@ impl Talk {
                 other => self.keep(other),
             }
         }
-        Err(TalkError::Silent(self.patience))
+        Err(DialogueError::Silent(self.patience))
     }
 
     /// Reads a sensor.
     ///
     /// # Errors
-    /// Returns [`TalkError`].
+    /// Returns [`DialogueError`].
     pub async fn read(
         &mut self,
         sensor: &DeviceId,
-    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), TalkError> {
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), DialogueError> {
         let request = ControlRequest::immediate(sensor.clone(), Command::ReadSensor);
         let (sent, at, response) = self.ask(request).await?;
         match (response.status, response.status_value) {
@@ -269,14 +269,14 @@ impl Talk {
     /// Reads a sensor, and tries again if a reading is missed, for example because the sensor is busy.
     ///
     /// # Errors
-    /// Returns [`TalkError`], also if several consecutive readings are missed.
+    /// Returns [`DialogueError`], also if several consecutive readings are missed.
     pub async fn read_again(
         &mut self,
         sensor: &DeviceId,
-    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), TalkError> {
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), DialogueError> {
         for _ in 0..MISSED_MAX {
             match self.read(sensor).await {
-                Err(TalkError::Refused(_)) => {}
+                Err(DialogueError::Refused(_)) => {}
                 read => return read,
             }
         }
@@ -286,13 +286,13 @@ impl Talk {
     /// Sends a movement with a later start. Returns the start by the server's clock, and the request id.
     ///
     /// # Errors
-    /// Returns [`TalkError`].
+    /// Returns [`DialogueError`].
     pub async fn command(
         &mut self,
         device: &DeviceId,
         script: Script,
         lead: Span,
-    ) -> Result<(Timestamp<Server>, Option<RequestId>), TalkError> {
+    ) -> Result<(Timestamp<Server>, Option<RequestId>), DialogueError> {
         let reading = self.estimate.reading();
         let offset = reading.as_ref().map_or(Span::ZERO, |reading| reading.offset);
         let usual = reading.map_or(Span::ZERO, |reading| reading.delay_high);
@@ -322,8 +322,8 @@ impl Talk {
     /// Returns the reason why a movement has failed, if the robot has reported a failure.
     ///
     /// # Errors
-    /// Returns [`TalkError::Failed`].
-    pub fn check(&mut self, device: &DeviceId, request: Option<&RequestId>) -> Result<(), TalkError> {
+    /// Returns [`DialogueError::Failed`].
+    pub fn check(&mut self, device: &DeviceId, request: Option<&RequestId>) -> Result<(), DialogueError> {
         let failed = |report: &ControlResponse| {
             report.status == Status::Failed && request.is_some() && report.request_id.as_ref() == request
         };
@@ -333,7 +333,7 @@ impl Talk {
         });
         self.reports.clear();
         match reason {
-            Some(reason) => Err(TalkError::Failed { device: device.clone(), reason }),
+            Some(reason) => Err(DialogueError::Failed { device: device.clone(), reason }),
             None => Ok(()),
         }
     }
@@ -341,8 +341,8 @@ impl Talk {
     /// Orders a device to stay where it is.
     ///
     /// # Errors
-    /// Returns [`TalkError`]. The device may not be at rest then.
-    pub async fn hold(&mut self, device: &DeviceId) -> Result<(), TalkError> {
+    /// Returns [`DialogueError`]. The device may not be at rest then.
+    pub async fn hold(&mut self, device: &DeviceId) -> Result<(), DialogueError> {
         let stop = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
         let (_, _, response) = self.ask(stop).await?;
         match response.status {
@@ -366,27 +366,27 @@ fn unreachable_name() -> RequestId {
     RequestId::new("calibrate").expect("a constant below every limit")
 }
 
-fn available(status: Status, error: Option<&urrcp::ControlError>) -> Result<(), TalkError> {
+fn available(status: Status, error: Option<&urrcp::ControlError>) -> Result<(), DialogueError> {
     match status {
         Status::Failed => Err(refusal(error)),
         _ => Ok(()),
     }
 }
 
-fn refusal(error: Option<&urrcp::ControlError>) -> TalkError {
+fn refusal(error: Option<&urrcp::ControlError>) -> DialogueError {
     match error {
-        Some(error) if error.code == ErrorCode::Busy => TalkError::Busy,
-        Some(error) => TalkError::Refused(error.to_string()),
-        None => TalkError::Refused("no reason given".to_owned()),
+        Some(error) if error.code == ErrorCode::Busy => DialogueError::Busy,
+        Some(error) => DialogueError::Refused(error.to_string()),
+        None => DialogueError::Refused("no reason given".to_owned()),
     }
 }
 
 /// Rejects a different robot, and a robot whose devices differ from the plan.
-fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(), TalkError> {
+fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(), DialogueError> {
     let Some(expected) = &robot.init else { return Ok(()) };
     if block.id != expected.id {
         let (found, expected) = (block.id.to_string(), expected.id.to_string());
-        return Err(TalkError::Another { found, expected });
+        return Err(DialogueError::Another { found, expected });
     }
     for (device, how) in &robot.mission.calibrate {
         let limits = |block: &InitializationBlock| {
@@ -396,7 +396,7 @@ fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(),
         let is_sensor = block.device(how.sensor.as_str());
         let is_sensor = is_sensor.is_some_and(|sensor| sensor.available_control_types.sensor().is_some());
         if limits(block) != limits(expected) || !is_sensor {
-            return Err(TalkError::Different(device.clone()));
+            return Err(DialogueError::Different(device.clone()));
         }
     }
     Ok(())

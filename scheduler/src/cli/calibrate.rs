@@ -16,7 +16,8 @@ use super::drivers::DriverArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::calibrate::{
-    Measured, NotMeasured, PlannedDevice, PlannedRobot, Talk, TalkError, Unplanned, measure, plan,
+    DialogueError, Measured, NotMeasured, PlannedDevice, PlannedRobot, RobotDialogue, Unplanned, measure,
+    plan,
 };
 use crate::fleet::{self, StartPrograms};
 use crate::link::Endpoint;
@@ -282,7 +283,7 @@ async fn one(
     let robot = &planned.robot.id;
     let clock = ServerClock::anchored(Span::ZERO);
     let begun = tokio::select! {
-        begun = Talk::begin(planned.robot, endpoint, clock, session.clone(), args.patience) => begun,
+        begun = RobotDialogue::begin(planned.robot, endpoint, clock, session.clone(), args.patience) => begun,
         _ = signals.next() => return Exit::Stopped,
     };
     let mut talk = match begun {
@@ -312,7 +313,9 @@ async fn one(
         let held = talk.hold(&device.device).await;
         let (is_interrupted, link_lost) = match &ended {
             Err(Ended::Interrupted) => (true, false),
-            Err(Ended::Error(NotMeasured::Talk(TalkError::Link(_) | TalkError::Silent(_)))) => (false, true),
+            Err(Ended::Error(NotMeasured::Dialogue(DialogueError::Link(_) | DialogueError::Silent(_)))) => {
+                (false, true)
+            }
             _ => (false, false),
         };
         let result = ended.map_err(|ended| match ended {

@@ -4,7 +4,7 @@ use urrcp::SessionId;
 
 use super::missions::{failed, one};
 use super::{Exit, Format, console, identity};
-use crate::journal::Life;
+use crate::journal::MissionState;
 use crate::run::control;
 
 /// Begin the act that waits for the operator.
@@ -28,7 +28,7 @@ pub(super) struct GoArgs {
 }
 
 pub(super) fn go(args: &GoArgs, format: Format) -> Exit {
-    let found = match one(args.mission.as_deref(), Life::Running, format) {
+    let found = match one(args.mission.as_deref(), MissionState::Running, format) {
         Ok(found) => found,
         Err(exit) => return exit,
     };

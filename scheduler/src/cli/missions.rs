@@ -9,7 +9,7 @@ use serde_json::json;
 use urrcp::{RobotId, SessionId};
 
 use super::{Exit, Format, console};
-use crate::journal::{self, Found, Life, Missions, NotPrivate, Unreadable};
+use crate::journal::{self, Found, MissionState, Missions, NotPrivate, Unreadable};
 use crate::show::table::Rows;
 
 /// List the missions of this machine that run or were cut off.
@@ -42,9 +42,9 @@ impl From<Found> for Row {
         Self {
             mission: found.opened.session,
             state: match found.life {
-                Life::Running => "running",
-                Life::CutOff => "cut off",
-                Life::Ended => "ended",
+                MissionState::Running => "running",
+                MissionState::CutOff => "cut off",
+                MissionState::Ended => "ended",
             },
             pid: found.opened.pid,
             scenario: found.opened.scenario,
@@ -59,7 +59,7 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     let unread = listed.unread();
-    let shown = listed.found.into_iter().filter(|found| args.all || found.life != Life::Ended);
+    let shown = listed.found.into_iter().filter(|found| args.all || found.life != MissionState::Ended);
     let rows: Vec<Row> = shown.map(Row::from).collect();
     match format {
         Format::Json => console::print_json(&rows),
@@ -122,11 +122,11 @@ pub(super) fn unusable(state: &Path, error: &io::Error) -> String {
 }
 
 /// Returns the requested mission with this state.
-pub(super) fn one(named: Option<&str>, life: Life, format: Format) -> Result<Found, Exit> {
+pub(super) fn one(named: Option<&str>, life: MissionState, format: Format) -> Result<Found, Exit> {
     let (what, what_several) = match life {
-        Life::Running => ("runs", "run"),
-        Life::CutOff => ("was cut off", "were cut off"),
-        Life::Ended => ("has ended", "have ended"),
+        MissionState::Running => ("runs", "run"),
+        MissionState::CutOff => ("was cut off", "were cut off"),
+        MissionState::Ended => ("has ended", "have ended"),
     };
     let fits = |found: &Found| found.life == life && is_called(found, named);
     let mut fitting: Vec<Found> = listed()?.found.into_iter().filter(fits).collect();

@@ -21,7 +21,7 @@ use super::withdraw::{
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, choice, console, identity, load, robot, stop};
 use crate::certificate;
 use crate::fleet::{self, Drivers, EndpointError, StartPrograms};
-use crate::journal::{Contents, Found, Journal, Life, Opened, OpenedRobot};
+use crate::journal::{Contents, Found, Journal, MissionState, Opened, OpenedRobot};
 use crate::link::Endpoint;
 use crate::mission::{Changed, Fate, Mission, MissionOptions, ended_acts};
 use crate::report::Report;
@@ -70,7 +70,7 @@ pub(super) struct ResumeArgs {
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     args.output.apply();
     console::never_wait();
-    let found = match one(args.mission.as_deref(), Life::CutOff, format) {
+    let found = match one(args.mission.as_deref(), MissionState::CutOff, format) {
         Ok(found) => found,
         Err(exit) => return exit,
     };

@@ -20,11 +20,11 @@ use super::withdraw::{
 };
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::StartPrograms;
-use crate::journal::{Contents, Found, Life};
+use crate::journal::{Contents, Found, MissionState};
 use crate::mission::Rest;
 use crate::mission::{Failure, Standing};
 use crate::report::{StopState, Withdrawal, WithdrawnRobot};
-use crate::run::control::{self, Ending, Unheard};
+use crate::run::control::{self, Ending, Undelivered};
 use crate::run::desk::Presented;
 use crate::show::TAKEN_OVER;
 use crate::show::local::time_of_day;
@@ -108,7 +108,8 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     };
     let unreadable = if missions.unread() == 0 { Exit::Done } else { Exit::Failed };
     let named = args.mission.as_deref();
-    let meant = |found: &Found| is_called(found, named) && (named.is_some() || found.life != Life::Ended);
+    let meant =
+        |found: &Found| is_called(found, named) && (named.is_some() || found.life != MissionState::Ended);
     let found: Vec<Found> = missions.found.into_iter().filter(meant).collect();
     let unread: Vec<Unread> =
         missions.damaged.iter().filter_map(|journal| Unread::of(journal, named)).collect();
@@ -176,7 +177,7 @@ impl Unread {
                 Stopped::of(self.mission, Err(ENDED_AHEAD.to_owned()))
             }
             Ok(ending) => Stopped::by_itself(self.mission, &ending.report),
-            Err(refused @ Unheard::Refused(_)) => Stopped::of(self.mission, Err(refused.to_string())),
+            Err(refused @ Undelivered::Refused(_)) => Stopped::of(self.mission, Err(refused.to_string())),
             Err(unheard) => {
                 let reason =
                     format!("its journal cannot be read, and its process does not answer: {unheard}");
@@ -242,16 +243,16 @@ fn worst(one: Exit, other: Exit) -> Exit {
 
 async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> Stopped {
     match found.life {
-        Life::Running => match control::stop(&found.folder, how.rest, presented.as_deref()).await {
+        MissionState::Running => match control::stop(&found.folder, how.rest, presented.as_deref()).await {
             Ok(ending) => heard(&found, how, &ending).await,
             // After a refusal, the mission is not stopped from its journal either.
-            Err(refused @ Unheard::Refused(_)) => {
+            Err(refused @ Undelivered::Refused(_)) => {
                 Stopped::of(found.opened.session.clone(), Err(refused.to_string()))
             }
             Err(unheard) => unanswered(&found, &unheard.to_string(), how).await,
         },
-        Life::CutOff => cut_off(&found, how).await,
-        Life::Ended => directly(&found, how, "it has ended; its robots are stopped again").await,
+        MissionState::CutOff => cut_off(&found, how).await,
+        MissionState::Ended => directly(&found, how, "it has ended; its robots are stopped again").await,
     }
 }
 
@@ -295,7 +296,11 @@ async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
     }
     // Hardware that the mission's process drives can be reached only once that process has ended.
     let gone = async {
-        while Found::look_at(&found.folder).ok().flatten().is_some_and(|found| found.life == Life::Running) {
+        while Found::look_at(&found.folder)
+            .ok()
+            .flatten()
+            .is_some_and(|found| found.life == MissionState::Running)
+        {
             tokio::time::sleep(LOOK_EVERY).await;
         }
     };
@@ -309,13 +314,13 @@ async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
 
 /// Handles a running mission that gave no report.
 async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
-    let now = Found::look_at(&found.folder).ok().flatten().map_or(Life::Ended, |found| found.life);
+    let now = Found::look_at(&found.folder).ok().flatten().map_or(MissionState::Ended, |found| found.life);
     match now {
-        Life::CutOff => return cut_off(found, how).await,
-        Life::Ended => {
+        MissionState::CutOff => return cut_off(found, how).await,
+        MissionState::Ended => {
             return directly(found, how, "it has ended meanwhile; its robots are stopped again").await;
         }
-        Life::Running => {}
+        MissionState::Running => {}
     }
     let pid = holder(found);
     let process = pid.map_or("its process".to_owned(), |pid| format!("process {}", pid.as_raw_nonzero()));

@@ -151,18 +151,18 @@ fn is_key(text: &str) -> bool {
 
 /// The error for a text that is not an address.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NoAddress;
+pub struct InvalidAddress;
 
 /// The forms of addresses, for messages.
 pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, thrift://host:port or program:COMMAND";
 
-impl fmt::Display for NoAddress {
+impl fmt::Display for InvalidAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "expected {ADDRESS}")
     }
 }
 
-impl std::error::Error for NoAddress {}
+impl std::error::Error for InvalidAddress {}
 
 /// The fault of a text that is not an address, and a hint with the correct form.
 #[must_use]
@@ -208,11 +208,11 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
 }
 
 impl FromStr for Address {
-    type Err = NoAddress;
+    type Err = InvalidAddress;
 
     /// Parses an address as written in the fleet file.
-    fn from_str(text: &str) -> Result<Self, NoAddress> {
-        Self::parse(text).ok_or(NoAddress)
+    fn from_str(text: &str) -> Result<Self, InvalidAddress> {
+        Self::parse(text).ok_or(InvalidAddress)
     }
 }
 
@@ -268,7 +268,7 @@ mod tests {
         for wrong in
             ["zenoh:", "zenoh:/a", "zenoh:a/", "zenoh:a//b", "zenoh:a/*", "zenoh:a b", "zenoh://a", "zenoh"]
         {
-            assert_eq!(wrong.parse::<Address>(), Err(NoAddress), "{wrong}");
+            assert_eq!(wrong.parse::<Address>(), Err(InvalidAddress), "{wrong}");
         }
         assert_eq!(address_fault("zenoh:a/**").0, "has no valid key");
     }

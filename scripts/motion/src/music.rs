@@ -104,7 +104,7 @@ pub struct Music {
 
 /// The reason why a musical time has no length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unmusical {
+pub enum NoMusicalLength {
     /// The scenario has no tempo.
     WithoutTempo,
     /// The cue begins at a time that is not fixed.
@@ -113,7 +113,7 @@ pub enum Unmusical {
     Position,
 }
 
-impl Unmusical {
+impl NoMusicalLength {
     /// The message of the finding.
     pub fn message(self, text: &str) -> String {
         match self {
@@ -137,21 +137,21 @@ impl Unmusical {
 
 impl Music {
     /// Parses a length such as `4 beats` or `1 bar 2 beats`; `None` if the text is not such a length.
-    pub fn span(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
+    pub fn span(&self, text: &str) -> Option<Result<Exact, NoMusicalLength>> {
         if position(text).is_some() {
-            return Some(Err(Unmusical::Position));
+            return Some(Err(NoMusicalLength::Position));
         }
         let (bars, beats) = length(text)?;
         Some(self.length(bars, beats))
     }
 
     /// The duration of bars and beats, from the start of the cue.
-    pub fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, Unmusical> {
-        let tempo = self.tempo.as_ref().ok_or(Unmusical::WithoutTempo)?;
+    pub fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, NoMusicalLength> {
+        let tempo = self.tempo.as_ref().ok_or(NoMusicalLength::WithoutTempo)?;
         let start = match (self.start.0, tempo.changes()) {
             (Some(start), _) => start,
             (None, false) => Exact::ZERO,
-            (None, true) => return Err(Unmusical::StartNotFixed),
+            (None, true) => return Err(NoMusicalLength::StartNotFixed),
         };
         let time = || {
             let section = tempo.section(|s| s.at, start)?.section;
@@ -182,9 +182,9 @@ impl Music {
     }
 
     /// Parses a position such as `bar 3 beat 2` as the time from the beginning; `None` if the text is not a position.
-    pub fn position(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
+    pub fn position(&self, text: &str) -> Option<Result<Exact, NoMusicalLength>> {
         let (bar, beat) = position(text)?;
-        let Some(tempo) = self.tempo.as_ref() else { return Some(Err(Unmusical::WithoutTempo)) };
+        let Some(tempo) = self.tempo.as_ref() else { return Some(Err(NoMusicalLength::WithoutTempo)) };
         Some(Ok(tempo.position(bar, beat).unwrap_or(Exact::ZERO)))
     }
 }
@@ -247,8 +247,8 @@ mod tests {
 
     #[test]
     fn a_length_under_changing_tempo_needs_a_fixed_start() {
-        assert_eq!(music(None).span("2 beats"), Some(Err(Unmusical::StartNotFixed)));
-        assert_eq!(Music::default().span("2 beats"), Some(Err(Unmusical::WithoutTempo)));
+        assert_eq!(music(None).span("2 beats"), Some(Err(NoMusicalLength::StartNotFixed)));
+        assert_eq!(Music::default().span("2 beats"), Some(Err(NoMusicalLength::WithoutTempo)));
         assert_eq!(music(None).span("2 parsecs"), None);
     }
 }

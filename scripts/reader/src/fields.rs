@@ -16,7 +16,7 @@ use crate::scope::Scope;
 use crate::slips::{self, Units};
 use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
 use downbeat_motion::exact::{Beginning, Exact};
-use downbeat_motion::music::{Music, Unmusical};
+use downbeat_motion::music::{Music, NoMusicalLength};
 pub use downbeat_yaml::at::At;
 use downbeat_yaml::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX};
 use downbeat_yaml::finding::{
@@ -145,7 +145,8 @@ impl Reader {
             return;
         }
         let message = message.into();
-        let is_without_tempo = code == Code::Music && hint.as_deref() == Some(Unmusical::WithoutTempo.hint());
+        let is_without_tempo =
+            code == Code::Music && hint.as_deref() == Some(NoMusicalLength::WithoutTempo.hint());
         if is_without_tempo && !self.is_first_without_tempo(&place, &message) {
             return;
         }

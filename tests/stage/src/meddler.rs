@@ -17,7 +17,7 @@ pub enum Wire {
 
 /// The manipulation of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Deed {
+pub enum Tampering {
     Pass,
     /// The second-to-last byte changes.
     Alter,
@@ -29,14 +29,14 @@ pub enum Deed {
 
 #[derive(Default)]
 struct Told {
-    deed: Option<Deed>,
+    deed: Option<Tampering>,
     done: usize,
     /// The longest recorded input to the robot on one connection.
     said: Vec<u8>,
 }
 
 /// Carries connections to one robot.
-pub struct Meddler {
+pub struct Tamperer {
     /// Its own port.
     pub port: u16,
     robot: u16,
@@ -46,7 +46,7 @@ pub struct Meddler {
 /// Only longer records are manipulated: they carry scripts.
 const LONG: usize = 500;
 
-impl Meddler {
+impl Tamperer {
     /// Manipulates the long record of this number, from 1, of each connection that has one.
     pub fn to(robot: u16, wire: Wire, number: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -79,7 +79,7 @@ impl Meddler {
         own
     }
 
-    pub fn does(&self, deed: Deed) {
+    pub fn does(&self, deed: Tampering) {
         let mut told = self.told.lock().unwrap();
         (told.deed, told.done) = (Some(deed), 0);
     }
@@ -118,21 +118,21 @@ fn carry(mut from: TcpStream, mut to: &TcpStream, wire: Wire, number: usize, tol
             long += usize::from(record.len() > LONG);
             let mut told = told.lock().unwrap();
             let meant = record.len() > LONG && long == number;
-            let mut parts = match told.deed.filter(|_| meant).unwrap_or(Deed::Pass) {
-                Deed::Pass => vec![record],
-                Deed::Alter => {
+            let mut parts = match told.deed.filter(|_| meant).unwrap_or(Tampering::Pass) {
+                Tampering::Pass => vec![record],
+                Tampering::Alter => {
                     let at = record.len() - 2;
                     record[at] ^= 1;
                     vec![record]
                 }
-                Deed::Repeat => vec![record.clone(), record],
-                Deed::Reorder => {
+                Tampering::Repeat => vec![record.clone(), record],
+                Tampering::Reorder => {
                     held = Some(record);
                     told.done += 1;
                     continue;
                 }
             };
-            told.done += usize::from(meant && told.deed.is_some_and(|deed| deed != Deed::Pass));
+            told.done += usize::from(meant && told.deed.is_some_and(|deed| deed != Tampering::Pass));
             drop(told);
             parts.extend(held.take());
             if to.write_all(&parts.concat()).is_err() {

@@ -2,7 +2,7 @@
 
 use std::process::{Child, Command, Stdio};
 
-use crate::meddler::{Deed, Meddler, Wire};
+use crate::meddler::{Tamperer, Tampering, Wire};
 use crate::session::{Ran, Session, arm_at, program, root};
 use crate::{Process, free_port};
 
@@ -130,19 +130,19 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 100ms, t
 
 /// Plays missions whose messages to one robot are manipulated.
 pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
-    let meddler = Meddler::to(site.ports[1], wire, long_record);
+    let meddler = Tamperer::to(site.ports[1], wire, long_record);
     let mut addresses = site.addresses(site.scheme);
     addresses[1] = format!("{}://127.0.0.1:{}", site.scheme, meddler.port);
     site.fleet(&addresses, "anna");
     let before = site.moved();
     site.run().says(0, &["test: done"]);
     let once = site.moved() - before;
-    for deed in [Deed::Alter, Deed::Reorder, Deed::Repeat] {
+    for deed in [Tampering::Alter, Tampering::Reorder, Tampering::Repeat] {
         // Robots log each reason once a second.
         std::thread::sleep(std::time::Duration::from_millis(1_100));
         let (logged, before) = (site.logged(1).len(), site.moved());
         meddler.does(deed);
-        if deed == Deed::Repeat {
+        if deed == Tampering::Repeat {
             // The first copy is genuine: the mission may continue on another connection.
             // Exit code 6: the mission was played, but with late steps.
             let played = usize::from(matches!(site.run().code(), 0 | 6));
@@ -163,7 +163,7 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
     assert_eq!(site.moved(), before);
-    meddler.does(Deed::Pass);
+    meddler.does(Tampering::Pass);
     site.run().says(0, &["test: done"]);
 }
 

@@ -13,7 +13,7 @@ fn a_value_is_too_old_only_beyond_its_bound() {
     assert_eq!(value(None).stale(due + beyond, STALE), None, "the default state is never too old");
 }
 
-const MANNERS: Manners = Manners {
+const MANNERS: DriverTraits = DriverTraits {
     acknowledges: false,
     takes_frames: false,
     ping_period: Duration::from_millis(25),
@@ -41,9 +41,9 @@ fn plan(device: &str) -> Order {
     Order::Plan(PlanOrder::Cancel(cancel))
 }
 
-fn word(plan: u64) -> PlanWord {
+fn word(plan: u64) -> PlanReport {
     let (plan, at) = (crate::PlanId(plan), urrcp::Timestamp::from_nanos(0));
-    PlanWord { plan, at, event: crate::plans::PlanEvent::Began }
+    PlanReport { plan, at, event: crate::plans::PlanEvent::Began }
 }
 
 /// Returns a mailbox without a connection. Its clock is stopped, so that no ping becomes due while a test runs.
@@ -127,7 +127,7 @@ fn a_script_that_waits_or_is_in_hand_is_not_confirmed() {
 #[test]
 fn hardware_that_acknowledges_values_is_not_asked_again() {
     let mailbox = empty();
-    mailbox.connected(1, Manners { acknowledges: true, ..MANNERS });
+    mailbox.connected(1, DriverTraits { acknowledges: true, ..MANNERS });
     mailbox.post(1, [set("a", 1.0), confirm(1, "a")].into_iter(), Demand::default());
     assert_eq!([next(&mailbox), next(&mailbox)], ["a 1", "confirm [1]"]);
 }

@@ -14,7 +14,7 @@ fn stopped() -> (Mailbox, Instant) {
 #[test]
 fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
     let (mailbox, now) = stopped();
-    mailbox.connected(1, mailbox::Manners { acknowledges: true, ..MANNERS });
+    mailbox.connected(1, mailbox::DriverTraits { acknowledges: true, ..MANNERS });
     let arm = DeviceId::new("arm").unwrap();
     let part = empty_plan(&arm);
     let cancel =
@@ -64,7 +64,7 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
 #[test]
 fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
     let (mailbox, now) = stopped();
-    mailbox.connected(1, mailbox::Manners { acknowledges: true, takes_frames: true, ..MANNERS });
+    mailbox.connected(1, mailbox::DriverTraits { acknowledges: true, takes_frames: true, ..MANNERS });
     let set = |device: &str, value| {
         let setpoint = Setpoint::new(ControlType::Speed, value);
         let key = (DeviceId::new(device).unwrap(), ControlType::Speed);

@@ -347,7 +347,7 @@ fn hardware_is_asked_for_its_silence_from_a_second_before_a_start_on() {
     bench.request(timed("arm", "a", 2_000.0, script(ControlType::Position, &PAPER)));
     let mut asked = |millis| {
         let mut asked = false;
-        bench.robot.look_after(
+        bench.robot.check_hardware(
             at(millis),
             || {
                 asked = true;

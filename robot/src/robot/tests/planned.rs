@@ -426,7 +426,7 @@ fn a_whole_script_goes_on_although_the_edge_was_held_up() {
     bench.paper();
     bench.now = at(2_400);
     let silence = || None;
-    bench.robot.look_after(bench.now, silence, &mut bench.out);
+    bench.robot.check_hardware(bench.now, silence, &mut bench.out);
     bench.robot.advance(bench.now, &mut bench.out);
     assert_eq!((bench.statuses(), bench.cancels()), (vec!["Accepted".to_owned()], vec![]));
 }

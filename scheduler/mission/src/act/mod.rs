@@ -535,7 +535,7 @@ impl Act {
     }
 
     /// Whether nothing may be sent to a robot now, because it would extend the robot's lease beyond a start that is not committed.
-    pub(crate) fn hushes(&self, robot: usize, now: Timestamp<Server>) -> bool {
+    pub(crate) fn holds_messages_to(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
         let undecided = match &self.stage {
             Stage::Preparing(_) => true,

@@ -265,7 +265,7 @@ impl Act {
     }
 
     /// Marks the fate of a script as permanently unknown.
-    pub(crate) fn lose_sight_of(&mut self, script: ScriptRef) {
+    pub(crate) fn mark_unknown(&mut self, script: ScriptRef) {
         self.members[script.member].change(script.script, Script::lapse);
     }
 

@@ -135,7 +135,7 @@ fn with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent() {
             ends(&mut acts, 0, 0, &robots);
             assert_eq!(send_all(&mut acts, &robots), [(0, 2)]);
             // The fate of the next one is never known, so nothing waits for it.
-            acts[0].lose_sight_of(ScriptRef { act: 0, member: 0, script: 1 });
+            acts[0].mark_unknown(ScriptRef { act: 0, member: 0, script: 1 });
             assert_eq!(send_all(&mut acts, &robots), [(0, 3)]);
         }
     }

@@ -36,7 +36,7 @@ fn where_robots_are_not_asked_for_their_names_whatever_comes_is_from_the_one_tha
         if up {
             mission.robots[0].named();
         }
-        assert_eq!(mission.is_the_one(at(1), 0, &message), counts, "{greeting:?}, named: {up}");
+        assert_eq!(mission.is_expected_robot(at(1), 0, &message), counts, "{greeting:?}, named: {up}");
     }
 }
 

@@ -364,7 +364,7 @@ fn a_robot_that_an_act_asks_on_the_way_to_its_start_is_not_asked_once_more_by_a_
     for (asked, more) in [(1, 0), (10_000, 1)] {
         let mut played = Played::begun(begins_at_once(Everything));
         let now = played.now;
-        assert!(played.mission.acts[0].approaches(0) && !played.mission.acts[0].hushes(0, now));
+        assert!(played.mission.acts[0].approaches(0) && !played.mission.acts[0].holds_messages_to(0, now));
         played.mission.robots[0].questions.forgive();
         let mut questions = crate::robot_state::Questions::default();
         questions.asked(now - ms(asked));

@@ -22,14 +22,14 @@ pub struct Found {
     /// When the mission was opened.
     pub opened_at: Timestamp<Server>,
     /// The state of the mission.
-    pub life: Life,
+    pub life: MissionState,
     /// Size of its journal in bytes.
     size: u64,
 }
 
 /// The state of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Life {
+pub enum MissionState {
     /// Its scheduler is alive.
     Running,
     /// Its scheduler died before the mission ended.
@@ -109,9 +109,9 @@ impl Found {
             };
         };
         let life = match running {
-            true => Life::Running,
-            false if has_ended(&file, first.len() as u64, size)? => Life::Ended,
-            false => Life::CutOff,
+            true => MissionState::Running,
+            false if has_ended(&file, first.len() as u64, size)? => MissionState::Ended,
+            false => MissionState::CutOff,
         };
         Ok(Some(Self { folder: folder.to_path_buf(), opened, opened_at, life, size }))
     }
@@ -159,7 +159,7 @@ const ENDED_BYTES: u64 = 64 * 1024 * 1024;
 /// cut off stay until they are resumed or stopped.
 pub fn forget_old(state: &Path) {
     let found = Missions::of(state).unwrap_or_default().found;
-    let ended = found.into_iter().rev().filter(|found| found.life == Life::Ended);
+    let ended = found.into_iter().rev().filter(|found| found.life == MissionState::Ended);
     let mut bytes = 0;
     for (index, found) in ended.enumerate() {
         bytes += found.size;

@@ -21,7 +21,7 @@ use urrcp::{ContentHash, InitializationBlock, RobotId, Server, SessionId, Span, 
 pub use disk::{Disk, FileDisk, Name};
 use downbeat_mission::session::{Session, SessionKey};
 use downbeat_mission::{FixedStarts, Greeting, Record, dated_line, whole_length};
-pub use found::{Found, Life, Missions, forget_old, has_begun};
+pub use found::{Found, MissionState, Missions, forget_old, has_begun};
 pub use private::NotPrivate;
 pub use read::{Contents, Records, Unreadable, read, records};
 pub use writer::{News, WAITING_MAX, Writer, append_all};

@@ -210,7 +210,7 @@ fn what_became_of_acts_is_known_after_a_crash_also_of_those_that_were_not_played
     assert_eq!(read(&path).unwrap().kept.course, [ActOver { act: 0, fate: ActFate::Played }, skipped]);
 }
 
-fn life(folder: &Path) -> Life {
+fn life(folder: &Path) -> MissionState {
     Found::look_at(folder).unwrap().unwrap().life
 }
 
@@ -223,13 +223,13 @@ fn end(folder: &Path) {
 fn whether_a_mission_lives_is_told_by_its_lock_and_whether_it_has_ended_by_its_last_lines() {
     let folder = tempfile::tempdir().unwrap();
     written(folder.path());
-    assert_eq!(life(folder.path()), Life::CutOff);
+    assert_eq!(life(folder.path()), MissionState::CutOff);
     let held = Journal::open(folder.path()).unwrap();
-    assert_eq!(life(folder.path()), Life::Running);
+    assert_eq!(life(folder.path()), MissionState::Running);
     assert!(Journal::open(folder.path()).is_err(), "looking does not break the lock");
     drop(held);
     end(folder.path());
-    assert_eq!(life(folder.path()), Life::Ended);
+    assert_eq!(life(folder.path()), MissionState::Ended);
 }
 
 #[test]
@@ -237,7 +237,7 @@ fn a_lock_of_another_kind_does_not_keep_a_journal_shut() {
     let folder = tempfile::tempdir().unwrap();
     let foreign = std::fs::File::open(written(folder.path())).unwrap();
     foreign.lock().unwrap();
-    assert_eq!(life(folder.path()), Life::CutOff);
+    assert_eq!(life(folder.path()), MissionState::CutOff);
     Journal::open(folder.path()).unwrap();
 }
 
@@ -544,7 +544,7 @@ fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lo
         assert_eq!([mode(&state), mode(&mission), mode(&mission.join("journal"))], [0o700, 0o700, 0o600]);
         for place in [mission, state.with_extension("elsewhere").join("m")] {
             let found = Found::look_at(&place).ok().flatten();
-            assert!(found.is_none_or(|found| found.life == Life::Running), "{}", place.display());
+            assert!(found.is_none_or(|found| found.life == MissionState::Running), "{}", place.display());
         }
         journal.append(at(3), &prepared(1)).unwrap();
         assert_eq!(journal.sync(), Ok(2));

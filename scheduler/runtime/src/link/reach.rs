@@ -78,10 +78,10 @@ impl Reach {
             }
             #[cfg(feature = "zenoh")]
             Self::Zenoh { network, key } => {
-                use downbeat_robot::zenoh::{Haste, connect, connect_sharing};
+                use downbeat_robot::zenoh::{Urgency, connect, connect_sharing};
                 let connected = match purpose {
                     Purpose::Link { audiences } => connect_sharing(network, key, audiences).await,
-                    Purpose::Stop => connect(network, key, Haste::Stop).await,
+                    Purpose::Stop => connect(network, key, Urgency::Stop).await,
                 };
                 let (reader, writer) = connected?.split();
                 Ok(((Either::Right(reader), Either::Right(writer)), None))

@@ -25,7 +25,7 @@ use tokio::time::timeout;
 
 use super::desk::{Challenge, Desk, Presented};
 use crate::journal::private;
-use crate::stop_lane::{Operator, StopLane, Voice};
+use crate::stop_lane::{Operator, OperatorHandle, StopLane};
 use downbeat_mission::Rest;
 
 /// Maximum length of a line, in bytes: a command and the name of an act.
@@ -214,7 +214,7 @@ async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
 /// The mission's end of one connection.
 struct Listener {
     writer: OwnedWriteHalf,
-    voice: Voice,
+    voice: OperatorHandle,
     report: watch::Receiver<Option<String>>,
     /// Verifies the identity that the client presents, with the challenge that it must sign.
     desk: Option<(Arc<Desk>, Challenge)>,
@@ -303,7 +303,7 @@ impl Listener {
 
 /// A scheduler did not execute a command.
 #[derive(Debug, thiserror::Error)]
-pub enum Unheard {
+pub enum Undelivered {
     /// No process listens.
     #[error("no process listens on its socket: {0}")]
     NobodyListens(#[from] io::Error),
@@ -327,12 +327,12 @@ fn mission_of(folder: &Path) -> String {
 /// begins.
 ///
 /// # Errors
-/// Returns [`Unheard`]. Nothing begins then, unless the scheduler became silent during the exchange.
+/// Returns [`Undelivered`]. Nothing begins then, unless the scheduler became silent during the exchange.
 pub async fn go(
     folder: &Path,
     act: Option<&str>,
     presented: Option<&Presented>,
-) -> Result<Result<String, String>, Unheard> {
+) -> Result<Result<String, String>, Undelivered> {
     if act.is_some_and(|act| act.contains(['\n', '\r']) || act.len() as u64 > LINE_MAX / 2) {
         return Ok(Err("invalid name of an act: too long, or with a line break".to_owned()));
     }
@@ -361,8 +361,8 @@ pub struct Ending {
 /// Stops a mission, waits for its end and returns the result.
 ///
 /// # Errors
-/// Returns [`Unheard`] as soon as the mission is silent for 1 s. The stop may still take effect then.
-pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<Ending, Unheard> {
+/// Returns [`Undelivered`] as soon as the mission is silent for 1 s. The stop may still take effect then.
+pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<Ending, Undelivered> {
     let mut speaker = Speaker::to(folder).await?;
     let mut superseded = false;
     let word = match rest {
@@ -382,7 +382,7 @@ pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> R
         }
         superseded |= line == SUPERSEDED;
         if let Some(reason) = line.strip_prefix("refused: ") {
-            return Err(Unheard::Refused(reason.to_owned()));
+            return Err(Undelivered::Refused(reason.to_owned()));
         }
     }
 }
@@ -394,9 +394,9 @@ struct Speaker {
 }
 
 impl Speaker {
-    async fn to(folder: &Path) -> Result<Self, Unheard> {
+    async fn to(folder: &Path) -> Result<Self, Undelivered> {
         let stream = UnixStream::connect(private::socket(folder, SOCKET)?);
-        let stream = timeout(SILENCE_MAX, stream).await.map_err(|_| Unheard::Silent)??;
+        let stream = timeout(SILENCE_MAX, stream).await.map_err(|_| Undelivered::Silent)??;
         if !is_ours(&stream) {
             return Err(io::Error::other("the listening process belongs to another user").into());
         }
@@ -411,11 +411,11 @@ impl Speaker {
         ready: &str,
         presented: Option<&Presented>,
         word: &str,
-    ) -> Result<(), Unheard> {
+    ) -> Result<(), Undelivered> {
         let (Some(presented), Some(nonce)) = (presented, ready.strip_prefix("ready ")) else { return Ok(()) };
         match presented.signed(&Challenge::of(&mission_of(folder), nonce), word) {
             Ok(signed) => self.say(&format!("as {signed}")).await,
-            Err(error) if word.starts_with("go") => Err(Unheard::Refused(error)),
+            Err(error) if word.starts_with("go") => Err(Undelivered::Refused(error)),
             // A stop does not depend on a key.
             Err(error) => {
                 tracing::warn!("the stop is sent without an identity: {error}");
@@ -424,20 +424,20 @@ impl Speaker {
         }
     }
 
-    async fn say(&mut self, line: &str) -> Result<(), Unheard> {
+    async fn say(&mut self, line: &str) -> Result<(), Undelivered> {
         let line = format!("{line}\n");
         match timeout(SILENCE_MAX, self.writer.write_all(line.as_bytes())).await {
-            Ok(written) => written.map_err(|_| Unheard::Ended),
-            Err(_) => Err(Unheard::Silent),
+            Ok(written) => written.map_err(|_| Undelivered::Ended),
+            Err(_) => Err(Undelivered::Silent),
         }
     }
 
-    async fn hear(&mut self) -> Result<String, Unheard> {
+    async fn hear(&mut self) -> Result<String, Undelivered> {
         let mut line = String::new();
         match timeout(SILENCE_MAX, self.reader.read_line(&mut line)).await {
-            Err(_) => Err(Unheard::Silent),
+            Err(_) => Err(Undelivered::Silent),
             Ok(Ok(n)) if n > 0 => Ok(line.trim_end().to_owned()),
-            Ok(_) => Err(Unheard::Ended),
+            Ok(_) => Err(Undelivered::Ended),
         }
     }
 }

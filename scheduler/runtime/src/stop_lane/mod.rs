@@ -20,9 +20,9 @@ use tokio::sync::{mpsc, watch};
 use urrcp::{DeviceId, Message, SessionId};
 
 pub(crate) use self::sent::Passage;
-use self::sent::{Book, Sent};
+use self::sent::{Sent, SentScripts};
 use self::stopping::Guard;
-pub use self::words::{MissionOver, Operator, Voice};
+pub use self::words::{MissionOver, Operator, OperatorHandle};
 use crate::link::{Asked, Endpoint, Link, Waiting};
 use crate::server_clock::ServerClock;
 pub use crate::signals::OnHangUp;
@@ -54,9 +54,9 @@ pub(crate) struct Before {
 #[derive(Debug)]
 pub struct StopLane {
     runtime: Handle,
-    voice: Voice,
+    voice: OperatorHandle,
     alarm: watch::Receiver<Alarm>,
-    robots: Vec<Book>,
+    robots: Vec<SentScripts>,
     /// The robots' tasks end when this is dropped.
     over: watch::Sender<()>,
 }
@@ -81,7 +81,7 @@ impl StopLane {
     fn hearing(on_hang_up: Option<OnHangUp>) -> io::Result<(Self, mpsc::Receiver<Operator>)> {
         let (mission, operator) = mpsc::channel(WORDS_MAX);
         let (ring, alarm) = watch::channel(Alarm::Quiet);
-        let voice = Voice::new(mission, ring);
+        let voice = OperatorHandle::new(mission, ring);
         let of_signals = voice.clone();
         let (ready, started) = sync_channel(1);
         // This thread ends with the process, because signals must be handled until then.
@@ -112,7 +112,7 @@ impl StopLane {
 
     /// Returns a handle through which others can send commands as the operator.
     #[must_use]
-    pub fn voice(&self) -> Voice {
+    pub fn voice(&self) -> OperatorHandle {
         self.voice.clone()
     }
 
@@ -162,7 +162,7 @@ impl StopLane {
                     () = guard.keep() => {}
                 }
             });
-            self.robots.push(Book::new(sent));
+            self.robots.push(SentScripts::new(sent));
         }
     }
 

@@ -49,9 +49,9 @@ pub(super) enum Moves {
 
 /// The writing end of [`Sent`].
 #[derive(Debug)]
-pub(super) struct Book(watch::Sender<Sent>);
+pub(super) struct SentScripts(watch::Sender<Sent>);
 
-impl Book {
+impl SentScripts {
     pub(super) const fn new(sent: watch::Sender<Sent>) -> Self {
         Self(sent)
     }
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it() {
-        let book = Book::new(watch::Sender::new(Sent::default()));
+        let book = SentScripts::new(watch::Sender::new(Sent::default()));
         assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
         assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
         assert_eq!(book.note(&request("arm", set(), 5)), Moves::Devices);
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn readings_and_stops_leave_nothing_to_stop() {
-        let book = Book::new(watch::Sender::new(Sent::default()));
+        let book = SentScripts::new(watch::Sender::new(Sent::default()));
         assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
         assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);
         assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0).is_empty());

@@ -40,7 +40,7 @@ pub enum Operator {
 
 /// Sends commands as the operator: the mission receives every command, and the robots receive a stop at once.
 #[derive(Clone, Debug)]
-pub struct Voice {
+pub struct OperatorHandle {
     mission: mpsc::Sender<Operator>,
     alarm: watch::Sender<Alarm>,
     /// Number of turns of the mission's loop, or [`OVER`] once it has ended.
@@ -53,7 +53,7 @@ const OVER: u64 = u64::MAX;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissionOver;
 
-impl Voice {
+impl OperatorHandle {
     pub(super) fn new(mission: mpsc::Sender<Operator>, alarm: watch::Sender<Alarm>) -> Self {
         Self { mission, alarm, turns: Arc::default() }
     }
@@ -131,7 +131,7 @@ impl Voice {
 }
 
 /// Handles the signals until the process ends.
-pub(super) async fn hear(mut signals: Signals, voice: Voice) {
+pub(super) async fn hear(mut signals: Signals, voice: OperatorHandle) {
     let mut before = None;
     loop {
         let asked = signals.next().await;
@@ -191,7 +191,7 @@ mod tests {
         runtime.block_on(async {
             let (mission, mut words) = mpsc::channel(1);
             let (alarm, ringing) = watch::channel(Alarm::Quiet);
-            let voice = Voice::new(mission, alarm);
+            let voice = OperatorHandle::new(mission, alarm);
             voice.say(Operator::Leave).await.unwrap();
             assert_eq!(*ringing.borrow(), Alarm::Quiet);
             let speaking =

@@ -1,6 +1,6 @@
 //! The effects of faults.
 
-use super::scheduler::Burnt;
+use super::scheduler::SchedulerFault;
 use super::{Item, Machine, World};
 use crate::draw::stranger;
 use crate::{Direction, Fault, Happened};
@@ -42,10 +42,10 @@ impl World {
             Fault::ServerClockStep { by } => self.scheduler.clock_of_machine += by,
             Fault::SchedulerCrash { resumed_after } => self.crash_scheduler(fault, resumed_after),
             Fault::SchedulerCrashAmid { actions, resumed_after } => {
-                self.scheduler.light_fuse(actions, Burnt::Dies { resumed_after });
+                self.scheduler.light_fuse(actions, SchedulerFault::Dies { resumed_after });
             }
             Fault::SchedulerPauseAmid { actions, lasts } => {
-                self.scheduler.light_fuse(actions, Burnt::Stalls { lasts });
+                self.scheduler.light_fuse(actions, SchedulerFault::Stalls { lasts });
             }
             Fault::SchedulerPause { lasts } => {
                 self.scheduler.paused_until = now + lasts;

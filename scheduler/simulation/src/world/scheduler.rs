@@ -38,14 +38,14 @@ pub(super) enum Intention {
 
 /// A fault that occurs while a process acts.
 #[derive(Clone, Copy, Debug)]
-struct Fuse {
+struct PendingFault {
     actions: u32,
-    burnt: Burnt,
+    burnt: SchedulerFault,
 }
 
 /// The kind of a fault that occurs while a process acts.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Burnt {
+pub(super) enum SchedulerFault {
     Dies { resumed_after: Option<Span> },
     Stalls { lasts: Span },
 }
@@ -73,7 +73,7 @@ pub(super) struct Scheduler {
     stalls_in_act: bool,
     disk: DiskState,
     pub(super) disk_stands_still_until: Timestamp<Server>,
-    fuse: Option<Fuse>,
+    fuse: Option<PendingFault>,
     /// The clock of the machine minus the true time.
     pub(super) clock_of_machine: Span,
     /// The process's own clock minus the true time: it started with that of the machine.
@@ -138,9 +138,9 @@ impl Scheduler {
     }
 
     /// Schedules a fault after `actions` more actions.
-    pub(super) fn light_fuse(&mut self, actions: u32, burnt: Burnt) {
+    pub(super) fn light_fuse(&mut self, actions: u32, burnt: SchedulerFault) {
         if self.is_running() {
-            self.fuse.get_or_insert(Fuse { actions, burnt });
+            self.fuse.get_or_insert(PendingFault { actions, burnt });
         }
     }
 
@@ -229,11 +229,11 @@ impl World {
     /// Whether the process lives to perform one more action.
     fn acts(&mut self) -> bool {
         match &mut self.scheduler.fuse {
-            Some(Fuse { actions: 0, burnt: Burnt::Dies { resumed_after } }) => {
+            Some(PendingFault { actions: 0, burnt: SchedulerFault::Dies { resumed_after } }) => {
                 let resumed_after = *resumed_after;
                 self.crash_scheduler(Fault::SchedulerCrashAmid { actions: 0, resumed_after }, resumed_after);
             }
-            Some(Fuse { actions: 0, burnt: Burnt::Stalls { lasts } }) => {
+            Some(PendingFault { actions: 0, burnt: SchedulerFault::Stalls { lasts } }) => {
                 let lasts = *lasts;
                 self.stall_in_act(lasts);
             }

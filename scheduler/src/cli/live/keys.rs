@@ -14,7 +14,7 @@ use super::frame::Help;
 use super::{Scene, Shown, show, terminal};
 use crate::cli::console;
 use crate::mission::Rest;
-use crate::stop_lane::{Operator, StopLane, Voice};
+use crate::stop_lane::{Operator, OperatorHandle, StopLane};
 
 /// How long Ctrl-Z waits for the display to leave the screen.
 const LIFT_MAX: Duration = Duration::from_millis(200);
@@ -42,7 +42,7 @@ impl Key {
 
 /// Sends key commands to the mission through the stop lane, which receives a stop even if everything else is blocked.
 pub(in crate::cli) struct Speaker {
-    voice: Voice,
+    voice: OperatorHandle,
     lane: Handle,
     /// The thread that waits for the answer to the last go.
     asking: Option<JoinHandle<()>>,

@@ -4,7 +4,7 @@ use downbeat_scripts::{Address, FleetRobot, Protection};
 use urrcp::RobotId;
 
 use crate::cli::console;
-use crate::journal::{Found, Life, Missions};
+use crate::journal::{Found, MissionState, Missions};
 
 /// Refuses robots that are already in a mission of this machine. Robots also refuse by themselves, including schedulers on other
 /// machines. If robots are seized, those with a `tls://` or `hmac://` address decide themselves. Warns of missions that were cut off.
@@ -29,14 +29,14 @@ fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> 
         let told = taken.map(|robot| format!("robot `{robot}` is in mission `{session}` (process {pid})"));
         told.collect::<Vec<_>>()
     };
-    let running = missions.iter().filter(|mission| mission.life == Life::Running);
+    let running = missions.iter().filter(|mission| mission.life == MissionState::Running);
     let taken: Vec<String> = running.flat_map(of_mission).collect();
     if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
 }
 
 /// Warns of robots in missions that were cut off and never stopped: they may still hold commands of those missions.
 fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
-    for mission in missions.iter().filter(|mission| mission.life == Life::CutOff) {
+    for mission in missions.iter().filter(|mission| mission.life == MissionState::CutOff) {
         let drove: Vec<_> = driven_by(mission, robots).iter().map(|robot| format!("`{robot}`")).collect();
         let session = &mission.opened.session;
         if !drove.is_empty() {

@@ -56,11 +56,11 @@ fn robots_of_an_act_are_hushed_only_from_the_critical_instant_to_the_commitment(
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
     let critical = bench.timing().critical();
-    assert!(!bench.act.hushes(0, critical - Span::from_nanos(1)));
-    assert!(bench.act.hushes(0, critical) && bench.act.hushes(1, critical));
+    assert!(!bench.act.holds_messages_to(0, critical - Span::from_nanos(1)));
+    assert!(bench.act.holds_messages_to(0, critical) && bench.act.holds_messages_to(1, critical));
     bench.run_until(bench.start());
     assert_eq!(bench.act.progress(), Progressed::Committed);
-    assert!(!bench.act.hushes(0, bench.now));
+    assert!(!bench.act.holds_messages_to(0, bench.now));
 }
 
 #[test]

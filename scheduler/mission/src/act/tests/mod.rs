@@ -270,7 +270,7 @@ impl Bench {
     }
 
     fn ask(&mut self, robot: usize) {
-        let hushed = self.act.hushes(robot, self.now);
+        let hushed = self.act.holds_messages_to(robot, self.now);
         assert!(!hushed, "{robot} is asked at {}, {} before the start", self.now, self.start() - self.now);
         self.robots[robot].questions.asked(self.now);
         let (stage, named) = (self.act.progress(), self.act.names_of(robot, self.now, None));
