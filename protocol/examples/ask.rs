@@ -1,4 +1,4 @@
-//! Asks a robot for its description, and moves its first device to the middle of its range.
+//! Asks a robot for its description, and moves the robot's first movable device to the middle of its range.
 //!
 //! `cargo run --example ask -- 127.0.0.1:7401`
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
@@ -13,14 +13,14 @@ use urrcp::{
     encode,
 };
 
-/// A connection and its received, undecoded bytes.
+/// A connection to a robot, with a decoder for the received bytes.
 struct Robot {
     stream: TcpStream,
     decoder: Decoder,
 }
 
 impl Robot {
-    /// Sends a message and returns the next received one.
+    /// Sends a message and returns the next message that arrives.
     fn ask(&mut self, message: impl Into<Message>) -> Result<Message, Box<dyn Error>> {
         let mut bytes = Vec::new();
         encode(&message.into(), &mut bytes);
@@ -38,7 +38,7 @@ impl Robot {
     }
 }
 
-/// A request for the first movable device.
+/// A request that moves the first movable device to the middle of its range; `None` if no device can be moved.
 fn to_the_middle(block: &InitializationBlock) -> Option<ControlRequest> {
     let middle = |limits: &Limits| limits.nearest(f64::midpoint(limits.min_value, limits.max_value));
     block.devices.iter().find_map(|device| {

@@ -1,4 +1,4 @@
-//! The hash that guarantees that a robot starts the checked content.
+//! The hash that ensures that a robot executes exactly the content that was checked.
 
 use std::fmt;
 
@@ -17,7 +17,7 @@ impl ContentHash {
         Self(Sha256::digest(canonical_json).into())
     }
 
-    /// Its 32 bytes.
+    /// The 32 bytes of the hash.
     #[must_use]
     pub const fn bytes(&self) -> &[u8; 32] {
         &self.0
@@ -73,7 +73,7 @@ impl<'de> Deserialize<'de> for ContentHash {
     }
 }
 
-/// Reads hexadecimal digits, or the raw bytes.
+/// Deserializes a hash from hexadecimal digits or from raw bytes.
 struct Digits;
 
 impl de::Visitor<'_> for Digits {
@@ -103,7 +103,8 @@ fn parse(text: &str) -> Option<ContentHash> {
     Some(ContentHash(bytes))
 }
 
-/// Uses a table, because the branch between digits and letters is unpredictable, and a misprediction costs more than the digit.
+/// The value of a hexadecimal digit. Uses a table, because a branch between digits and letters is unpredictable and a misprediction is
+/// expensive.
 fn digit(letter: u8) -> Option<u8> {
     const NONE: u8 = 0xff;
     const VALUES: [u8; 256] = {

@@ -1,4 +1,4 @@
-//! The control types of a device (paper, table 2).
+//! The control types by which devices can be driven (paper, table 2).
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,20 +7,20 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::limits::LimitError;
 
-/// How a device is controlled.
+/// The kind of value by which a command drives a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ControlType {
-    /// Control by position.
+    /// The values are positions.
     Position,
-    /// Control by speed.
+    /// The values are speeds.
     Speed,
-    /// Control by acceleration.
+    /// The values are accelerations.
     Acceleration,
-    /// A sequence of the other control types in one command.
+    /// A script: a sequence of values of other control types in one command.
     Script,
-    /// Not a control type, but a request for a reading.
+    /// A request for a sensor reading, which moves nothing.
     Sensor,
-    /// Arbitrary control `custom_N`.
+    /// The control type `custom_N`, whose meaning the robot defines. Contains N.
     Custom(u32),
 }
 
@@ -54,7 +54,7 @@ impl FromStr for ControlType {
     }
 }
 
-/// The number in `custom_N`, if it has its canonical spelling.
+/// The number N in `custom_N`; `None` if the number is not in canonical form, for example with leading zeros.
 fn custom_number(name: &str) -> Option<u32> {
     let digits = name.strip_prefix("custom_")?;
     let number: u32 = digits.parse().ok()?;
@@ -85,10 +85,10 @@ impl<'de> Deserialize<'de> for ControlType {
     }
 }
 
-/// A control type in the short form of a script step: its number if it has one, otherwise its name.
+/// A control type in the short form of a script step: the index in `NUMBERED`, or the name if it is not listed there.
 pub(crate) struct Short(pub(crate) ControlType);
 
-/// The control types with numbers, in the order of these.
+/// The control types that a number can stand for; the number is the index.
 const NUMBERED: [ControlType; 3] = [ControlType::Position, ControlType::Speed, ControlType::Acceleration];
 
 impl Serialize for Short {

@@ -6,10 +6,10 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Encoding {
-    /// A line of JSON, which every peer supports.
+    /// A line of JSON. Every peer supports it.
     #[default]
     Json,
-    /// A frame of MessagePack, a fraction of the size of the JSON.
+    /// A frame of MessagePack, which is much shorter than the line of JSON.
     MessagePack,
 }
 

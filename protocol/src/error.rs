@@ -1,4 +1,4 @@
-//! Why a robot refused or ended a command.
+//! The reasons why a robot refuses a command or ends it early.
 
 use std::fmt;
 
@@ -6,20 +6,20 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::text::{self, Label};
 
-/// The reason in a failed response (key `error`, our extension).
+/// The reason why a request failed (key `error` of a response, our extension).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{code}: {message}")]
 pub struct ControlError {
-    /// The kind of failure, for machines.
+    /// The kind of failure, for programs.
     pub code: ErrorCode,
-    /// The found and the expected value, for people. When read, only the first 256 characters are kept.
+    /// The value found and the value expected, for people. Deserialization keeps only the first 256 characters.
     #[serde(default, deserialize_with = "text::shortened_on_reading")]
     pub message: String,
 }
 
 impl ControlError {
-    /// Creates an error from a code and a sentence.
+    /// Creates an error from a code and a message for people.
     pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
         Self { code, message: message.into() }
     }
@@ -27,7 +27,7 @@ impl ControlError {
 
 macro_rules! error_codes {
     ($($(#[$doc:meta])* $variant:ident = $word:literal,)*) => {
-        /// The kinds of failure.
+        /// The kind of failure of a command.
         #[derive(Clone, Debug, PartialEq, Eq, Hash)]
         #[non_exhaustive]
         pub enum ErrorCode {
@@ -37,10 +37,10 @@ macro_rules! error_codes {
         }
 
         impl ErrorCode {
-            /// The words on the wire of all codes that this version knows.
+            /// The words that represent the codes on the wire, for all codes that this version knows.
             pub const WORDS: &[&str] = &[$($word,)*];
 
-            /// The word on the wire.
+            /// The word that represents the code on the wire.
             #[must_use]
             pub fn as_str(&self) -> &str {
                 match self {
@@ -60,31 +60,31 @@ macro_rules! error_codes {
 }
 
 error_codes! {
-    /// The device does not list this control type; it goes to its default state.
+    /// The device does not list this control type. As a result, the device goes to its default state.
     UnsupportedControlType = "unsupported_control_type",
     /// The robot has no such device.
     UnknownDevice = "unknown_device",
-    /// A value lies outside min_value to max_value.
+    /// A value is below `min_value` or above `max_value`.
     OutOfRange = "out_of_range",
-    /// A value is no multiple of the granularity.
+    /// A value is not a multiple of the granularity.
     OffGranularity = "off_granularity",
-    /// The script has more steps than max_number_of_steps.
+    /// The script has more steps than `max_number_of_steps`.
     TooManySteps = "too_many_steps",
-    /// The start has already passed.
+    /// The requested start time has already passed.
     Late = "late",
-    /// The device is occupied at that time.
+    /// The device already has a command at the requested time.
     Overlap = "overlap",
-    /// The server has been silent for longer than the stop_condition.
+    /// The server has been silent for longer than `stop_condition` permits.
     LinkLost = "link_lost",
     /// The message is malformed.
     Malformed = "malformed",
-    /// The queue is full, or the robot cannot accept commands now.
+    /// The script queue is full, or the robot cannot accept commands now.
     Busy = "busy",
-    /// The peer has proven its identity, and lacks the permission (ours).
+    /// The peer has proven its identity, but lacks the permission for the request (our extension).
     Forbidden = "forbidden",
-    /// The robot itself failed.
+    /// The robot failed internally.
     Internal = "internal",
-    /// An empty script cancelled the command (ours).
+    /// An empty script cancelled the command (our extension).
     Cancelled = "cancelled",
 }
 

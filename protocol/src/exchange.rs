@@ -5,9 +5,9 @@ use std::collections::{HashMap, VecDeque};
 use crate::message::ControlResponse;
 use crate::text::{DeviceId, RequestId};
 
-/// The requests sent on one link that still await an answer, each with a note of the sender.
+/// The requests sent on one link that are still open, each with a note that the sender attaches.
 ///
-/// A response names its request by `request_id`; without one it answers the oldest open request of its device.
+/// A response refers to its request by `request_id`. A response without `request_id` belongs to the oldest open request to its device.
 #[derive(Clone, Debug)]
 pub struct OpenRequests<T> {
     by_id: HashMap<RequestId, T>,
@@ -21,14 +21,14 @@ impl<T> Default for OpenRequests<T> {
 }
 
 impl<T> OpenRequests<T> {
-    /// Adds a request. Replaces a request with the same id.
+    /// Adds a request, or replaces the note of an open request with the same id.
     pub fn open(&mut self, device_id: DeviceId, request_id: RequestId, note: T) {
         if self.by_id.insert(request_id.clone(), note).is_none() {
             self.oldest.entry(device_id).or_default().push_back(request_id);
         }
     }
 
-    /// The request that the response belongs to. It stays open for further reports until [`OpenRequests::close`].
+    /// The open request that `response` belongs to. The request stays open for further responses until [`OpenRequests::close`].
     #[must_use]
     pub fn find(&self, response: &ControlResponse) -> Option<(&RequestId, &T)> {
         match &response.request_id {
@@ -40,7 +40,7 @@ impl<T> OpenRequests<T> {
         }
     }
 
-    /// Removes a request that needs no further answers.
+    /// Removes a request that awaits no further responses, and returns its note.
     pub fn close(&mut self, device_id: &DeviceId, request_id: &RequestId) -> Option<T> {
         if let Some(queue) = self.oldest.get_mut(device_id) {
             queue.retain(|id| id != request_id);

@@ -12,16 +12,16 @@
 //!   inquiry_response         ◀──────────
 //! ```
 //!
-//! [`Message`] is any of these eight. [`encode`] writes one as a line of JSON, [`encode_as`] also as a frame of MessagePack, and a
-//! [`Decoder`] splits a received stream into messages. [`OpenRequests`] finds the request that a response answers.
+//! [`Message`] is any of these eight messages. [`encode`] writes a message as a line of JSON, [`encode_as`] also as a frame of
+//! MessagePack, and a [`Decoder`] splits a received stream into messages. [`OpenRequests`] finds the request that a response answers.
 //!
 //! The crate does no I/O, reads no clock and needs no runtime: the caller transports the bytes and provides the time. Types enforce the
 //! limits of the protocol, so that every value can be sent: a [`DeviceId`] has at most 256 characters, a [`Script`] is in order of time,
 //! [`Millis`] is finite. The type of an instant contains its clock, [`Timestamp<Server>`](Timestamp) or [`Timestamp<Robot>`](Timestamp),
 //! so that two clocks cannot be mixed.
 //!
-//! Messages have public fields, and those with many have a `new` with the mandatory ones. Fill in the rest with
-//! `..ControlResponse::new(...)`, so that the code still compiles when later versions add fields.
+//! Messages have public fields. A message with many fields has a constructor `new` that takes the mandatory ones. Set the other fields
+//! with `..ControlResponse::new(...)`, so that the code still compiles when later versions add fields.
 //!
 //! A scheduler asks a robot to move a joint in one second:
 //!
@@ -41,9 +41,9 @@
 //! The crate `downbeat-robot` contains robots that implement the protocol. The feature `schema` adds `message_schema`, the JSON Schema of
 //! the messages.
 //!
-//! The protocol is that of Arkhipenka, Shilin, Naurotsky and Kuznetsov, "Methodology to identify robots given the type of control
-//! designation", Doklady BGUIR 18(6), 2020, 41-48, doi 10.35596/1729-7648-2020-18-6-41-48. `docs/protocol.md` of the repository states
-//! this project's choices for all points that the paper leaves open.
+//! The paper that defines the protocol is: Arkhipenka, Shilin, Naurotsky and Kuznetsov, "Methodology to identify robots given the type of
+//! control designation", Doklady BGUIR 18(6), 2020, 41-48, doi 10.35596/1729-7648-2020-18-6-41-48. `docs/protocol.md` of the repository
+//! states this project's choices for all points that the paper leaves open.
 
 mod codec;
 mod content_hash;

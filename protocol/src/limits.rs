@@ -4,37 +4,38 @@ use thiserror::Error;
 
 /// Largest number of characters in any string (paper, steps 4 and 5).
 pub const STRING_CHARS_MAX: usize = 256;
-/// Largest number of devices in an initialization block (paper, step 4); the smallest is 1.
+/// Largest number of devices in an initialization block (paper, step 4). The smallest number is 1.
 pub const DEVICES_MAX: usize = 32_000;
 /// Largest number of input parameters `control_value`, `control_value_2` ... of one command (ours).
 pub const CONTROL_VALUES_MAX: usize = 256;
 /// Largest number of values in the parameters of one custom control type (ours).
 pub const PARAMETERS_MAX: usize = 4_096;
-/// Largest number of values in the parameters of all custom control types of one robot (ours), including each dictionary itself.
+/// Largest number of values in the parameters of all custom control types of one robot (ours). Each dictionary itself also counts as a
+/// value.
 pub const ROBOT_PARAMETERS_MAX: usize = 262_144;
 /// Largest number of encodings that a robot lists (ours).
 pub const ENCODINGS_MAX: usize = 64;
-/// Largest number of steps of one script on the wire (ours): the maximum in a line of [`LINE_BYTES_MAX`]. A frame has shorter steps but
-/// the same limit, so that its message takes no more memory.
+/// Largest number of steps in one script (ours): about as many as a line of [`LINE_BYTES_MAX`] can contain. The limit also applies to
+/// frames, whose steps are shorter, so that the decoded script takes no more memory.
 pub const SCRIPT_STEPS_MAX: usize = 262_144;
-/// Largest number of requests, and of devices, in one inquiry (ours): the maximum number of devices of a robot.
+/// Largest number of requests in one inquiry, and of devices in one inquiry (ours). It equals the maximum number of devices of a robot.
 pub const INQUIRY_NAMES_MAX: usize = DEVICES_MAX;
-/// Largest line that a decoder accepts by default, in bytes (ours): 16 MiB.
+/// Length in bytes of the longest line that a decoder accepts by default (ours): 16 MiB.
 pub const LINE_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Largest offset or period in milliseconds (ours): 1e11 ms, a little over three years.
 pub const OFFSET_MS_MAX: f64 = 1e11;
 
-/// Longest actuation latency of a device, and largest spread of one, in milliseconds (ours).
+/// Largest actuation latency of a device, and largest spread of a latency, in milliseconds (ours).
 pub const LATENCY_MS_MAX: f64 = 10_000.0;
 
-/// A value is outside the limits of the protocol.
+/// The error for a value that is outside the limits of the protocol.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum LimitError {
     /// A string is longer than [`STRING_CHARS_MAX`].
     #[error("a string of {chars} characters, expected at most {STRING_CHARS_MAX}")]
     StringTooLong {
-        /// Its length in characters.
+        /// The length of the string in characters.
         chars: usize,
     },
     /// An identifier is empty.
@@ -58,7 +59,7 @@ pub enum LimitError {
     /// Two devices of one robot have the same id.
     #[error("duplicate device id `{id}`, expected ids unique within the robot")]
     DuplicateDevice {
-        /// The repeated id.
+        /// The id that occurs more than once.
         id: String,
     },
     /// A custom control type has more than [`PARAMETERS_MAX`] values.
@@ -81,17 +82,17 @@ pub enum LimitError {
     DefaultValue {
         /// The id of the device.
         id: String,
-        /// Its default value.
+        /// The default value of the device.
         value: f64,
-        /// Lower bound of its first control type.
+        /// Lower bound of the range of the primary control type.
         min: f64,
-        /// Upper bound.
+        /// Upper bound of the range.
         max: f64,
     },
     /// A count that must be at least 1 is 0.
     #[error("{key} is 0, expected at least 1")]
     NoneAtAll {
-        /// The key of the count.
+        /// The key of the count in the message.
         key: &'static str,
     },
     /// An actuation latency, or its spread, is negative or exceeds [`LATENCY_MS_MAX`].
@@ -106,12 +107,12 @@ pub enum LimitError {
         /// The id of the device.
         id: String,
     },
-    /// The lower bound exceeds the upper one.
+    /// The lower bound of a range exceeds the upper bound.
     #[error("min_value {min} lies above max_value {max}")]
     EmptyRange {
-        /// Lower bound.
+        /// Lower bound of the range.
         min: f64,
-        /// Upper bound.
+        /// Upper bound of the range.
         max: f64,
     },
     /// No value is both a multiple of the granularity and within the limits.
@@ -122,9 +123,9 @@ pub enum LimitError {
     NoMultiple {
         /// The granularity.
         granularity: f64,
-        /// Lower bound.
+        /// Lower bound of the range.
         min: f64,
-        /// Upper bound.
+        /// Upper bound of the range.
         max: f64,
     },
     /// A granularity is not positive.
@@ -136,22 +137,22 @@ pub enum LimitError {
     /// A bound on an error or delay is negative.
     #[error("{key} {value}, expected a finite number of at least 0")]
     Negative {
-        /// The name of the parameter.
+        /// The key of the parameter in the message.
         key: &'static str,
         /// The invalid value.
         value: f64,
     },
-    /// A step of a script starts before the previous one.
+    /// A script step has an earlier offset than the previous step.
     #[error("step {} is at {millis} ms, before the previous step at {previous} ms", .step + 1)]
     StepsOutOfOrder {
         /// Index of the step, from 0.
         step: usize,
-        /// Its offset.
+        /// The offset of the step in milliseconds.
         millis: f64,
-        /// The offset of the previous step.
+        /// The offset of the previous step in milliseconds.
         previous: f64,
     },
-    /// The protocol has no control type of this name.
+    /// The protocol has no control type with the given name.
     #[error(
         "unknown control type `{name}`, expected position, speed, acceleration, script, sensor or custom_N"
     )]

@@ -1,4 +1,4 @@
-//! Numbers on the wire: finite, and written without a fraction if they are integers.
+//! Serialization of numbers: they are finite, and integers are written without a fraction.
 
 use std::fmt;
 
@@ -7,8 +7,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 /// Largest integer that a double holds exactly, 2^53.
 const EXACT_INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 
-/// Writes `45` for 45.0 and `0` for -0.0, so that each value has one text. A binary encoding uses four bytes if they represent the value
-/// exactly.
+/// Writes `45` for 45.0 and `0` for -0.0, so that each value has exactly one text. A binary encoding uses a four-byte float if it
+/// represents the value exactly.
 pub(crate) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     if value.fract() == 0.0 && value.abs() <= EXACT_INTEGER_MAX {
         #[expect(clippy::cast_possible_truncation, reason = "an integer within 2^53")]
@@ -22,12 +22,12 @@ pub(crate) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::
     serializer.serialize_f64(*value)
 }
 
-/// Reads any number that fits into a double.
+/// Deserializes any number that is finite as a double.
 pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Number::deserialize(deserializer).map(|number| number.0)
 }
 
-/// A finite number in its one canonical text.
+/// A finite number that is serialized as its only canonical text.
 #[derive(Clone, Copy)]
 pub(crate) struct Number(pub(crate) f64);
 
@@ -76,7 +76,7 @@ pub(crate) fn finite<E: de::Error>(value: f64) -> Result<f64, E> {
     if value.is_finite() { Ok(value) } else { Err(E::custom(crate::LimitError::NotFinite)) }
 }
 
-/// The same for a number that may be omitted or null.
+/// Serialization of a number that may be omitted or null.
 pub(crate) mod optional {
     use super::{Deserialize, Deserializer, Number, Serializer};
 

@@ -1,4 +1,4 @@
-//! Accepts only objects: a derived `Deserialize` would also accept the list of a type's values.
+//! Deserialization from objects only: a derived `Deserialize` would also accept a list of the fields' values.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -7,7 +7,7 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-/// A value that is read from an object.
+/// A value that is deserialized from an object only, never from a list.
 pub(crate) struct Object<T>(pub(crate) T);
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
@@ -36,7 +36,7 @@ pub(crate) fn deserialize<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     Object::deserialize(deserializer).map(|object| object.0)
 }
 
-/// Reads an object that may be omitted or null.
+/// Deserializes an object that may be omitted or null.
 pub(crate) fn optional<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Option<T>, D::Error> {

@@ -7,16 +7,16 @@ use std::str::FromStr;
 use crate::message::{Command, ControlRequest, Message};
 use crate::text::Label;
 
-/// A permission of an operator, independent of the others.
+/// A permission of an operator. Each permission is independent of the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
-    /// Query: descriptions, availability, readings, states.
+    /// Permission to query descriptions, availability, sensor readings and the states of requests.
     Observe,
-    /// Start missions: claim free robots and send them commands.
+    /// Permission to start missions: to claim free robots and send them commands.
     Drive,
-    /// Stop any robot, whichever session it belongs to.
+    /// Permission to stop any robot, regardless of the session that it belongs to.
     Stop,
-    /// Together with [`Role::Drive`]: take a robot from its current session.
+    /// Together with [`Role::Drive`]: permission to take a robot from its current session.
     Seize,
 }
 
@@ -24,7 +24,7 @@ impl Role {
     /// All roles, in the order in which they are listed.
     pub const ALL: [Self; 4] = [Self::Observe, Self::Drive, Self::Stop, Self::Seize];
 
-    /// The name of the role as text.
+    /// The name of the role, such as `observe`.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -35,8 +35,8 @@ impl Role {
         }
     }
 
-    /// The roles that permit a message to a robot; any one of them is enough. A reading and a query without a session need
-    /// [`Role::Observe`]; a message that claims or moves a robot needs [`Role::Drive`]. A message that seizes a robot additionally needs
+    /// The roles that permit sending `message` to a robot; any one of them is enough. Sensor readings and queries without a session need
+    /// [`Role::Observe`]. Messages that claim or move a robot need [`Role::Drive`]. A message that seizes a robot additionally needs
     /// [`Role::Seize`].
     #[must_use]
     pub fn needed_for(message: &Message) -> &'static [Self] {
@@ -51,7 +51,7 @@ impl Role {
         }
     }
 
-    /// The roles that permit a control request; any one of them is enough.
+    /// The roles that permit sending `request` to a robot; any one of them is enough.
     #[must_use]
     pub fn needed_for_request(request: &ControlRequest) -> &'static [Self] {
         match &request.command {
@@ -88,7 +88,7 @@ impl Roles {
         self.0.contains(&role)
     }
 
-    /// Iterates over the roles in their order.
+    /// Iterates over the roles in the set, in the order of [`Role::ALL`].
     pub fn iter(&self) -> impl Iterator<Item = Role> + '_ {
         self.0.iter().copied()
     }

@@ -1,6 +1,6 @@
-//! The JSON Schema (2020-12) of the messages, generated from their types. This file covers the types with a manual serialization; the
-//! others derive their schema. `docs/protocol.md` states the rules that a schema cannot express, such as unique ids and the order of
-//! steps.
+//! The JSON Schema (2020-12) of the messages, generated from their types. This file covers the types that implement their serialization
+//! manually; the other types derive their schema. `docs/protocol.md` states the rules that a schema cannot express, such as unique ids
+//! and the order of steps.
 
 use std::borrow::Cow;
 
@@ -19,7 +19,7 @@ use crate::message::{
 use crate::text::{DeviceId, Label, RequestId, RobotId, SessionId};
 use crate::time::{Millis, Timestamp};
 
-/// The schema of all messages, each of them under `$defs`.
+/// The JSON Schema of all messages; `$defs` contains the schema of each.
 ///
 /// ```
 /// let schema = urrcp::message_schema();
@@ -35,10 +35,10 @@ pub fn message_schema() -> Value {
         .to_value()
 }
 
-/// The control types of a step.
+/// Regular expression for the control types that a script step may use.
 const MOTION: &str = "^(position|speed|acceleration|custom_(0|[1-9][0-9]{0,9}))$";
 
-/// The keys `control_value_2` to `control_value_256`.
+/// Regular expression for the keys `control_value_2` to `control_value_256`.
 const FURTHER_VALUES: &str = "^control_value_([2-9]|[1-9][0-9]|1[0-9][0-9]|2[0-4][0-9]|25[0-6])$";
 
 macro_rules! schema_of {
@@ -184,7 +184,7 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
                 "else": {
                     "if": of_motion,
                     "then": {"properties": {"control_value": {"type": "number"}}, "required": ["control_value"]},
-                    // The value of an unknown control type may be anything.
+                    // For an unknown control type, the value may be anything.
                     "else": {
                         "if": of_sensor,
                         "then": {"properties": {"control_value": {"type": ["number", "array", "null"]}}},
@@ -200,25 +200,25 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "only its schema is used")]
 struct ControlRequestKeys {
-    /// When the server sent it; all requests of one act carry the same.
+    /// When the server sent the request. All requests of one act have the same timestamp.
     timestamp: Option<Timestamp<crate::time::Server>>,
-    /// From `timestamp` to the start. If omitted, the command starts on receipt.
+    /// Milliseconds from `timestamp` to the start. If it is omitted, the command starts on receipt.
     time_offset_to_start: Option<Millis>,
-    /// The addressed device.
+    /// The id of the device that the request addresses.
     device_id: DeviceId,
-    /// The lease. If omitted, there is none.
+    /// The lease of the command. If it is omitted, the command has no lease.
     stop_condition: Option<StopCondition>,
-    /// The robot drops the request if it has not begun by this instant of the robot's clock.
+    /// The instant by the robot's clock at which the robot drops the command if it has not started.
     pending_until: Option<Timestamp<crate::time::Robot>>,
-    /// Echoed in every response.
+    /// The id that every response to this request repeats.
     request_id: Option<RequestId>,
-    /// The hash of `control_value`, checked and echoed by the robot.
+    /// The hash of `control_value`, which the robot checks and repeats in its response.
     content_hash: Option<ContentHash>,
     /// The session of the sender.
     session: Option<SessionId>,
-    /// With an empty script: the device goes to its default state instead of coming to rest where it is.
+    /// With an empty script: whether the device goes to its default state instead of coming to rest where it is.
     home: Option<bool>,
-    /// One of the device's available control types; an unknown name is treated as one that the device lacks.
+    /// One of the control types of the device. The robot treats an unknown name like a control type that the device lacks.
     control_type: Label,
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::limits::{LimitError, STRING_CHARS_MAX};
 
-/// A text for people as displayed: cut if it exceeds the maximum length of a string.
+/// Shortens a text for people to the protocol's maximum string length. A text that is cut ends with `…`.
 pub(crate) fn shortened(text: &str) -> String {
     match text.char_indices().nth(STRING_CHARS_MAX - 1) {
         Some((end, last)) if end + last.len_utf8() < text.len() => format!("{}…", &text[..end]),
@@ -15,7 +15,7 @@ pub(crate) fn shortened(text: &str) -> String {
     }
 }
 
-/// Reads a text for people and keeps only the displayed part, so that another party cannot make it arbitrarily long.
+/// Deserializes a text for people and shortens it, so that a peer cannot make it arbitrarily long.
 pub(crate) fn shortened_on_reading<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     struct Text;
 
@@ -34,9 +34,9 @@ pub(crate) fn shortened_on_reading<'de, D: Deserializer<'de>>(deserializer: D) -
     deserializer.deserialize_str(Text)
 }
 
-/// Checks that a string is within the protocol's limit.
+/// Checks that a string does not exceed the protocol's maximum length.
 pub(crate) fn check_length(text: &str) -> Result<(), LimitError> {
-    // The number of bytes is an upper bound of the number of characters, so most strings need no counting.
+    // A string never has more characters than bytes, so the characters of most strings need not be counted.
     if text.len() <= STRING_CHARS_MAX {
         return Ok(());
     }
@@ -50,7 +50,7 @@ fn check_identifier(text: &str) -> Result<(), LimitError> {
     if text.is_empty() { Err(LimitError::EmptyIdentifier) } else { check_length(text) }
 }
 
-// Clones share their text, because every step of a script names its device and its request.
+// Clones share the text, because the same ids occur in very many places.
 macro_rules! bounded_string {
     ($(#[$doc:meta])* $name:ident, $check:ident) => {
         $(#[$doc])*
@@ -58,7 +58,7 @@ macro_rules! bounded_string {
         pub struct $name(Arc<str>);
 
         impl $name {
-            /// Creates it from a string of at most 256 characters.
+            /// Creates a value from a string of at most 256 characters.
             ///
             /// # Errors
             /// [`LimitError`] if the string is longer or, for an identifier, empty.
@@ -68,7 +68,7 @@ macro_rules! bounded_string {
                 Ok(Self(text.into()))
             }
 
-            /// The text itself.
+            /// The string.
             #[must_use]
             pub fn as_str(&self) -> &str {
                 &self.0
@@ -110,27 +110,28 @@ macro_rules! bounded_string {
 }
 
 bounded_string!(
-    /// Identifies a robot uniquely (initialization block, key `id`).
+    /// The unique id of a robot (key `id` of the initialization block).
     RobotId,
     check_identifier
 );
 bounded_string!(
-    /// Identifies a device among the devices of its robot.
+    /// The id of a device, unique within its robot.
     DeviceId,
     check_identifier
 );
 bounded_string!(
-    /// Associates responses with the request that they answer (our extension).
+    /// The id of a control request, by which responses refer to it (our extension).
     RequestId,
     check_length
 );
 bounded_string!(
-    /// One run of a scheduler: the robot belongs to the session that drives it until that ends (our extension).
+    /// The id of a session, which is one run of a scheduler (our extension). A robot belongs to the session that drives it until that
+    /// session ends.
     SessionId,
     check_identifier
 );
 bounded_string!(
-    /// A text for people, or a word that only the peer interprets.
+    /// A text for people, or a word whose meaning only the peer knows.
     Label,
     check_length
 );

@@ -190,8 +190,8 @@ impl<C> Timestamp<C> {
         self.nanos
     }
 
-    /// Reinterprets the reading as one of the clock `D`: valid only if both clocks are disciplined by NTP, or after the offset between
-    /// them has been added.
+    /// Reinterprets the timestamp as a reading of the clock `D`. This is valid only if NTP disciplines both clocks, or if the offset
+    /// between them has already been added.
     #[must_use]
     pub const fn assume_clock<D>(self) -> Timestamp<D> {
         Timestamp::from_nanos(self.nanos)

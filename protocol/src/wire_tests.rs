@@ -1,4 +1,4 @@
-//! The messages on the wire, byte for byte, and the rejected ones.
+//! Tests the exact bytes of messages on the wire, and the rejection of invalid messages.
 
 mod arbitrary;
 
@@ -8,7 +8,7 @@ use crate::{
     encode_as,
 };
 
-/// The paper's own script, 45, 0, 45, as `docs/protocol.md` shows it.
+/// The example script of the paper with the values 45, 0, 45, as `docs/protocol.md` shows it.
 const PAPER_SCRIPT: &str = r#"{"control_request":{"timestamp":"2026-11-20T19:00:00.000000000Z","time_offset_to_start":1500,"device_id":"shoulder","stop_condition":2000,"request_id":"wave/arm-1/shoulder/0","control_type":"script","control_value":[{"time_offset_to_start":0,"control_type":"position","control_value":45},{"time_offset_to_start":1000,"control_type":"position","control_value":0},{"time_offset_to_start":2000,"control_type":"position","control_value":45}]}}"#;
 
 const SERVO_ARM: &str = r#"{"initialization_block": {"id": "arm-1", "name": "left arm", "type": "Industrial", "manufacture": "Example", "version": "2.1",
@@ -198,7 +198,7 @@ fn parameters_of_all_custom_control_types_of_a_robot_are_bounded_together() {
             r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{devices}]}}}}"#
         ))
     };
-    // The dictionary, the list and 4,094 numbers in each of 64.
+    // Each of 64 control types has 4,096 values: the dictionary, the list and 4,094 numbers.
     assert!(block(32, 4_094).is_ok());
     assert!(block(32, 4_094).is_ok(), "of every block by itself");
     let more = block(33, 4_094).unwrap_err().to_string();
@@ -468,7 +468,7 @@ fn a_content_hash_depends_on_the_steps_alone() {
     assert_ne!(script(1.0).content_hash(), script(2.0).content_hash());
 }
 
-/// The message after encoding and decoding.
+/// Encodes and decodes a message, and returns the result.
 fn through(encoding: Encoding, message: &Message) -> Message {
     let mut bytes = Vec::new();
     encode_as(encoding, message, &mut bytes);
@@ -537,8 +537,8 @@ mod schema {
 
     use super::*;
 
-    /// Keys of a message that the schema does not list at their place. Keys of control values depend on other keys and are listed
-    /// separately in the schema; the keys of a `custom_N` are defined by its robot.
+    /// Collects the keys of a message that the schema does not list in the corresponding object. Ignores the keys of control values,
+    /// which the schema lists separately, and the keys of a `custom_N`, which its robot defines.
     fn unlisted(root: &Value, schema: &Value, message: &Value, found: &mut BTreeSet<String>) {
         if let Some(reference) = schema["$ref"].as_str() {
             let definition = &root["$defs"][reference.rsplit('/').next().unwrap()];

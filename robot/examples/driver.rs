@@ -1,6 +1,6 @@
-//! A driver to copy: hardware behind a socket that takes one line per command and answers each with a line.
+//! A driver as a template: its hardware is behind a socket, takes one line per command, and answers each command with one line.
 //!
-//! `cargo run --example driver -- robot.json 192.168.1.20:5000` runs it behind a robot on port 7401.
+//! `cargo run --example driver -- robot.json 192.168.1.20:5000` runs the driver behind a robot on port 7401.
 
 use std::error::Error;
 use std::io::{self, BufRead, BufReader, Write};
@@ -11,10 +11,10 @@ use downbeat_robot::driver::{Driver, DriverError, DriverOptions, Lifeline};
 use downbeat_robot::urrcp::{DeviceId, InitializationBlock, Setpoint};
 use downbeat_robot::{HostOptions, Hosted, run};
 
-/// A driver may wait for its hardware, but not forever.
+/// Time limit for the hardware's answer. A driver may wait for its hardware, but not forever.
 const ANSWER_WITHIN: Duration = Duration::from_millis(500);
 
-/// Hardware at an address, while it is connected.
+/// Driver for hardware at an address, and the connection to it, if any.
 struct LineDriver {
     address: String,
     connection: Option<BufReader<TcpStream>>,
@@ -28,7 +28,7 @@ impl LineDriver {
         Ok(BufReader::new(stream))
     }
 
-    /// Sends a line and returns the answer.
+    /// Sends a line to the hardware and returns its answer.
     fn ask(&mut self, line: &str) -> Result<String, DriverError> {
         let connection = self.connection.as_mut().ok_or_else(|| away("not connected"))?;
         connection.get_mut().write_all(format!("{line}\n").as_bytes()).map_err(away)?;

@@ -1,4 +1,4 @@
-//! The machine alone, without threads and without a clock: a script of three steps in virtual time.
+//! A robot's machine alone, without threads and without a clock: plays a script of three steps in virtual time.
 //!
 //! `cargo run --example machine --no-default-features`
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
@@ -9,7 +9,7 @@ use downbeat_robot::urrcp::{
 };
 use downbeat_robot::{Input, LinkId, Output, Robot};
 
-/// Returns the events, one line each, with the time since the request.
+/// Plays the script. Returns one line per event, with the time since the request.
 pub fn play() -> Result<Vec<String>, LimitError> {
     let percent = Limits::new(0.0, 100.0, 1.0)?;
     let lamp = DeviceId::new("lamp")?;
@@ -24,7 +24,7 @@ pub fn play() -> Result<Vec<String>, LimitError> {
         .map(|(at, value)| Ok(Step::new(Millis::new(at)?, Setpoint::new(ControlType::Position, value))));
     let script = Script::new(steps.into_iter().collect::<Result<_, LimitError>>()?)?;
     let sent = Timestamp::from_nanos(1_700_000_000_000_000_000);
-    // It starts one second later.
+    // The script starts one second after the request.
     let request = ControlRequest::deferred(sent, Millis::new(1_000.0)?, lamp, Command::Script(script));
 
     let begin = sent.assume_clock();
@@ -34,7 +34,7 @@ pub fn play() -> Result<Vec<String>, LimitError> {
     loop {
         told.extend(outputs.drain(..).filter_map(|output| line(now - begin, &output)));
         let Some(next) = robot.next_wakeup() else { return Ok(told) };
-        // A real robot sleeps until then, or until a message arrives.
+        // A real robot would sleep until `next`, or until a message arrives.
         now = next;
         robot.advance(now, &mut outputs);
     }

@@ -1,6 +1,6 @@
-//! A complete robot to copy: one joint, on TCP. Replace `println!` with the code that moves your motor.
+//! A complete robot as a template: one joint, reachable over TCP. Replace `println!` with the code that moves your motor.
 //!
-//! `cargo run --example robot`, and then `downbeat conformance tcp://127.0.0.1:7401 --device elbow`.
+//! Run `cargo run --example robot`, and then `downbeat conformance tcp://127.0.0.1:7401 --device elbow`.
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
 
 use std::error::Error;
@@ -23,7 +23,7 @@ fn description() -> Result<InitializationBlock, LimitError> {
     InitializationBlock::new("arm-1".parse()?, vec![elbow])
 }
 
-/// Sets the motor.
+/// Driver of the motor.
 struct Motor;
 
 impl Driver for Motor {
@@ -45,12 +45,12 @@ impl Driver for Motor {
     }
 }
 
-/// Returns the robot with its motor.
+/// Returns the robot with the driver of its motor.
 pub fn arm() -> Result<Hosted, LimitError> {
     Ok(Hosted::driven(description()?, Box::new(Motor), DriverOptions::default()))
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // Until Ctrl-C; then the elbow goes to its default value.
+    // Runs until Ctrl-C. The elbow then moves to its default value.
     Ok(run(arm()?, "127.0.0.1:7401", HostOptions::default())?)
 }

@@ -1,17 +1,18 @@
-//! The last answers of a robot to each request. A repeated request is answered again without being executed again, and an inquiry finds
-//! its outcome.
+//! Keeps a robot's last answer to each request. A repeated request gets this answer without being executed again; an inquiry about a
+//! request reports it.
 
 use std::collections::{HashMap, VecDeque};
 
 use urrcp::{ContentHash, ControlResponse, RequestId, Robot, Status, Timestamp};
 
-/// Minimum number of ended requests whose last answer is kept; the oldest are dropped first. Requests that have not ended keep every
-/// answer: the device queues bound their number.
+/// Minimum number of ended requests whose last answer is kept; the oldest are dropped first. Requests that have not ended always keep
+/// their answer, because the device queues bound their number.
 pub(crate) const ENDED_KEPT: usize = 256;
-/// Minimum number of these per device, so that a question about the last requests of a device can be answered.
+/// Minimum number of ended requests per device whose last answer is kept, so that an inquiry about a device's last requests can be
+/// answered.
 const ENDED_KEPT_A_DEVICE: usize = 4;
 
-/// Known state of each request that carried a `request_id`.
+/// What the robot knows about each request that had a `request_id`.
 #[derive(Clone, Debug)]
 pub(crate) struct Answers {
     kept: usize,
@@ -21,13 +22,13 @@ pub(crate) struct Answers {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Known {
-    /// The last answer to the request.
+    /// The robot's last answer to the request.
     pub(crate) answer: ControlResponse,
-    /// Hash of the accepted content.
+    /// Hash of the request's content, as accepted.
     pub(crate) content_hash: Option<ContentHash>,
-    /// Planned start.
+    /// Planned start of the command on the robot's clock.
     pub(crate) start: Option<Timestamp<Robot>>,
-    /// Actual start.
+    /// Actual start of the command on the robot's clock.
     pub(crate) began: Option<Timestamp<Robot>>,
 }
 
@@ -73,7 +74,7 @@ impl Answers {
         }
     }
 
-    /// Records that this request has ended, and drops the oldest ended request above the limit.
+    /// Records that the request `latest` has ended. Above the limit, drops the answer to the request that ended first.
     fn forget_oldest(&mut self, latest: &RequestId) {
         self.ended.push_back(latest.clone());
         if self.ended.len() > self.kept {

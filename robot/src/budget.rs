@@ -1,5 +1,5 @@
-//! Budgets of a peer for bytes, messages, and reading time. The messages of a peer that exceeds its budget are read more slowly, so that
-//! the network holds back the rest.
+//! Budgets of a peer for bytes, messages and reading time. If a peer exceeds its budget, its messages are read more slowly, so that the
+//! network holds back the rest.
 #![expect(clippy::disallowed_methods, reason = "budgets fill up in real time")]
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,7 +9,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, SemaphorePermit};
 
 use crate::hardware::Standing;
 
-/// Tokens that arrive at a steady rate. A caller may overdraw the bucket, and then waits until the debt is paid.
+/// Token bucket, refilled at a steady rate. A caller may overdraw it, and must then wait until the debt is paid.
 #[derive(Clone, Copy, Debug)]
 struct Bucket {
     level: f64,
@@ -17,7 +17,7 @@ struct Bucket {
     filled: Instant,
 }
 
-/// Tokens per second, and their maximum.
+/// Refill rate of a bucket in tokens per second, and its capacity in tokens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rate {
     per_second: f64,
@@ -47,12 +47,12 @@ impl Bucket {
     }
 }
 
-/// The budget of one kind of peer.
+/// Budget of a peer with a given standing.
 #[derive(Clone, Copy, Debug)]
 struct Share {
     bytes: Rate,
     messages: Rate,
-    /// In seconds of reading time.
+    /// Reading time, in seconds per second.
     reading: Rate,
 }
 
@@ -83,9 +83,11 @@ const fn share_of(standing: Standing) -> Share {
     }
 }
 
-/// Budget that all strangers of a host share for messages beyond the first few of each: messages, and reading time.
+/// Budget that all strangers of a host share: messages, and reading time. The first [`FIRST_MESSAGES`] messages of each stranger are not
+/// charged to it.
 const ALL_STRANGERS: (Rate, Rate) = (rate(200.0, 400.0), rate(0.05, 0.2));
-/// This number of first messages of a stranger is charged only to its own budget, so that a newcomer is served however many others send.
+/// Number of a stranger's first messages that are charged only to its own budget. A newcomer is therefore served even if many others
+/// send.
 const FIRST_MESSAGES: u64 = 16;
 
 /// Remaining budget of one peer.
@@ -110,7 +112,7 @@ impl Budget {
         }
     }
 
-    /// Adapts the budget if the peer's standing towards the robot has changed.
+    /// Resets the budget to that of `standing` if the peer's standing towards the robot has changed.
     pub(crate) fn follow(&mut self, now: Instant, standing: Standing) {
         if self.standing != standing {
             *self = Self { heard: self.heard, ..Self::new(now, standing) };
@@ -121,8 +123,8 @@ impl Budget {
         self.bytes.take(now, tokens(bytes));
     }
 
-    /// Charges a message, or an unreadable line, that took this long to read. `answer` is the length of a long answer: sending costs less
-    /// than reading the same length.
+    /// Charges the budget for a message or an unreadable line whose reading took `took`. `answer` is the length of a long answer in
+    /// bytes; sending a byte costs less than reading one.
     pub(crate) fn read(&mut self, now: Instant, strangers: &Strangers, took: Duration, answer: usize) {
         self.heard += 1;
         self.messages.take(now, 1.0);
@@ -151,16 +153,16 @@ fn tokens(bytes: usize) -> f64 {
     bytes as f64
 }
 
-/// Maximum number of long lines that the robots of a host read at a time while they belong to no session: each occupies memory until its
-/// end.
+/// Maximum number of long lines that a host reads at a time for robots that belong to no session: each line occupies memory until its
+/// last byte.
 const LONG_LINES: usize = 2;
 
-/// Budget that all peers without a robot's session share: their messages are read one at a time.
+/// Budget shared by all peers that own none of the host's robots. Their messages are read one at a time.
 #[derive(Debug)]
 pub(crate) struct Strangers {
     turn: Semaphore,
     long_lines: Arc<Semaphore>,
-    /// Messages, and reading time.
+    /// Buckets for messages and for reading time.
     budget: Mutex<(Bucket, Bucket)>,
 }
 
@@ -183,13 +185,14 @@ impl Strangers {
         self.turn.acquire().await.ok()
     }
 
-    /// Returns how many more long lines may be read at once.
+    /// Returns how many more long lines may be read at the same time.
     #[cfg(test)]
     pub(crate) fn long_lines_left(&self) -> usize {
         self.long_lines.available_permits()
     }
 
-    /// Waits for permission to send a long line to a robot that belongs to no session. `None` after `patience`.
+    /// Waits for permission to send a long line to a robot that belongs to no session. Returns `None` if none is granted within
+    /// `patience`.
     pub(crate) async fn long_line(&self, patience: Duration) -> Option<OwnedSemaphorePermit> {
         let leave = Arc::clone(&self.long_lines).acquire_owned();
         tokio::time::timeout(patience, leave).await.ok()?.ok()
@@ -232,7 +235,7 @@ mod tests {
         assert_eq!(bucket.empty_for(after(60_000)), Duration::from_millis(100));
     }
 
-    /// Returns the number of messages without a pause after which this peer has to pause.
+    /// Returns the number of messages after which a peer with this standing has to pause.
     fn messages_until_pause(now: Instant, strangers: &Strangers, standing: Standing) -> usize {
         let mut budget = Budget::new(now, standing);
         (0..1_000_000)
@@ -269,12 +272,12 @@ mod tests {
 
     const STANDINGS: [Standing; 3] = [Standing::Owner, Standing::Free, Standing::Stranger];
 
-    /// Returns ten seconds' worth beyond the amount that may be sent at once.
+    /// Returns the bucket's capacity plus the tokens of ten seconds.
     fn beyond(rate: Rate) -> f64 {
         rate.most + 10.0 * rate.per_second
     }
 
-    /// Checks that a peer that has sent this pauses for ten seconds.
+    /// Checks that a peer pauses for ten seconds after it has made the calls of `send`.
     #[track_caller]
     fn check_pause(standing: Standing, send: impl FnOnce(Instant, &mut Budget, &Share)) {
         let now = Instant::now();
@@ -329,7 +332,7 @@ mod tests {
         assert!(!pauses(Standing::Free, FIRST_MESSAGES + 1) && !pauses(Standing::Owner, FIRST_MESSAGES + 1));
         let many = Strangers::at(now);
         (0..4_400).for_each(|_| many.took(now, Duration::ZERO));
-        // 4,000 above the maximum, at 200 a second.
+        // // 4,000 messages beyond the capacity, at 200 per second.
         let pause = many.empty_for(now).as_secs_f64();
         assert!(pause > 19.9 && pause <= 20.0, "{pause}");
     }

@@ -6,15 +6,15 @@ use std::time::{Instant, SystemTime};
 
 use urrcp::{Span, Timestamp};
 
-/// The time base of a host and its robots.
+/// Marker type for timestamps on the clock of a host and its robots.
 #[derive(Clone, Copy, Debug)]
 pub enum HostTime {}
 
-/// The system clock, `CLOCK_REALTIME`, which other programs read.
+/// Marker type for timestamps on the system clock, `CLOCK_REALTIME`, which other programs read.
 #[derive(Clone, Copy, Debug)]
 pub enum SystemClock {}
 
-/// Reads the host's time.
+/// A clock that shows the host's time.
 #[derive(Clone, Copy, Debug)]
 pub struct HostClock {
     instant: Instant,
@@ -31,30 +31,31 @@ impl HostClock {
             let width = before.elapsed();
             (width, before + width / 2, i64::try_from(wall.as_nanos()).unwrap_or(i64::MAX))
         };
-        // Picks the best of a few tries: the one whose readings are closest together.
+        // Keeps the best of five attempts: the one whose two readings are closest together.
         let best = (0..4).map(|_| reading()).fold(reading(), |a, b| if b.0 < a.0 { b } else { a });
         Self { instant: best.1, timestamp: Timestamp::from_nanos(best.2) }
     }
 
-    /// The time now.
+    /// Returns the current time.
     #[must_use]
     pub fn now(&self) -> Timestamp<HostTime> {
         self.timestamp + Span::from(self.instant.elapsed())
     }
 
-    /// Returns how far the system clock is ahead of the host's: zero, unless the system clock was set since the anchor.
+    /// Returns how far the system clock is ahead of the host's clock: zero, unless the system clock was set after this clock was
+    /// anchored.
     #[must_use]
     pub fn system_ahead(&self) -> Span {
         Self::anchored().timestamp_at(self.instant) - self.timestamp
     }
 
-    /// Returns a clock that is ahead of this one by this much.
+    /// Returns a clock that is ahead of this one by `ahead`.
     #[cfg(test)]
     pub(crate) fn ahead_by(self, ahead: Span) -> Self {
         Self { timestamp: self.timestamp + ahead, ..self }
     }
 
-    /// Returns the time at an instant, which may be before the anchor.
+    /// Returns the host's time at `instant`, which may be before the anchor.
     fn timestamp_at(&self, instant: Instant) -> Timestamp<HostTime> {
         match instant.checked_duration_since(self.instant) {
             Some(after) => self.timestamp + Span::from(after),
@@ -62,7 +63,7 @@ impl HostClock {
         }
     }
 
-    /// Returns the monotonic instant of a timestamp; timestamps before the anchor map to the anchor.
+    /// Returns the monotonic instant that corresponds to a timestamp. A timestamp before the anchor maps to the anchor.
     #[must_use]
     pub fn instant_of(&self, timestamp: Timestamp<HostTime>) -> Instant {
         self.instant + (timestamp - self.timestamp).to_duration()
@@ -88,7 +89,7 @@ mod tests {
 
     #[test]
     fn the_clock_agrees_with_the_systems_at_its_anchor() {
-        // The system clock is read before and after, so no bound on speed is needed.
+        // The system clock is read before and after the host's clock, so the test needs no bound on speed.
         let system = || Span::from(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap());
         let before = system();
         let anchored = Span::from_nanos(HostClock::anchored().now().as_nanos());

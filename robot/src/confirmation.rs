@@ -1,4 +1,4 @@
-//! Ends that a robot reports only after its hardware has taken the last value.
+//! Reports about the end of commands that a robot sends only after its hardware has taken the last value.
 
 use std::collections::BTreeMap;
 
@@ -7,20 +7,20 @@ use urrcp::{ControlResponse, Robot, Timestamp};
 use crate::device::Effect;
 use crate::ids::LinkId;
 
-/// Identifies a question whether the hardware has taken the values it received.
+/// Identifies a question to the driver: has the hardware taken the values that were sent so far?
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
-/// Reported once the hardware has confirmed.
+/// A report that is sent once the hardware has confirmed the values.
 #[derive(Clone, Debug)]
 pub(crate) enum Said {
-    /// The end of a command, and its time.
+    /// Report about the end of a command, and the time of that end.
     Report(Timestamp<Robot>, Effect),
-    /// The answer to a stop.
+    /// Response to a stop request.
     Answer(LinkId, ControlResponse),
 }
 
-/// Reports that wait for the hardware, each with the index of its device, in the order of the events.
+/// Reports that wait for the hardware's confirmation, in the order of the events. Each contains the index of its device.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Unconfirmed {
     waiting: BTreeMap<Ticket, (usize, Said)>,
@@ -39,12 +39,12 @@ impl Unconfirmed {
         self.waiting.is_empty()
     }
 
-    /// Returns the report that the hardware has now confirmed. `None` if it was given up before.
+    /// Removes and returns the report that the hardware has now confirmed. `None` if `give_up` has removed it before.
     pub(crate) fn take(&mut self, ticket: Ticket) -> Option<(usize, Said)> {
         self.waiting.remove(&ticket)
     }
 
-    /// Removes and returns the reports that wait for a device: they will not be confirmed.
+    /// Removes and returns the reports that wait for confirmation by the device with this index, because it will not confirm them.
     pub(crate) fn give_up(&mut self, device: usize) -> Vec<Said> {
         let all = std::mem::take(&mut self.waiting).into_iter();
         let (given_up, left): (BTreeMap<_, _>, _) = all.partition(|(_, (of, _))| *of == device);

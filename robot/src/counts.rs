@@ -1,17 +1,17 @@
-//! Counts of the command events that a robot has reported.
+//! Counts of a robot's commands, by the events that the robot has reported about them.
 
-/// Command counts of a robot: scripts, and single values.
+/// A robot's command counts. A command is a script or a single value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Counts {
-    /// Currently held: waiting for their start, or running.
+    /// Number of commands that wait for their start or run.
     pub held: u64,
-    /// Started.
+    /// Number of commands that have started.
     pub started: u64,
-    /// Completed.
+    /// Number of commands that have completed.
     pub ended: u64,
-    /// Ended early, or never started although they were held.
+    /// Number of commands that ended early, or that were held and never started.
     pub failed: u64,
-    /// Steps that were more than a millisecond late, of completed commands.
+    /// Number of steps of completed commands that were more than a millisecond late.
     pub late_steps: u64,
 }

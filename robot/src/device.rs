@@ -1,10 +1,11 @@
-//! State machine of one device: its queue of commands, its steps on absolute deadlines, and how it comes to rest.
+//! State machine of one device: its queue of commands, its steps at absolute times, and how it comes to rest.
 //!
 //! Order of events at one instant:
-//! 1. lease ends: those of running commands before those of pending ones, counting the lease that would hold after a start or step due
-//!    then. A lease that ends exactly at a start therefore wins, and nothing starts;
-//! 2. starts and steps in the order of the queue: a command that ends then, commands of zero length, a script that begins then;
-//! 3. (in `robot`) the message that arrives.
+//! 1. Leases end: those of running commands before those of pending ones. The lease that would hold after a start or step due at that
+//!    instant counts. A lease that ends exactly at a start therefore wins, and nothing starts.
+//! 2. Starts and steps in the order of the queue: first a command that ends at that instant, then commands of zero length, then a script
+//!    that starts at that instant.
+//! 3. (In `robot`) the arrival of a message.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -22,59 +23,59 @@ use crate::reach::Reach;
 use crate::signal::{Rates, Signal, default_of, first_value, rest_of, with_values};
 use crate::tolerance::START_LATE_MAX;
 
-/// Instruction to a driver for a device.
+/// Instruction to a driver to move or stop a device.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Motion {
-    /// Set this now.
+    /// Set this value now.
     Set(Setpoint),
-    /// Move linearly so as to arrive at `until`; a `Set` of the same value follows.
+    /// Move linearly so as to arrive at `until`. A `Set` of the value `to` follows.
     Ramp {
-        /// position, speed or acceleration.
+        /// Position, speed or acceleration.
         control_type: ControlType,
-        /// Value at the start.
+        /// Value at the start of the movement.
         from: f64,
-        /// Value at the end.
+        /// Value at the end of the movement.
         to: f64,
-        /// Instant of arrival.
+        /// Instant at which the device must arrive at `to`.
         until: Timestamp<Robot>,
     },
     /// Come to rest, or move to the default state, within the limits that the device declares.
     Slow {
-        /// Signal that slows.
+        /// Control type of the signal that slows down.
         control_type: ControlType,
-        /// Value at the start.
+        /// Value at the start of the movement.
         from: f64,
         /// Value at rest.
         to: f64,
-        /// Instant of arrival.
+        /// Instant at which the device must be at rest.
         until: Timestamp<Robot>,
     },
-    /// Rest at this value, as part of a stop. A position is the device's position at that instant.
+    /// Stay at this value, as part of a stop. For a position, the value is the device's position at that instant.
     Rest(Setpoint),
-    /// Go to this value, as part of the default state.
+    /// Set this value now, to reach the default state.
     Default(Setpoint),
 }
 
-/// Limits of the movements to rest and home, if an operator wants them slower than the device declares.
+/// An operator's limits for movements to rest and to the default state, if they are lower than the limits that the device declares.
 /// `None`: the device's declared limit applies.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionLimits {
-    /// Of a position, in its unit per second.
+    /// Maximum speed of a position, in the position's unit per second.
     pub speed: Option<f64>,
-    /// Of a position, in its unit per second squared; of a speed, in the unit of the speed per second.
+    /// Maximum acceleration: for a position, in its unit per second squared; for a speed, in the speed's unit per second.
     pub acceleration: Option<f64>,
 }
 
 /// Where a device goes after its command ends early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// It slows down where it is.
+    /// The device slows down and stays where it is.
     InPlace,
-    /// It moves to its default state.
+    /// The device moves to its default state.
     Home,
 }
 
-/// An action or a report that a device machine requests.
+/// An action or a report that a device's state machine requests.
 #[derive(Clone, Debug)]
 pub(crate) enum Effect {
     Move {
@@ -104,21 +105,21 @@ pub(crate) enum Effect {
         link: LinkId,
         request_id: Option<RequestId>,
         error: ControlError,
-        /// `None` if the number of steps is unknown, including whether the command has begun at all.
+        /// Number of completed steps. `None` if it is unknown; it is then also unknown whether the command has started.
         steps_done: Option<u32>,
     },
 }
 
-/// Message of `link_lost` for a command whose `pending_until` has passed.
+/// Error message with code `link_lost` for a command whose `pending_until` has passed.
 const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
 
-/// A stop cancels commands that its own party sends up to this long after the stop's receipt, whatever the stop's timestamp.
+/// Maximum time after receipt of a stop for which the stop cancels commands from its own party, whatever the stop's timestamp.
 const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
-/// The same limit for commands of other parties: the maximum difference between synchronized clocks. A larger value would let a stop with
-/// a future timestamp close the device to everyone.
+/// Like `TAKEN_BACK_AHEAD_MAX`, for commands from other parties: the maximum difference between synchronized clocks. With a larger value,
+/// a stop with a future timestamp could close the device to everyone.
 const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);
 
-/// Rates that continue after their command has ended, still under that command's lease.
+/// Rates that continue after the end of their command. That command's lease still covers them.
 #[derive(Clone, Debug)]
 struct Guard {
     rates: Vec<ControlType>,
@@ -133,24 +134,28 @@ struct Guard {
 pub(crate) struct DeviceMachine {
     pub(crate) spec: Device,
     signals: BTreeMap<ControlType, Signal>,
-    /// Last driven value of each control type.
+    /// Last value of each control type that was driven.
     driven: BTreeMap<ControlType, Setpoint>,
     queue: VecDeque<Held>,
-    /// At most one per control type: a command that drives the rate takes it over.
+    /// Guards of continuing rates, at most one per control type. A command that drives the rate takes it over.
     guards: Vec<Guard>,
-    /// Everything sent up to this time is taken back, including messages that arrive later.
+    /// Sending time up to which a stop has cancelled all messages, including those that arrive later.
     taken_back: Option<Timestamp<Server>>,
-    /// The same for the party of the last stop, whose clock may be ahead.
+    /// Party of the last stop, and the sending time up to which the stop has cancelled this party's messages. This party's clock may be
+    /// ahead.
     taken_back_by: Option<(LinkId, Timestamp<Server>)>,
-    /// Whether the signal holds the device's actual position. The position of hardware is unknown before its first report, after it was
-    /// away, after a driver that times scripts by itself has interrupted one, and once a speed or an acceleration drives the device. A
-    /// device without hardware begins in its default state, if it has one.
+    /// Whether the position signal holds the device's actual position.
+    ///
+    /// The position of hardware is unknown before its first report and after it was away. It also becomes unknown when a driver that
+    /// times scripts by itself interrupts one, and when a speed or an acceleration drives the device. A device without hardware starts in
+    /// its default state, if it has one.
     is_placed: bool,
-    /// How far ahead the driver receives scripts, if it times them by itself. Delays of this machine then do not delay the hardware.
+    /// How far ahead the driver receives scripts. `None` if the driver does not time scripts by itself; if it does, delays of this
+    /// machine do not delay the hardware.
     pub(crate) lookahead: Option<Lookahead>,
-    /// A command that would start with more delay than this is dropped.
+    /// Maximum delay of a start. A command that would start later is dropped.
     pub(crate) start_late_max: Span,
-    /// Limits of the movements to rest and home, in addition to those that the device declares.
+    /// An operator's limits of movements to rest and to the default state, in addition to those that the device declares.
     pub(crate) limits: MotionLimits,
     accepted: CommandId,
 }
@@ -192,7 +197,7 @@ impl DeviceMachine {
         self.value(ControlType::Position, now).filter(|_| self.is_placed)
     }
 
-    /// Marks the position as unknown.
+    /// Marks the device's position as unknown.
     pub(crate) const fn forget_position(&mut self) {
         self.is_placed = false;
     }
@@ -209,29 +214,29 @@ impl DeviceMachine {
         self.queue.is_empty() && self.guards.is_empty()
     }
 
-    /// Returns the parties whose leases cover the device.
+    /// Returns the parties whose leases apply to commands or rates of the device.
     pub(crate) fn parties(&self) -> impl Iterator<Item = LinkId> + '_ {
         self.queue.iter().map(|held| held.link).chain(self.guards.iter().map(|guard| guard.lease.link))
     }
 
-    /// Returns the number of held commands.
+    /// Returns the number of commands in the queue, whether they wait or run.
     pub(crate) fn held(&self) -> usize {
         self.queue.len()
     }
 
-    /// Returns when the next event is due: a lease end or a step.
+    /// Returns the time of the next event: the end of a lease, a start or a step.
     pub(crate) fn next_wakeup(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let event = self.queue.front().and_then(Held::next_event);
         event.into_iter().chain(self.lease_end(heard)).min()
     }
 
-    /// Returns the next start among the commands that were accepted at least `notice` before their start.
+    /// Returns the earliest start of those pending commands that were accepted at least `notice` before their start.
     pub(crate) fn next_start(&self, notice: Span) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began && held.start - held.accepted >= notice);
         pending.map(|held| held.start).min()
     }
 
-    /// Returns the delay of the next step of the running command.
+    /// Returns the delay of the running command's next step. `None` if it is not late, or if the driver times scripts by itself.
     pub(crate) fn overdue(&self, now: Timestamp<Robot>) -> Option<Span> {
         let at = self.queue.front().filter(|held| held.began && self.lookahead.is_none())?.next_event()?;
         (at < now).then(|| now - at)
@@ -241,21 +246,21 @@ impl DeviceMachine {
         self.pending_lease_end(heard).into_iter().chain(self.running_lease_end(heard)).min()
     }
 
-    /// Returns when the first lease of a pending command ends.
+    /// Returns the time of the first lease end among the pending commands.
     fn pending_lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began);
         pending.filter_map(|held| held.lease_end(heard)).min()
     }
 
-    /// Returns when the first lease of a running command or of a continuing rate ends.
+    /// Returns the time of the first lease end among the running commands and continuing rates.
     fn running_lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let guards = self.guards.iter().filter_map(|guard| heard.ends(&guard.lease));
         let running = self.queue.iter().filter(|held| held.began);
         running.filter_map(|held| held.lease_end(heard)).chain(guards).min()
     }
 
-    /// Executes everything due at or before `now`, in the order of its time. Only an expired lease of a running command comes first:
-    /// otherwise a delayed robot would now execute steps that were due before.
+    /// Executes everything due at or before `now`, in the order of the due times. One exception: an expired lease of a running command
+    /// comes first. Otherwise a delayed robot would now execute steps that were due before that end.
     pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastMessages, effects: &mut Vec<Effect>) {
         loop {
             if let Some(end) = self.running_lease_end(heard).filter(|end| *end <= now) {
@@ -274,7 +279,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Begins the front command or executes its next step.
+    /// Starts the first command of the queue, or executes its next step.
     fn step(&mut self, at: Timestamp<Robot>, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let Some(mut held) = self.queue.pop_front() else { return };
         if !held.began && now - at > self.start_late_max && self.lookahead.is_none() {
@@ -314,7 +319,7 @@ impl DeviceMachine {
         self.ramp_to(held, index + 1, at, effects);
     }
 
-    /// Ends the lease of the previous command that drove this rate.
+    /// Ends the lease of the previous command that drove the setpoint's control type.
     fn take_over(&mut self, setpoint: &Setpoint) {
         let driven = setpoint.control_type;
         self.is_placed &= !matches!(driven, ControlType::Speed | ControlType::Acceleration);
@@ -325,7 +330,7 @@ impl DeviceMachine {
         self.guards.retain(|guard| !guard.rates.is_empty());
     }
 
-    /// Begins the linear movement to a step, if the device moves linearly and the control type stays the same.
+    /// Starts the linear movement to the step `index`, if the device moves linearly and the control type stays the same.
     fn ramp_to(&mut self, held: &Held, index: usize, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let (Some(next), Some(until)) = (held.setpoint(index), held.time_of(index)) else { return };
         let before = index.checked_sub(1).and_then(|previous| held.setpoint(previous));
@@ -359,7 +364,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Returns the speeds, accelerations and custom values that continue and are not at rest.
+    /// Returns the control types of speeds, accelerations and custom values that continue and are not at rest.
     fn rates_left_on(&self) -> impl Iterator<Item = ControlType> + '_ {
         let left_on = |(control_type, last): &(&ControlType, &Setpoint)| {
             rest_of(&self.spec, **control_type, Some(last)).is_some_and(|rest| rest != **last)
@@ -367,7 +372,8 @@ impl DeviceMachine {
         self.driven.iter().filter(left_on).map(|(control_type, _)| *control_type)
     }
 
-    /// Handles the end of a lease at `at`: a running command's lease ends everything, a pending command's only the pending commands.
+    /// Handles the end of a lease at `at`. If it is a running command's lease, all commands end; if it is a pending command's, only
+    /// pending commands end.
     fn lease_ended(
         &mut self,
         at: Timestamp<Robot>,
@@ -389,7 +395,7 @@ impl DeviceMachine {
                 let why = lease_message("running", now - at);
                 self.link_lost(at, &ControlError::new(ErrorCode::LinkLost, why), effects);
             }
-            // A command that has not begun has moved nothing, and its end moves nothing.
+            // A command that has not started has moved nothing, so its end moves nothing.
             Some((from, why)) => {
                 self.cancel_from(from, &ControlError::new(ErrorCode::LinkLost, why), effects)
             }
@@ -406,7 +412,7 @@ impl DeviceMachine {
         self.come_to_rest(at, Rest::InPlace, effects);
     }
 
-    /// Ends all held and running commands, and comes to rest.
+    /// Ends all pending and running commands and brings the device to rest.
     pub(crate) fn stop(
         &mut self,
         now: Timestamp<Robot>,
@@ -418,7 +424,7 @@ impl DeviceMachine {
         self.come_to_rest(now, rest, effects);
     }
 
-    /// Ends all held and running commands after the hardware is lost. Nothing can be set.
+    /// Ends all pending and running commands after the loss of the hardware. No value can be set any longer.
     pub(crate) fn fail(&mut self, now: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
         self.drop_all(error, effects);
         self.guards.clear();
@@ -428,8 +434,8 @@ impl DeviceMachine {
         }
     }
 
-    /// Immediately brings to rest every speed, acceleration and custom value that was ever driven, and leaves positions as they are.
-    /// Called when the hardware is back: it may not have received the last values.
+    /// Immediately brings to rest every speed, acceleration and custom value that was ever driven. Positions stay as they are. Called
+    /// when the hardware is connected again, because it may not have received the last values.
     pub(crate) fn rest_rates(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         for (control_type, last) in &mut self.driven {
             let Some(rest) = rest_of(&self.spec, *control_type, Some(last)) else { continue };
@@ -440,7 +446,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Returns a signal, moving or at rest.
+    /// Returns the signal of a control type, whether it moves or rests.
     #[cfg(feature = "host")]
     pub(crate) fn signal(&self, control_type: ControlType) -> Option<Signal> {
         self.signals.get(&control_type).copied()
@@ -452,7 +458,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Returns how many more commands the queue can hold.
+    /// Returns how many more commands the queue can take.
     pub(crate) fn room(&self) -> u32 {
         let held = u32::try_from(self.queue.len()).unwrap_or(u32::MAX);
         self.spec.script_queue.saturating_sub(held)
@@ -466,7 +472,7 @@ impl DeviceMachine {
         self.queue.front().filter(|held| held.began)
     }
 
-    /// Limits the pending lease of this party's command that starts at `start` and has not begun.
+    /// Limits the pending lease of the command that this party sent with this request id, that starts at `start` and has not started yet.
     pub(crate) fn limit(&mut self, id: &RequestId, start: Timestamp<Robot>, party: LinkId, limit: Limit) {
         let first = self.queue.partition_point(|held| held.start < start);
         let same_start = self.queue.iter_mut().skip(first).take_while(|held| held.start == start);
@@ -476,7 +482,7 @@ impl DeviceMachine {
         }
     }
 
-    /// Drops commands that are scheduled to start at `from` or later.
+    /// Drops the waiting commands that start at `from` or later.
     pub(crate) fn cancel_from(
         &mut self,
         from: Timestamp<Robot>,
@@ -489,7 +495,7 @@ impl DeviceMachine {
         effects.extend(dropped.into_iter().map(|held| failed(held, error)));
     }
 
-    /// Brings the device to rest, where it is or in its default state, as fast as it can.
+    /// Brings the device to rest as fast as it can, either where it is or in its default state.
     fn come_to_rest(&mut self, now: Timestamp<Robot>, rest: Rest, effects: &mut Vec<Effect>) {
         self.guards.clear();
         let moves = self.signals.get(&ControlType::Position).is_some_and(|signal| signal.moves(now));
@@ -516,8 +522,8 @@ impl DeviceMachine {
         let driven = self.driven.get(&control_type);
         let target = match home {
             Some(home) => Some(with_values(Setpoint::new(control_type, home), driven)),
-            // A signal that no command has driven stays as it is. The exception is the main rate: a wheel may
-            // still turn from before this process.
+            // A signal that no command has driven stays as it is. The exception is the main rate: a wheel may still turn because of an
+            // earlier process.
             None if driven.is_none() && !is_main_rate(&self.spec, control_type) => None,
             None => rest_of(&self.spec, control_type, driven),
         };
@@ -549,7 +555,7 @@ impl DeviceMachine {
         Some(if home.is_some() { Motion::Default(target) } else { Motion::Rest(target) })
     }
 
-    /// Limits of the movements to rest and home. `None` if neither the speed nor the acceleration has a limit.
+    /// Returns the limits of movements to rest and to the default state. `None` if neither the speed nor the acceleration has a limit.
     fn rates(&self) -> Option<Rates> {
         let speed = tighter(largest(&self.spec, ControlType::Speed), self.limits.speed);
         let rates = Rates { speed, acceleration: self.acceleration() };
@@ -560,8 +566,8 @@ impl DeviceMachine {
         tighter(largest(&self.spec, ControlType::Acceleration), self.limits.acceleration)
     }
 
-    /// Records a stop that this party sent at `sent`: commands that were sent before it and arrive after it must not begin. A clock that
-    /// is ahead does not block the device: for other parties by at most 250 ms, for its own party not permanently.
+    /// Records a stop that `party` sent at `sent`: commands that were sent before the stop and arrive after it must not start. A stop
+    /// with a future timestamp blocks the device only briefly: for other parties at most 250 ms, for its own party at most 5 s.
     pub(crate) fn take_back(&mut self, now: Timestamp<Robot>, sent: Timestamp<Server>, party: LinkId) {
         let at_most = |ahead: Span| sent.min((now + ahead).assume_clock());
         self.taken_back = self.taken_back.max(Some(at_most(TAKEN_BACK_FROM_OTHERS_MAX)));
@@ -570,19 +576,19 @@ impl DeviceMachine {
         self.taken_back_by = own.map(|until| (party, until));
     }
 
-    /// Records that a session has claimed the free robot. No earlier stop takes back what this session sends after this: strangers may
-    /// have stopped a free robot with future timestamps.
+    /// Records that a session has claimed the free robot. Earlier stops then do not cancel what this session sends from now: strangers
+    /// may have stopped the free robot with future timestamps.
     pub(crate) fn claimed(&mut self, now: Timestamp<Robot>) {
         self.taken_back = self.taken_back.map(|until| until.min(now.assume_clock()));
     }
 
-    /// Whether a stop that arrived earlier took back a message sent at this time.
+    /// Whether an earlier stop cancelled a message that `party` sent at `sent`.
     fn was_taken_back(&self, party: LinkId, sent: Option<Timestamp<Server>>) -> bool {
         let own = self.taken_back_by.filter(|(by, _)| *by == party).map(|(_, until)| until);
         sent.is_some() && sent <= self.taken_back.max(own)
     }
 
-    /// Accepts a command that starts at `start`, after all checks.
+    /// Adds a command that starts at `start` to the queue. The caller has made all checks.
     pub(crate) fn accept(
         &mut self,
         now: Timestamp<Robot>,
@@ -606,7 +612,7 @@ impl DeviceMachine {
             let message = "it was cancelled by a stop that arrived before it";
             return Err(ControlError::new(ErrorCode::Cancelled, message));
         }
-        // At the same instant, a zero-length command precedes one that has yet to begin, but never enters a running one.
+        // At the same instant, a zero-length command precedes a command that has not started, but never enters a running one.
         let overlaps = |held: &&Held| {
             let into_running = held.began && (start, end) < (held.start, held.end);
             into_running || start < held.end && held.start < end
@@ -685,24 +691,24 @@ impl DeviceMachine {
     }
 }
 
-/// Whether this control type is the primary one of the device, and a speed or an acceleration.
+/// Whether this control type is the device's primary one and is a speed or an acceleration.
 fn is_main_rate(spec: &Device, control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)
         && spec.primary_control_type() == Some(control_type)
 }
 
-/// The largest value of speed or acceleration that a device declares.
+/// Returns the largest absolute value of a speed or acceleration that a device declares.
 fn largest(spec: &Device, rate: ControlType) -> Option<f64> {
     let limits = spec.available_control_types.limits(rate)?;
     Some(limits.min_value.abs().max(limits.max_value.abs())).filter(|rate| *rate > 0.0)
 }
 
-/// The smaller of two limits, either of which may be missing. A `limit` that is not above zero is ignored.
+/// Returns the smaller of two limits, either of which may be missing. A `limit` of zero or less is ignored.
 fn tighter(declared: Option<f64>, limit: Option<f64>) -> Option<f64> {
     declared.into_iter().chain(limit.filter(|limit| *limit > 0.0)).reduce(f64::min)
 }
 
-/// Returns the reason for the end of a lease. A delayed robot may not have read messages that arrived in time.
+/// Returns the message for the end of a lease. If the robot woke up late, it may not have read messages that arrived in time.
 fn lease_message(lease: &str, late: Span) -> String {
     if late > START_LATE_MAX {
         format!("the {lease} lease ended while the robot was delayed: it woke up {late} later")

@@ -12,11 +12,11 @@ use crate::outgoing::Outgoing;
 use crate::robot::{Input, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
 
-/// A robot that drives hardware.
+/// A robot's machine and the way to its hardware.
 pub(crate) struct Edge {
     machine: Robot,
     mailbox: Arc<Mailbox>,
-    /// The driver connection that the machine last learned of.
+    /// Number of the last driver connection that was reported to the machine.
     connection: u64,
     outputs: Vec<Output>,
     wanted: Vec<Wanted>,
@@ -25,7 +25,7 @@ pub(crate) struct Edge {
 }
 
 impl Edge {
-    /// Creates an edge for a machine. The driver behind the mailbox has yet to find the hardware.
+    /// Creates an edge for a machine. The hardware behind the mailbox's driver is not connected yet.
     pub(crate) fn new(machine: Robot, mailbox: Arc<Mailbox>) -> Self {
         Self {
             machine: machine.confirmed_by_its_driver(),
@@ -79,7 +79,7 @@ impl Edge {
         self.tell(now, Robot::advance_movements);
     }
 
-    /// Checks before other work whether the hardware answers, if a start is near, and whether the edge was delayed.
+    /// Checks, before any other work, whether the edge was delayed and, if a start is near, whether the hardware answers.
     fn check_hardware(&mut self, now: Timestamp<HostTime>) {
         let mailbox = Arc::clone(&self.mailbox);
         self.tell(now, |machine, now, out| {
@@ -87,12 +87,12 @@ impl Edge {
         });
     }
 
-    /// Brings moving hardware to rest, because the edge ends.
+    /// Brings moving hardware to rest because the edge ends.
     pub(crate) fn shut_down(&mut self, now: Timestamp<HostTime>) {
         self.tell(now, Robot::shut_down);
     }
 
-    /// Handles a report of its driver's thread.
+    /// Handles a report from the driver's thread.
     pub(crate) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
         match news {
             News::There { connection, latency, lookahead } => {
@@ -119,7 +119,7 @@ impl Edge {
         }
     }
 
-    /// Handles a driver's report about a script that it times by itself. An impossible report is a fault of the driver.
+    /// Handles a driver's report about a script that the driver times by itself. A report that cannot be true is a fault of the driver.
     fn hear_of_plan(&mut self, now: Timestamp<HostTime>, news: PlanNews) {
         let mut untrue = None;
         self.tell(now, |machine, now, out| match news {
@@ -134,7 +134,7 @@ impl Edge {
         }
     }
 
-    /// Passes on the hardware requests since the last call.
+    /// Puts the hardware requests since the last call into the mailbox.
     pub(crate) fn post(&mut self, clock: &HostClock) {
         let instant = |at: Timestamp<RobotClock>| clock.instant_of(at.assume_clock());
         let demand = Demand {
@@ -156,7 +156,7 @@ impl Edge {
         !self.log.is_empty()
     }
 
-    /// Calls the machine and collects its outputs. The robot's clock is the host's.
+    /// Calls the machine and collects its outputs. The robot's clock is the host's clock.
     fn tell(
         &mut self,
         now: Timestamp<HostTime>,
@@ -186,7 +186,7 @@ impl Drop for Edge {
     }
 }
 
-/// Returns the hardware request for a movement.
+/// Returns the request to the hardware that a movement requires, if any.
 fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
     let key = |control_type| (set.device.clone(), control_type);
     Some(match &set.motion {

@@ -1,4 +1,4 @@
-//! Metrics of a host: the precise thread updates them, any thread reads them, and no thread waits.
+//! Metrics of a host. The precise thread updates them and any thread may read them; neither waits for the other.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -6,11 +6,11 @@ use urrcp::Span;
 
 use crate::counts::Counts;
 
-/// Upper bounds of the classes of a [`Distribution`], in microseconds; longer durations have a class of their own.
+/// Upper bounds of the classes of a [`Distribution`], in microseconds. Longer durations have a separate class.
 pub const BOUNDS_US: [u64; 14] =
     [10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 1_000_000];
 
-/// Durations, sorted into classes.
+/// A histogram of durations.
 #[derive(Debug, Default)]
 pub struct Distribution {
     classes: [AtomicU64; BOUNDS_US.len() + 1],
@@ -18,7 +18,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Adds a duration. A negative one counts as zero.
+    /// Adds a duration. A negative duration counts as zero.
     pub fn add(&self, took: Span) {
         let nanos = u64::try_from(took.as_nanos()).unwrap_or(0);
         let class = BOUNDS_US.partition_point(|bound| bound * 1_000 < nanos);
@@ -26,7 +26,7 @@ impl Distribution {
         self.sum_nanos.fetch_add(nanos, Ordering::Relaxed);
     }
 
-    /// Returns the number of durations at or below each bound, and last the total number.
+    /// Returns, for each bound, the number of durations that do not exceed it; the last element is the total number.
     #[must_use]
     pub fn cumulated(&self) -> [u64; BOUNDS_US.len() + 1] {
         let mut sum = 0;
@@ -48,7 +48,7 @@ impl Distribution {
 #[derive(Debug)]
 pub struct Figures {
     robots: Vec<RobotFigures>,
-    /// Delay of the precise thread's wake-ups.
+    /// Distribution of the delays with which the precise thread wakes up.
     pub wake_up: Distribution,
 }
 
@@ -79,7 +79,7 @@ impl Figures {
 }
 
 impl RobotFigures {
-    /// Returns its command counts.
+    /// Returns the robot's command counts.
     #[must_use]
     pub fn counts(&self) -> Counts {
         let read = |cell: &AtomicU64| cell.load(Ordering::Relaxed);
@@ -92,19 +92,19 @@ impl RobotFigures {
         }
     }
 
-    /// Returns the number of script steps that it has set.
+    /// Returns the number of script steps that the robot has set.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of its connections, including those from within this process.
+    /// Returns the number of the robot's connections, including those from within this process.
     #[must_use]
     pub fn connections(&self) -> u64 {
         self.connections.load(Ordering::Relaxed)
     }
 
-    /// Whether its hardware answers, if it has any.
+    /// Whether the robot's hardware answers; true for a robot without hardware.
     #[must_use]
     pub fn hardware_answers(&self) -> bool {
         self.away.load(Ordering::Relaxed) == 0

@@ -1,4 +1,4 @@
-//! A robot machine's knowledge of its hardware: whether it is present, and the pending readings.
+//! What a robot's machine knows about its hardware: whether the hardware is present, and which readings are pending.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -7,23 +7,23 @@ use urrcp::{ControlError, ControlRequest, ErrorCode, Robot, Span, Timestamp};
 
 use crate::ids::LinkId;
 
-/// Maximum number of readings that may be open at a time; more are refused.
+/// Maximum number of pending readings; further ones are refused.
 pub(crate) const READINGS_MAX: usize = 64;
 
-/// The relation of an asker to the robot. It limits the open readings, so that no stranger fills the queue of the hardware, which answers
-/// one reading after another.
+/// Relation between the sender of a request and the robot. It limits the sender's pending readings: the hardware answers one reading
+/// after another, and no stranger may fill its queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Standing {
-    /// The robot belongs to its session.
+    /// The robot belongs to the sender's session.
     Owner,
     /// The robot belongs to no session.
     Free,
-    /// The robot belongs to another session.
+    /// The robot belongs to another session than the sender's.
     Stranger,
 }
 
 impl Standing {
-    /// Maximum number of open readings of one party, and of all parties together that do not own the robot.
+    /// Returns the maximum number of pending readings of one party, and the maximum of all parties that do not own the robot.
     pub(crate) const fn readings_max(self) -> (usize, usize) {
         match self {
             Self::Owner => (READINGS_MAX, READINGS_MAX),
@@ -42,25 +42,25 @@ pub(crate) struct Asker {
 }
 /// Time limit of a reading if the sensor declares no `max_delay`, in milliseconds.
 const READING_WAIT_MS: f64 = 1_000.0;
-/// Upper bound of that limit, whatever the sensor declares.
+/// Upper limit of a reading's time limit in milliseconds, even if the sensor declares more.
 const READING_WAIT_MS_MAX: f64 = 60_000.0;
 
-/// A start is near from this long before it.
+/// Maximum time until a start for the start to count as near.
 pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 
 /// Identifies a requested reading of the hardware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ReadingId(pub u64);
 
-/// Presence of the hardware.
+/// Whether the hardware is present, as far as the machine knows.
 #[derive(Clone, Debug)]
 enum Presence {
-    /// No hardware: the machine answers readings by itself.
+    /// There is no hardware: the machine answers readings by itself.
     Simulated,
     There,
-    /// The hardware is connected, but has not answered for this long.
+    /// The hardware is connected, but has not answered for the contained time.
     Silent(Span),
-    /// The hardware is away, for this reason.
+    /// The hardware is away, for the contained reason.
     Away(String),
 }
 
@@ -75,7 +75,7 @@ pub(crate) struct OpenReading {
     wait: Span,
 }
 
-/// The hardware, as known to the machine.
+/// What the machine knows about its hardware.
 #[derive(Clone, Debug)]
 pub(crate) struct Hardware {
     presence: Presence,
@@ -88,7 +88,7 @@ impl Hardware {
         Self { presence: Presence::Simulated, readings: BTreeMap::new(), last: 0 }
     }
 
-    /// Creates hardware that has not answered yet.
+    /// Creates the state for hardware that has not answered yet.
     pub(crate) fn awaited() -> Self {
         let presence = Presence::Away("the hardware is not available: it has not answered yet".to_owned());
         Self { presence, ..Self::simulated() }
@@ -106,20 +106,20 @@ impl Hardware {
         self.presence = Presence::Away(reason.to_owned());
     }
 
-    /// Records that the hardware has been silent for too long, or that it answers again (`None`).
+    /// Records that the hardware has been silent for too long (`Some`), or that it answers again (`None`).
     pub(crate) fn silent(&mut self, silence: Option<Span>) {
         if let Presence::There | Presence::Silent(_) = self.presence {
             self.presence = silence.map_or(Presence::There, Presence::Silent);
         }
     }
 
-    /// Whether a start can be promised now.
+    /// Whether the robot can promise a start now.
     #[cfg(feature = "host")]
     pub(crate) const fn answers(&self) -> bool {
         matches!(self.presence, Presence::Simulated | Presence::There)
     }
 
-    /// Returns why no start can be promised now: the hardware is away, or may be.
+    /// Returns the reason why the robot can promise no start now: the hardware is away, or silent.
     pub(crate) fn missing(&self) -> Option<ControlError> {
         match &self.presence {
             Presence::Silent(silence) => Some(unanswered(*silence)),
@@ -127,7 +127,7 @@ impl Hardware {
         }
     }
 
-    /// Returns why nothing can be driven now. Silent hardware, which may be present, must still be stopped.
+    /// Returns the reason why nothing can be driven now. `None` for silent hardware, which may be present and must still be stopped.
     pub(crate) fn away(&self) -> Option<ControlError> {
         match &self.presence {
             Presence::Away(reason) => Some(ControlError::new(ErrorCode::Internal, reason.clone())),
@@ -135,10 +135,10 @@ impl Hardware {
         }
     }
 
-    /// Opens a reading.
+    /// Adds a pending reading.
     ///
     /// # Errors
-    /// `busy` if too many readings are open: in total, of this party, or of parties that do not own the robot.
+    /// `busy` if too many readings are pending: in total, of this party, or of parties that do not own the robot.
     pub(crate) fn ask(
         &mut self,
         now: Timestamp<Robot>,
@@ -172,17 +172,17 @@ impl Hardware {
         Ok(id)
     }
 
-    /// Closes a reading; `None` if it has been given up.
+    /// Removes and returns a pending reading. `None` if it has been removed before.
     pub(crate) fn close(&mut self, id: ReadingId) -> Option<OpenReading> {
         self.readings.remove(&id)
     }
 
-    /// Returns when the first open reading is given up.
+    /// Returns the time at which the first pending reading expires.
     pub(crate) fn next_wakeup(&self) -> Option<Timestamp<Robot>> {
         self.readings.values().map(|open| open.until).min()
     }
 
-    /// Removes and returns the readings that are overdue, each with its error.
+    /// Removes and returns the readings whose time limit has expired, each with its error.
     pub(crate) fn overdue(&mut self, now: Timestamp<Robot>) -> Vec<(OpenReading, ControlError)> {
         let overdue = self.readings.iter().filter(|(_, open)| open.until <= now).map(|(id, _)| *id);
         let overdue: Vec<ReadingId> = overdue.collect();
@@ -193,13 +193,13 @@ impl Hardware {
         overdue.into_iter().filter_map(|id| self.readings.remove(&id)).map(failed).collect()
     }
 
-    /// Removes and returns all open readings: none of them can be answered any longer.
+    /// Removes and returns all pending readings, because none of them can be answered any longer.
     pub(crate) fn abandon(&mut self) -> Vec<OpenReading> {
         std::mem::take(&mut self.readings).into_values().collect()
     }
 }
 
-/// Returns the error of a start that is not begun or not promised.
+/// Returns the error for a start that does not take place, or that cannot be promised, because the hardware is silent.
 pub(crate) fn unanswered(silence: Span) -> ControlError {
     let message = format!("the hardware has not answered for {silence}");
     ControlError::new(ErrorCode::Internal, message)

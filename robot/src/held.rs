@@ -1,4 +1,4 @@
-//! A command that a device has accepted and that has not ended: its steps, their absolute times, its lease.
+//! An accepted command that has not ended: its steps, their absolute times, and its lease.
 
 use urrcp::{
     ControlType, Interpolation, Millis, RequestId, Robot, Script, Server, Setpoint, StopCondition, Timestamp,
@@ -22,22 +22,22 @@ pub(crate) struct Held {
     pub(crate) next_step: usize,
     pub(crate) late: LateSteps,
     pub(crate) began: bool,
-    /// End of its pending lease at the latest, whatever messages arrive.
+    /// Latest end of the pending lease, whatever messages arrive. `None`: no such limit.
     pub(crate) pending_until: Option<Timestamp<Robot>>,
-    /// The link and the sending time of the question that last limited its lease.
+    /// Link and sending time of the inquiry that last limited the pending lease.
     pub(crate) limited_by: Option<(LinkId, Timestamp<Server>)>,
 }
 
-/// A question that limits the pending leases of the commands that it names.
+/// Limit that an inquiry sets on the pending leases of the commands that it names.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limit {
     pub(crate) pending: Option<Millis>,
     pub(crate) until: Option<Timestamp<Robot>>,
-    /// The link on which it arrived, and its sending time.
+    /// Link on which the inquiry arrived, and its sending time.
     pub(crate) asked: Option<(LinkId, Timestamp<Server>)>,
 }
 
-/// The steps of a command.
+/// The steps of a command: a single value, or a script.
 #[derive(Clone, Debug)]
 pub(crate) enum Steps {
     One(Setpoint),
@@ -59,7 +59,8 @@ impl Held {
         }
     }
 
-    /// Returns the instant at which it must have started. A device that holds does not move before the first value.
+    /// Returns the instant by which the command must have started. A device that holds its value between steps does not move before the
+    /// first value.
     pub(crate) fn starts(&self, interpolation: Interpolation) -> Timestamp<Robot> {
         match &self.steps {
             Steps::One(_) => self.start,
@@ -67,7 +68,7 @@ impl Held {
         }
     }
 
-    /// Returns the time of its start, or of its next step.
+    /// Returns the time of the command's start or, if it has started, of its next step.
     pub(crate) fn next_event(&self) -> Option<Timestamp<Robot>> {
         if !self.began { Some(self.start) } else { self.time_of(self.next_step) }
     }
@@ -76,7 +77,7 @@ impl Held {
         u32::try_from(self.next_step).unwrap_or(u32::MAX)
     }
 
-    /// Whether one of its steps drives this signal.
+    /// Whether one of the command's steps drives this signal.
     pub(crate) fn drives(&self, control_type: ControlType) -> bool {
         match &self.steps {
             Steps::One(setpoint) => setpoint.control_type == control_type,
@@ -86,7 +87,7 @@ impl Held {
         }
     }
 
-    /// Returns the current lease.
+    /// Returns the command's current lease.
     pub(crate) fn lease(&self) -> Lease {
         if !self.began {
             self.lease_of(lease::pending(self.stop_condition))
@@ -95,8 +96,8 @@ impl Held {
         }
     }
 
-    /// Returns when its lease ends. If the lease that follows the next event would have ended by then, the event does not take place: the
-    /// lease ends at that instant, and takes precedence over the event.
+    /// Returns when the command's lease ends. If the lease that follows the next event would already have ended at that event, the event
+    /// does not take place: the lease then ends at that instant.
     pub(crate) fn lease_end(&self, heard: &LastMessages) -> Option<Timestamp<Robot>> {
         let over_by_then = self.next_event().filter(|at| {
             let first_step_is_later = !self.began && self.time_of(0) > Some(*at);
@@ -107,7 +108,8 @@ impl Held {
         heard.ends(&self.lease()).into_iter().chain(over_by_then).chain(until).min()
     }
 
-    /// Limits its pending lease. A question that a later one on the same link has overtaken is ignored.
+    /// Limits the command's pending lease. An inquiry that was sent before another one on the same link, and arrives after it, is
+    /// ignored.
     pub(crate) fn limit(&mut self, limit: Limit) {
         if let (Some((link, asked)), Some((before_on, before))) = (limit.asked, self.limited_by)
             && link == before_on
@@ -120,7 +122,7 @@ impl Held {
         self.limited_by = limit.asked.or(self.limited_by);
     }
 
-    /// Shortens the silence for which it may wait for its start.
+    /// Shortens the silence that the command's pending lease permits.
     fn shorten_pending(&mut self, silence: Millis) {
         let condition = self.stop_condition.get_or_insert_default();
         let shorter = condition.pending.is_none_or(|own| silence.get() < own.get());

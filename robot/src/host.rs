@@ -1,4 +1,4 @@
-//! Runs robots in real time, on one precise thread for all robots of a host.
+//! Runs robots in real time. All robots of a host share one precise thread.
 
 mod body;
 mod executor;
@@ -31,21 +31,21 @@ use crate::refusals::Refusals;
 use crate::robot::Input;
 use downbeat_realtime::{Realtime, Scheduling};
 
-/// Maximum number of inputs of a peer outside this process that the robot has not taken yet; more have to wait.
+/// Maximum number of inputs from a peer outside this process that the robot has not taken yet. Further inputs have to wait.
 const WINDOW: usize = 32;
 
-/// Options for running robots.
+/// Options for a host that runs robots.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct HostOptions {
     /// Whether the precise thread requests real-time scheduling and locked process memory.
     pub realtime: Realtime,
-    /// Log file for all values that are set, one JSON line each.
+    /// Log file for all values that are set, as one JSON line per value. `None`: no log.
     pub log: Option<PathBuf>,
 }
 
 impl HostOptions {
-    /// Sets whether real-time scheduling is requested.
+    /// Sets whether real-time scheduling and locked memory are requested.
     #[must_use]
     pub const fn with_realtime(mut self, realtime: Realtime) -> Self {
         self.realtime = realtime;
@@ -60,7 +60,7 @@ impl HostOptions {
     }
 }
 
-/// An error at the start of a host.
+/// An error that prevents the start of a host.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HostError {
@@ -69,29 +69,29 @@ pub enum HostError {
     Log {
         /// Path of the log file.
         path: PathBuf,
-        /// Error of the system.
+        /// The system's error.
         error: io::Error,
     },
-    /// The system could not create a thread.
+    /// The system could not create a thread, with its error.
     #[error("cannot start a thread for the robots: {0}")]
     Thread(io::Error),
-    /// The required scheduling was not granted.
+    /// The required scheduling was not granted. Contains the scheduling that was granted.
     #[error("{0}")]
     Realtime(Scheduling),
 }
 
-/// A robot whose hardware was moved and may not be at rest after its host stopped.
+/// A robot whose hardware was moved, and may not be at rest although its host has stopped.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the devices of `{robot}` may not be at rest: {reason}")]
 #[non_exhaustive]
 pub struct NotAtRest {
     /// Id of the robot.
     pub robot: RobotId,
-    /// Why its devices may not be at rest, as a sentence without a full stop.
+    /// Reason why the robot's devices may not be at rest, as a sentence without a full stop.
     pub reason: String,
 }
 
-/// An event on a link from the robot.
+/// An event on a link to a robot.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "nearly all values are messages")]
 pub enum LinkEvent {
@@ -101,7 +101,7 @@ pub enum LinkEvent {
     Closed,
 }
 
-/// Robots running on a precise thread.
+/// Robots that run on a precise thread.
 #[derive(Debug)]
 pub struct Host {
     handle: HostHandle,
@@ -109,7 +109,7 @@ pub struct Host {
     thread: Option<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
     log_lost: Option<oneshot::Receiver<HostError>>,
-    /// Each with the index of its robot.
+    /// Threads of the drivers, each with the index of its robot.
     drivers: Vec<(usize, DriverThread)>,
     mailboxes: Vec<Arc<Mailbox>>,
 }
@@ -125,7 +125,7 @@ pub struct HostHandle {
     strangers: Arc<Strangers>,
     scripts: KnownScripts,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
-    /// The maximum length of a command for each robot, in bytes.
+    /// Maximum length of a command for each robot, in bytes.
     longest: Arc<[usize]>,
 }
 
@@ -138,7 +138,7 @@ pub struct RobotLink {
     incoming: Inbox,
 }
 
-/// The sending end of a link, for use next to the receiving end.
+/// Sending half of a link, for use while another task receives.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkSender {
     orders: flume::Sender<Order>,
@@ -164,7 +164,7 @@ impl Host {
             }
         };
         let (writer, log_lost) = writer.map(|writer| (writer.thread, writer.lost)).unzip();
-        // With a lock: on a lock-free channel a real-time thread could spin forever for a sender that it interrupted.
+        // This channel uses a lock: on a lock-free channel, a real-time thread could spin forever for a sender that it interrupted.
         let (orders, inbox) = flume::unbounded();
         let (owners, watched): (Vec<_>, Vec<_>) = ids.iter().map(|_| watch::channel(None)).unzip();
         let handle = HostHandle {
@@ -192,12 +192,13 @@ impl Host {
             drivers.extend(thread.map(|thread| (index, thread)));
         }
         let mailboxes: Vec<_> = robots.iter().filter_map(Body::mailbox).collect();
-        // The thread is waiting only for the robots.
+        // The thread now only waits for the robots.
         let _always_taken = ready.send(robots);
         Ok(Self { handle, scheduling, thread: Some(thread), writer, log_lost, drivers, mailboxes })
     }
 
-    /// Waits until every driver has tried to connect once, so that the next answer states the result. Returns whether all drivers have.
+    /// Waits up to `patience` until every driver has tried to connect once, so that the robots' next responses report the result. Returns
+    /// whether all drivers have tried.
     #[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
     pub fn await_hardware(&self, patience: Duration) -> bool {
         let until = std::time::Instant::now() + patience;
@@ -210,7 +211,7 @@ impl Host {
         &self.scheduling
     }
 
-    /// Returns a handle that opens links to these robots.
+    /// Returns a handle that opens links to this host's robots.
     #[must_use]
     pub fn handle(&self) -> HostHandle {
         self.handle.clone()
@@ -222,20 +223,20 @@ impl Host {
         &self.handle.refusals
     }
 
-    /// Returns the metrics of its robots, which change while they play.
+    /// Returns the metrics of the host's robots, which are updated continuously.
     #[must_use]
     pub fn figures(&self) -> Arc<Figures> {
         Arc::clone(&self.handle.figures)
     }
 
-    /// Returns a receiver for the error, if the log ends before the robots, which then continue without it. `None` without a log, and
-    /// after the first call.
+    /// Returns a receiver for the error if writing the log fails while the robots run; they then continue without a log. `None` without a
+    /// log, and after the first call.
     pub const fn log_lost(&mut self) -> Option<oneshot::Receiver<HostError>> {
         self.log_lost.take()
     }
 
-    /// Stops the robots where they are and completes the log. Brings moving hardware to rest, and returns the robots for which that is
-    /// not certain.
+    /// Stops the robots where they are, brings moving hardware to rest, and completes the log. Returns the robots whose hardware may not
+    /// be at rest.
     pub fn stop(mut self) -> Vec<NotAtRest> {
         self.shut_down()
     }
@@ -257,7 +258,8 @@ impl Host {
     }
 }
 
-/// Returns a generous upper bound of the bytes of a command for one of these devices: a step with one value takes fewer than 200.
+/// Returns a generous upper bound for the length in bytes of a command for any of these devices. A step with one value takes fewer than
+/// 200 bytes.
 fn longest_command(block: &InitializationBlock) -> usize {
     const STEP: usize = 512;
     let of_device = |device: &Device| {
@@ -278,13 +280,13 @@ impl Drop for Host {
 }
 
 impl HostHandle {
-    /// Returns the robots, in the order of their indices.
+    /// Returns the ids of the robots, in the order of their indices.
     #[must_use]
     pub fn robots(&self) -> &[RobotId] {
         &self.robots
     }
 
-    /// Returns the maximum length of a command for the robot of this link, in bytes.
+    /// Returns the maximum length of a command for the robot at the end of this link, in bytes.
     pub(crate) fn longest_command(&self, link: &RobotLink) -> usize {
         self.longest.get(link.robot).copied().unwrap_or(LINE_BYTES_MAX)
     }
@@ -295,8 +297,8 @@ impl HostHandle {
         self.connect_as(robot, Peer::in_process())
     }
 
-    /// Opens a link to a robot for a peer; `None` if the robot does not exist or the host has stopped. The peer's unread messages are
-    /// bounded, unless it is in this process. A session that it claims belongs to its name.
+    /// Opens a link to a robot for a peer. Returns `None` if the robot does not exist or the host has stopped. The peer's unread messages
+    /// are bounded, unless the peer is in this process. A session that the peer claims belongs to the peer's name.
     #[must_use]
     pub fn connect_as(&self, robot: usize, peer: Peer) -> Option<RobotLink> {
         if robot >= self.robots.len() {
@@ -311,7 +313,7 @@ impl HostHandle {
         Some(link)
     }
 
-    /// Returns the metrics of the robots, which change while they play.
+    /// Returns the metrics of the robots, which are updated continuously.
     #[must_use]
     pub fn figures(&self) -> Arc<Figures> {
         Arc::clone(&self.figures)
@@ -335,22 +337,22 @@ impl HostHandle {
         &self.refusals
     }
 
-    /// Returns the budget that all peers without a robot of this host share.
+    /// Returns the budget that all peers share that own no robot of this host.
     pub(crate) fn strangers(&self) -> Arc<Strangers> {
         Arc::clone(&self.strangers)
     }
 
-    /// Returns the most recent scripts: often several robots of a host receive the same one.
+    /// Returns the most recently received scripts: several robots of a host often receive the same script.
     pub(crate) const fn scripts(&self) -> &KnownScripts {
         &self.scripts
     }
 
-    /// Returns a watch on the current or last owner of a robot.
+    /// Returns a receiver that shows the current or last owner of a robot.
     pub(crate) fn owner(&self, robot: usize) -> Option<watch::Receiver<Option<Claimant>>> {
         self.owners.get(robot).cloned()
     }
 
-    /// Makes a robot check whether its session is over. Returns when it has, or when the host has stopped.
+    /// Makes a robot check whether its session is over. Returns once the robot has checked, or once the host has stopped.
     pub(crate) async fn look(&self, robot: usize) {
         let (permit, looked) = oneshot::channel();
         let _stopped = self.orders.send(Order::Look { robot, permit });
@@ -359,8 +361,8 @@ impl HostHandle {
 }
 
 impl RobotLink {
-    /// Sends a message to the robot, and computes here the hash that the robot compares. A stopped host ignores it; [`RobotLink::recv`]
-    /// then returns `None`.
+    /// Sends a message to the robot. Computes here, outside the precise thread, the hash that the robot compares. A stopped host ignores
+    /// the message; [`RobotLink::recv`] then returns `None`.
     pub fn send(&self, message: Message) {
         self.order(Input::read(message));
     }
@@ -370,12 +372,12 @@ impl RobotLink {
         let _stopped = self.orders.send(order);
     }
 
-    /// Receives the robot's next event; `None` once the host has stopped.
+    /// Receives the robot's next event. Returns `None` once the host has stopped.
     pub async fn recv(&mut self) -> Option<LinkEvent> {
         self.incoming.recv().await
     }
 
-    /// Returns an event that is already available.
+    /// Returns the next event if it is already available.
     pub(crate) fn try_recv(&mut self) -> Option<LinkEvent> {
         self.incoming.try_recv()
     }
@@ -387,9 +389,10 @@ impl RobotLink {
 }
 
 impl LinkSender {
-    /// Sends once the robot keeps up, so that a peer can never make the host hold more than [`WINDOW`] of its inputs.
+    /// Sends an input once the robot has taken enough of the earlier ones. The host thus never holds more than [`WINDOW`] inputs of a
+    /// peer.
     pub(crate) async fn send(&self, input: Input) {
-        // The window is never closed, so a permit always becomes available.
+        // The semaphore is never closed, so a permit always becomes available.
         let permit = Arc::clone(&self.window).acquire_owned().await.ok();
         let _stopped = self.orders.send(Order::Input { robot: self.robot, link: self.link, input, permit });
     }

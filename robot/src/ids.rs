@@ -1,9 +1,9 @@
-//! Identifiers of links and of commands.
+//! Identifiers of links and commands.
 
-/// A connection of a server with this robot.
+/// Identifies a connection between a server and this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(pub u64);
 
-/// Sequence number of an accepted command of a device.
+/// Sequence number of an accepted command of one device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct CommandId(pub(crate) u64);

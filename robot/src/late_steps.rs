@@ -1,11 +1,11 @@
-//! The number of late steps of a command, and how late the latest of them was.
+//! Number of late steps of a command, and the delay of the latest one.
 
 use urrcp::{Millis, Span};
 
-/// A step that is done later than this after its deadline counts as late.
+/// Delay above which a step counts as late.
 const LATE: Span = Span::from_millis(1);
 
-/// The late steps of one command.
+/// Count and maximum delay of the late steps of one command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct LateSteps {
     pub(crate) count: u32,
@@ -13,7 +13,7 @@ pub(crate) struct LateSteps {
 }
 
 impl LateSteps {
-    /// Records that a step was done this long after its deadline.
+    /// Records a step that was done by `by` after its deadline.
     pub(crate) fn note(&mut self, by: Span) {
         if by > LATE {
             self.count += 1;
@@ -21,7 +21,7 @@ impl LateSteps {
         }
     }
 
-    /// How late the latest step was; `None` if no step was late.
+    /// Returns the largest delay of a step. `None` if no step was late.
     pub(crate) fn ms_max(self) -> Option<Millis> {
         (self.count > 0).then(|| Millis::from_span(self.max))
     }

@@ -1,4 +1,4 @@
-//! The `stop_condition` as a lease: how long a link may stay silent.
+//! A `stop_condition` as a lease: how long a link may be silent before commands end.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -6,17 +6,17 @@ use urrcp::{Millis, Robot, StopCondition, Timestamp};
 
 use crate::ids::LinkId;
 
-/// The time of each party's last message. Links that are down stay silent, so their leases run out.
+/// The time of each party's last message. A link that is down is silent, so its leases expire.
 #[derive(Clone, Debug)]
 pub(crate) struct LastMessages {
     at: BTreeMap<LinkId, Timestamp<Robot>>,
-    /// The latest party is nearly always the one that is looked up, at every step of every device.
+    /// Entry of the party that sent the latest message. At nearly every step of a device, this is the party that is looked up.
     latest: Option<(LinkId, Timestamp<Robot>)>,
-    /// If there are more entries than this, parties that hold nothing are forgotten.
+    /// Number of entries above which parties that hold no commands are forgotten.
     room: usize,
 }
 
-/// The last message of at least this many parties is remembered.
+/// Minimum number of parties whose last message is remembered.
 const PARTIES_MIN: usize = 1_024;
 
 impl Default for LastMessages {
@@ -26,7 +26,8 @@ impl Default for LastMessages {
 }
 
 impl LastMessages {
-    /// Records a message. Returns whether it is time to [`LastMessages::keep`] only the parties that hold something.
+    /// Records that a message of `party` arrived at `now`. Returns whether it is time to call [`LastMessages::keep`] with the parties
+    /// that hold commands.
     #[must_use]
     pub(crate) fn heard(&mut self, party: LinkId, now: Timestamp<Robot>) -> bool {
         self.at.insert(party, now);
@@ -34,14 +35,14 @@ impl LastMessages {
         self.at.len() > self.room
     }
 
-    /// Forgets all other parties. This loses nothing: without an entry, a lease counts from its own begin.
+    /// Forgets all parties except these. This loses nothing: without an entry, a lease counts from the time when it was granted.
     pub(crate) fn keep(&mut self, holding: &HashSet<LinkId>) {
         self.at.retain(|party, _| holding.contains(party));
         self.latest = None;
         self.room = PARTIES_MIN.max(2 * self.at.len());
     }
 
-    /// Returns the time of a party's last message.
+    /// Returns the time of a party's last message, if it is remembered.
     pub(crate) fn last(&self, party: LinkId) -> Option<Timestamp<Robot>> {
         match self.latest {
             Some((latest, at)) if latest == party => Some(at),
@@ -49,7 +50,7 @@ impl LastMessages {
         }
     }
 
-    /// Returns when a lease ends; `None` without a limit.
+    /// Returns when a lease ends. `None` if its silence has no limit.
     pub(crate) fn ends(&self, lease: &Lease) -> Option<Timestamp<Robot>> {
         let silence = lease.silence?.span();
         let heard = self.last(lease.link).unwrap_or(lease.granted);
@@ -57,21 +58,21 @@ impl LastMessages {
     }
 }
 
-/// The current lease of a command.
+/// A command's current lease.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lease {
     pub(crate) link: LinkId,
     pub(crate) granted: Timestamp<Robot>,
-    /// `None`: no limit.
+    /// Maximum silence of the link. `None`: no limit.
     pub(crate) silence: Option<Millis>,
 }
 
-/// Returns the limit before the start.
+/// Returns the maximum silence before the start. `None`: no limit.
 pub(crate) fn pending(stop_condition: Option<StopCondition>) -> Option<Millis> {
     stop_condition.and_then(|lease| lease.pending)
 }
 
-/// Returns the limit while a step is current; the step's own takes precedence over the command's.
+/// Returns the maximum silence while a step is current. The step's own condition takes precedence over the command's. `None`: no limit.
 pub(crate) fn running(command: Option<StopCondition>, step: Option<StopCondition>) -> Option<Millis> {
     step.or(command).and_then(|lease| lease.running)
 }

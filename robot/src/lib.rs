@@ -1,4 +1,4 @@
-//! The robot side of URRCP: describe a robot, write a driver for its hardware, and a scheduler can play shows on it.
+//! The robot side of URRCP. If you describe a robot and write a driver for its hardware, a scheduler can play shows on it.
 //!
 //! ```text
 //!   scheduler ──TCP──▶ serve ──▶ Host, one precise thread                  Driver, a thread of its own
@@ -47,15 +47,15 @@
 //! }
 //! ```
 //!
-//! The crate answers everything else. `downbeat conformance tcp://127.0.0.1:7401` checks a robot that runs, and a fleet file names
-//! it by `address: tcp://127.0.0.1:7401`. Several robots in one program, or one next to other tasks, start with [`Host::start`] and
-//! are put on ports with [`serve()`].
+//! The crate handles everything else. The command `downbeat conformance tcp://127.0.0.1:7401` checks a running robot. A fleet file refers
+//! to the robot by `address: tcp://127.0.0.1:7401`. For several robots in one program, or a robot next to other tasks, use
+//! [`Host::start`], and [`serve()`] to make them available on ports.
 //!
 //! # The machine alone
 //!
-//! [`Robot`] decides everything, without I/O and without a clock: give it messages and the time, and it returns answers and
-//! values. Two rules keep it right: pass times that never go back, and sleep until [`Robot::next_wakeup`] or the next message,
-//! asked for after every call. [`simulated`] surrounds it with a clock, delays and faults of its own.
+//! [`Robot`] decides everything, without I/O and without a clock: it receives messages and the time, and returns responses and values.
+//! Two rules apply: times that you pass must never go back; and after every call, sleep until [`Robot::next_wakeup`] or the next message.
+//! [`simulated`] adds a simulated clock, delays and faults.
 //!
 //! # Features
 //!
@@ -65,9 +65,9 @@
 //! | `thrift` | a driver for robots that speak the early Thrift form of the protocol |
 //! | `sealed` | [`sealed`]: a secret shared with the robot, and a code for each message, for microcontrollers |
 //! | `tls` | [`tls`]: TLS 1.3, with certificates on both sides |
-//! | `zenoh` | [`zenoh`](mod@zenoh): reached at a key of a Zenoh network |
+//! | `zenoh` | [`zenoh`](mod@zenoh): makes the robot available at a key of a Zenoh network |
 //!
-//! With `default-features = false` the machine and [`simulated`] remain.
+//! With `default-features = false`, only the machine and [`simulated`] remain.
 #![cfg_attr(
     not(all(feature = "host", feature = "sealed", feature = "tls", feature = "zenoh")),
     allow(rustdoc::broken_intra_doc_links, reason = "links to what features add")
@@ -140,11 +140,11 @@ pub use serve::serve;
 pub use serve::serve_zenoh;
 #[cfg(feature = "host")]
 pub use serve::{Door, serve_behind};
-/// The types of the protocol, in the version that this crate uses.
+/// The protocol's types, in the version that this crate uses.
 pub use urrcp;
 pub use urrcp::{Proof, Role, Roles};
 
-/// The examples of the README are compiled with the tests.
+/// Makes the documentation tests compile the README's examples.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,4 +1,4 @@
-//! A robot's output to its peers, with hardware or in a simulated world.
+//! A robot's output to its peers, both with hardware and in a simulated world.
 
 use urrcp::Message;
 
@@ -8,16 +8,16 @@ use crate::ids::LinkId;
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "nearly all values are messages")]
 pub enum Outgoing {
-    /// A message on a link.
+    /// Send a message on a link.
     Message {
-        /// The link that carries it.
+        /// Link on which to send the message.
         link: LinkId,
-        /// The message.
+        /// Message to send.
         message: Message,
     },
-    /// The robot closes a link.
+    /// Close a link.
     Close {
-        /// The link to close.
+        /// Link to close.
         link: LinkId,
     },
 }

@@ -1,7 +1,7 @@
 //! The parties that use the links, and the party that owns the robot.
 //!
-//! A session is one run of a scheduler. It may use several links, in sequence or simultaneously: leases, answers and stops belong to the
-//! session. A link that names no session is a party of its own.
+//! A session is one run of a scheduler. It may use several links, in sequence or at the same time: leases, responses and stops belong to
+//! the session. A link that does not name a session is a separate party.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -11,34 +11,35 @@ use crate::ids::LinkId;
 use crate::lease::LastMessages;
 use urrcp::Proof;
 
-/// An idle robot whose session has been silent for this long may be claimed by another.
+/// Minimum silence of the session that owns an idle robot before another session may claim the robot.
 const CLAIM_SILENCE: Span = Span::from_millis(5_000);
-/// Maximum number of remembered sessions.
+/// Maximum number of sessions that a robot remembers.
 pub(crate) const SESSIONS_MAX: usize = 256;
 
-/// A possible owner of the robot. The name of a session is a secret of the peers that use it. If a peer has proven a name of its own, its
-/// session differs from a session of the same name of any other peer.
+/// A possible owner of the robot. The id of a session is a secret of the peers that use it. Peers with different proven names have
+/// different sessions, even if they use the same session id.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Claimant {
     pub(crate) session: SessionId,
     pub(crate) peer: Option<Label>,
 }
 
-/// The parties. A party is identified by its first link, unless that link already identifies another party.
+/// All parties of a robot. A party is identified by its first link, unless that link already identifies another party.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Parties {
     of_link: BTreeMap<LinkId, LinkId>,
     of_session: HashMap<Claimant, LinkId>,
-    /// The proofs of the links' peers.
+    /// The proven identity of each link's peer.
     proof_of: BTreeMap<LinkId, Proof>,
-    /// The link of each party's last message.
+    /// Link of each party's last message.
     route: BTreeMap<LinkId, LinkId>,
     owner: Option<(Claimant, LinkId)>,
-    /// The previous owner at the last seizure, and the name of the operator that seized the robot.
+    /// The owner before the last seizure, and the name of the operator that seized the robot.
     seized: Option<(Claimant, Label)>,
-    /// Number of owner changes.
+    /// Number of owner changes so far.
     changes: u64,
-    /// Number of parties with an id of their own, counted down from the largest so that no link has it.
+    /// Number of parties that are not identified by their first link. Their ids are counted down from the largest number, so that no link
+    /// has them.
     named: u64,
 }
 
@@ -48,7 +49,7 @@ impl Parties {
         self.of_link.get(&link).copied().unwrap_or(link)
     }
 
-    /// Returns the link on which a party is reached.
+    /// Returns the link on which to reach a party.
     pub(crate) fn route(&self, party: LinkId) -> LinkId {
         self.route.get(&party).copied().unwrap_or(party)
     }
@@ -58,7 +59,7 @@ impl Parties {
         self.proof_of.insert(link, proof);
     }
 
-    /// Returns the proof of a link's peer; `None` if no proof is required.
+    /// Returns the proven identity of a link's peer. `None` if no proof is required.
     pub(crate) fn proof(&self, link: LinkId) -> Option<&Proof> {
         self.proof_of.get(&link)
     }
@@ -67,17 +68,17 @@ impl Parties {
         self.proof(link).map(|proof| &proof.name)
     }
 
-    /// Returns the claimant for this session on this link.
+    /// Returns the claimant for a session on a link.
     pub(crate) fn claimant(&self, link: LinkId, session: &SessionId) -> Claimant {
         Claimant { session: session.clone(), peer: self.name(link).cloned() }
     }
 
-    /// Whether this session on this link is this claimant.
+    /// Whether `claimant` is this session, used by the peer of this link.
     pub(crate) fn is_claimant(&self, link: LinkId, session: &SessionId, claimant: &Claimant) -> bool {
         claimant.session == *session && claimant.peer.as_ref() == self.name(link)
     }
 
-    /// Records a message of this session on this link, and returns its party.
+    /// Records a message of a session on a link, and returns the session's party.
     pub(crate) fn join(&mut self, link: LinkId, session: &SessionId) -> LinkId {
         let claimant = self.claimant(link, session);
         let party = match self.of_session.get(&claimant) {
@@ -86,7 +87,8 @@ impl Parties {
                 if self.of_session.len() >= SESSIONS_MAX {
                     self.forget_oldest();
                 }
-                // A link that belonged to another session before becomes a new party, with an id that no other party has or had.
+                // If the link belonged to another session before, the new session becomes a party with an id that no other party has or
+                // had.
                 let taken = self.of_session.values().any(|party| *party == link);
                 self.named += u64::from(taken);
                 let party = if taken { LinkId(u64::MAX - self.named) } else { link };
@@ -108,7 +110,7 @@ impl Parties {
         self.leave(party, link);
     }
 
-    /// Removes a link from a party. The party is then reached on another of its links, if it has one.
+    /// Removes a link from a party. After that, the party's messages use another of its links, if it has one.
     fn leave(&mut self, party: LinkId, link: LinkId) {
         if self.route.get(&party) == Some(&link) {
             self.route.remove(&party);
@@ -117,8 +119,8 @@ impl Parties {
         }
     }
 
-    /// Returns the session that owns the robot. It remains the owner while the robot holds something, or if its last message was recent
-    /// and one of its links is up.
+    /// Returns the session that owns the robot. A session remains the owner while the robot holds commands, or while its last message is
+    /// recent and one of its links is up.
     pub(crate) fn owner(
         &self,
         now: Timestamp<Robot>,
@@ -131,7 +133,7 @@ impl Parties {
         })
     }
 
-    /// Makes this session the owner.
+    /// Makes the claimant the owner.
     pub(crate) fn claim(&mut self, claimant: Claimant, party: LinkId) {
         if self.owner.as_ref().is_none_or(|(owner, _)| *owner != claimant) {
             self.owner = Some((claimant, party));
@@ -144,13 +146,14 @@ impl Parties {
         self.owner.as_ref().and_then(|(owner, _)| owner.peer.as_ref())
     }
 
-    /// Transfers the robot from its owner to this session, whose peer has proven this name.
+    /// Transfers the robot from its owner to the claimant, whose peer has proven the name `by`.
     pub(crate) fn seize(&mut self, claimant: Claimant, party: LinkId, by: Label) {
         self.seized = self.owner.take().map(|(before, _)| (before, by));
         self.claim(claimant, party);
     }
 
-    /// Returns the name of the operator that seized the robot from this session on this link.
+    /// Returns the name of the operator that seized the robot from this session, used by the peer of this link. `None` if the last
+    /// seizure affected another session.
     pub(crate) fn seized_by(&self, link: LinkId, session: &SessionId) -> Option<&Label> {
         let (_, by) = self.seized.as_ref().filter(|(from, _)| self.is_claimant(link, session, from))?;
         Some(by)
@@ -169,7 +172,7 @@ impl Parties {
         self.owner.as_ref().map(|(claimant, _)| claimant)
     }
 
-    /// Returns a number that changes with [`Parties::last_claimant`].
+    /// Returns a number that changes whenever the result of [`Parties::last_claimant`] changes.
     #[cfg(feature = "host")]
     pub(crate) const fn changes(&self) -> u64 {
         self.changes
@@ -180,7 +183,7 @@ impl Parties {
         self.owner.as_ref().map(|(_, party)| *party)
     }
 
-    /// Returns the number of entries about parties.
+    /// Returns the number of all entries about parties.
     #[cfg(test)]
     pub(crate) fn remembered(&self) -> usize {
         self.of_link.len() + self.of_session.len() + self.route.len() + self.proof_of.len()

@@ -8,52 +8,53 @@ use urrcp::Label;
 
 use urrcp::Proof;
 
-/// A peer at the other end of a link, as far as it is known: its origin, and its name if it has proven one.
+/// The peer at the other end of a link: its origin, as far as it is known, and its name if it has proven one.
 ///
-/// A session belongs to the name of the peer that claims it: another name, or none, with the same session is another session.
+/// A session belongs to the name of the peer that claims it. If a peer with another name, or without a name, uses the same session id,
+/// this is another session.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Peer {
     origin: Origin,
     proof: Option<Proof>,
 }
 
-/// The origin of a peer.
+/// Where a peer connects from.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 enum Origin {
     #[default]
     InProcess,
     Address(SocketAddr),
-    /// A name in a network that hides addresses.
+    /// Name that a network which hides addresses gives the peer.
     Network(Arc<str>),
 }
 
 impl Peer {
-    /// Returns a part of this process. It is trusted: it has no quota or budget.
+    /// Returns the peer for a part of this process. It is trusted: it has no quota or budget.
     #[must_use]
     pub const fn in_process() -> Self {
         Self { origin: Origin::InProcess, proof: None }
     }
 
-    /// Returns a stranger that connects from this address.
+    /// Returns an unproven peer that connects from this address.
     #[must_use]
     pub const fn at(address: SocketAddr) -> Self {
         Self { origin: Origin::Address(address), proof: None }
     }
 
-    /// Returns a stranger that connects through a network that gives it this name and no address.
+    /// Returns an unproven peer that connects through a network that gives it this name and no address.
     #[must_use]
     pub fn through(network: &str) -> Self {
         Self { origin: Origin::Network(network.into()), proof: None }
     }
 
-    /// Returns the same peer with a proven identity, for example from a certificate.
+    /// Returns the peer with a proven identity, for example from a certificate.
     #[must_use]
     pub fn with_proof(mut self, proof: Proof) -> Self {
         self.proof = Some(proof);
         self
     }
 
-    /// Returns its address; `None` for a part of this process, and if a network hides it.
+    /// Returns the peer's address. `None` for a part of this process, and if a network hides the address.
     #[must_use]
     pub const fn address(&self) -> Option<SocketAddr> {
         match self.origin {
@@ -62,25 +63,25 @@ impl Peer {
         }
     }
 
-    /// Returns its proven name.
+    /// Returns the peer's name, if it has proven one.
     #[must_use]
     pub fn name(&self) -> Option<&Label> {
         self.proof.as_ref().map(|proof| &proof.name)
     }
 
-    /// Returns its proof.
+    /// Returns the peer's proven identity, if it has proven one.
     #[must_use]
     pub const fn proof(&self) -> Option<&Proof> {
         self.proof.as_ref()
     }
 
-    /// Whether it is a part of this process.
+    /// Whether the peer is a part of this process.
     #[must_use]
     pub const fn is_in_process(&self) -> bool {
         matches!(self.origin, Origin::InProcess)
     }
 
-    /// Returns the host from which it connects, for quotas. `None` if one address represents many peers or is unknown: within this
+    /// Returns the IP address whose quota the peer uses. `None` if an address would represent many peers or is unknown: within this
     /// process, on the loopback interface, and through networks that hide addresses.
     #[must_use]
     pub fn quota_key(&self) -> Option<IpAddr> {

@@ -1,6 +1,7 @@
-//! Scripts that a driver receives ahead of their time and times by itself, and the driver's reports about them.
+//! Scripts that a driver receives ahead of time and times by itself, and the driver's reports about them.
 //!
-//! The device's machine simulates the same script: it decides on leases, overlaps and stops. The robot reports what the driver reports.
+//! The device's machine simulates these scripts in parallel and decides on leases, overlaps and stops. The robot reports what the driver
+//! reports.
 
 use std::collections::BTreeMap;
 
@@ -11,36 +12,36 @@ use crate::ids::CommandId;
 use crate::late_steps::LateSteps;
 use crate::tolerance::Tolerance;
 
-/// Identifies a script, or a single value, that was handed over to a driver.
+/// Identifies a script, or a single value, that a driver has received.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlanId(pub u64);
 
-/// How far ahead a driver receives the steps of a device's scripts.
+/// How far ahead a driver receives the steps of scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lookahead {
-    /// All steps, as soon as the script is accepted.
+    /// The driver receives all steps as soon as the script is accepted.
     Script,
-    /// Each step at least this long before the movement to it begins, or as soon as the script is accepted.
+    /// The driver receives each step at least this long before the movement to the step starts, or as soon as the script is accepted.
     Horizon(Span),
 }
 
-/// Steps of a script that are handed over together. Times are on the clock `C`.
+/// Steps of a script that a driver receives together. `C` is the clock to which the times refer.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct PlanPart<C> {
-    /// Identifies the script.
+    /// Id of the script.
     pub plan: PlanId,
     /// Device of the script.
     pub device: DeviceId,
     /// Start of the script.
     pub start: Timestamp<C>,
-    /// Latest instant at which it may begin.
+    /// Latest instant at which the script may start.
     pub begin_by: Timestamp<C>,
     /// Behaviour of the device between two steps.
     pub interpolation: Interpolation,
-    /// Index of the first of these steps in the script; 0 begins a plan, any other index continues it.
+    /// Index of the first of `steps` in the script. 0 starts a script; any other index continues it.
     pub first: usize,
-    /// The steps in the order of their times, at least one.
+    /// Steps in the order of their times; at least one.
     pub steps: Vec<PlanStep<C>>,
     /// Whether the script ends with these steps.
     pub is_last: bool,
@@ -50,41 +51,41 @@ pub struct PlanPart<C> {
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct PlanStep<C> {
-    /// Time when the value is due. With linear interpolation, the device then arrives at it.
+    /// Time when the value is due. With linear interpolation, the device arrives at the value at this time.
     pub at: Timestamp<C>,
     /// The value to set.
     pub setpoint: Setpoint,
 }
 
-/// The cancellation of a driver's script before its end.
+/// Order to a driver to cancel a script before its end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PlanCancel {
-    /// Identifies the script.
+    /// Id of the script.
     pub plan: PlanId,
     /// Device of the script.
     pub device: DeviceId,
-    /// Behaviour of the device instead.
+    /// Behaviour of the device after the cancellation.
     pub then: Then,
-    /// Reason, for people.
+    /// Reason for the cancellation, for people.
     pub why: String,
 }
 
 /// Behaviour of a device after one of its scripts is cancelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
-    /// The same as without that script: another one may run.
+    /// The device behaves as without the script: another script may run.
     Keep,
-    /// It stays where it is.
+    /// The device stays where it is.
     Hold,
-    /// It comes to rest, or moves to its default state, by subsequent values.
+    /// The device comes to rest, or moves to its default state; the driver receives values for this movement.
     Rest,
-    /// It slows down within its limits, by subsequent values.
+    /// The device slows down within its limits; the driver receives values for this movement.
     Slow,
 }
 
 impl Then {
-    /// Returns its keyword in the protocol for programs.
+    /// Returns the behaviour's keyword in the protocol for programs.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -99,35 +100,36 @@ impl Then {
 /// A driver's report about a script that it times by itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlanEvent {
-    /// The first value is set, or the device has begun to move to it linearly.
+    /// The first value is set, or the device has started to move to it linearly.
     Began,
-    /// The step of this index is done, and all steps before it.
+    /// The step with this index is done, and so are all steps before it.
     Step(u32),
     /// All steps are done.
     Done,
-    /// By the driver's clock, the script has begun or continues. The hardware has not shown it.
+    /// By the driver's clock, the script has started or continues. The hardware has not shown this.
     AssumedRunning,
-    /// By the driver's clock, all steps are done. The hardware has not shown it.
+    /// By the driver's clock, all steps are done. The hardware has not shown this.
     AssumedDone,
-    /// The script ended early, for this reason.
+    /// The script ended early, for the contained reason.
     Failed(String),
-    /// It was cancelled.
+    /// The script was cancelled.
     Cancelled,
 }
 
-/// Tolerance for reported times: a report must not lie further than this in the future.
+/// Tolerance of reported times: a report's time must not be further in the future, or further before the script was accepted.
 const GRAIN: Span = Span::from_millis(10);
-/// If an edge checks for a report with more delay than this, the edge itself was delayed, and the report may still wait for it.
+/// Maximum delay of an edge's check for a report. With a larger delay, the edge itself was delayed, and the report may still wait to be
+/// processed.
 const HELD_UP: Span = Span::from_millis(100);
 
-/// Progress of a script in the device's machine.
+/// Progress of a script, as the device's machine sees it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
     Waiting,
     Begun,
-    /// Its last step was due.
+    /// The last step was due.
     Over,
-    /// The driver must end it; afterwards this error is reported.
+    /// The driver must end the script; afterwards this error is reported.
     Cancelling(ControlError),
 }
 
@@ -136,24 +138,24 @@ pub(crate) enum Stage {
 pub(crate) struct Plan {
     pub(crate) index: usize,
     pub(crate) command: CommandId,
-    /// The command as accepted.
+    /// The command in the form in which it was accepted.
     held: Held,
     device: DeviceId,
     interpolation: Interpolation,
     lookahead: Lookahead,
-    /// Number of steps that were handed over.
+    /// Number of steps that the driver has received.
     pub(crate) given: usize,
     pub(crate) stage: Stage,
     pub(crate) began: Option<Timestamp<Robot>>,
     pub(crate) began_told: bool,
-    /// Whether the driver assumes that the script has begun.
+    /// Whether the driver has reported that it assumes the start of the script.
     assumed: bool,
     pub(crate) done: Option<Timestamp<Robot>>,
     pub(crate) steps_done: u32,
     pub(crate) late: LateSteps,
-    /// Whether the driver has ended it by itself, or never took it.
+    /// Whether the driver has ended the script by itself, or never took it.
     pub(crate) is_over_there: bool,
-    /// Extended time limit for reports, after the edge was delayed.
+    /// Extended time limit of the driver's reports, after the edge was delayed.
     extended: Option<Timestamp<Robot>>,
     tolerance: Tolerance,
 }
@@ -167,7 +169,7 @@ impl Plan {
         &self.device
     }
 
-    /// Returns when the device begins to move to a step.
+    /// Returns when the device starts to move to a step. `None` if the step does not exist.
     fn sets_out(&self, step: usize) -> Option<Timestamp<Robot>> {
         self.held.time_of(step)?;
         step.checked_sub(1).map_or(Some(self.held.start), |before| self.held.time_of(before))
@@ -177,7 +179,7 @@ impl Plan {
         matches!(self.stage, Stage::Waiting | Stage::Begun)
     }
 
-    /// Returns when the next steps must be handed over.
+    /// Returns when the driver must receive the next steps. `None` if no further steps must be handed over.
     fn next_handover(&self) -> Option<Timestamp<Robot>> {
         let sets_out = self.sets_out(self.given).filter(|_| self.is_open() && !self.is_over_there)?;
         Some(match self.lookahead {
@@ -186,7 +188,7 @@ impl Plan {
         })
     }
 
-    /// Returns by how much the handover of the next steps is too late; `None` if it is in time.
+    /// Returns the delay of the handover of the next steps. `None` if it is within the tolerance.
     pub(crate) fn handover_late(&self, now: Timestamp<Robot>) -> Option<Span> {
         self.next_handover()?;
         let sets_out = self.sets_out(self.given)?;
@@ -194,7 +196,7 @@ impl Plan {
         (now - sets_out > most).then(|| now - sets_out)
     }
 
-    /// Returns the steps that must be handed over now: a quarter of a horizon at a time, or the rest of it.
+    /// Returns the steps that the driver must receive now. With a horizon, these include the steps of the next quarter of the horizon.
     pub(crate) fn hand_over(&mut self, id: PlanId, now: Timestamp<Robot>) -> Option<PlanPart<Robot>> {
         self.next_handover().filter(|at| *at <= now)?;
         let first = self.given;
@@ -220,7 +222,7 @@ impl Plan {
         })
     }
 
-    /// Returns the time limit of the driver's next report.
+    /// Returns the time limit of the driver's next report. `None` if none is expected.
     fn report_due(&self) -> Option<Timestamp<Robot>> {
         let due = match (&self.stage, self.began, self.done) {
             (Stage::Cancelling(_), ..) | (_, _, Some(_)) => return None,
@@ -230,7 +232,7 @@ impl Plan {
         Some(self.extended.map_or(due, |extended| due.max(extended)))
     }
 
-    /// Whether the driver has missed the time limit of a report. A check that is itself too late extends the limit.
+    /// Whether the driver has missed the time limit of a report. If this check itself is too late, the limit is extended.
     fn is_unreported(&mut self, now: Timestamp<Robot>) -> bool {
         let Some(due) = self.report_due().filter(|due| *due <= now) else { return false };
         if now - due > HELD_UP {
@@ -240,10 +242,10 @@ impl Plan {
         true
     }
 
-    /// Records a driver's report. Returns the instant at which the step was due, if the report is about a step.
+    /// Records a driver's report about the script. Returns the time of the event, but at most `now`.
     ///
     /// # Errors
-    /// Why the report cannot be true.
+    /// The reason why the report cannot be true.
     pub(crate) fn note(
         &mut self,
         now: Timestamp<Robot>,
@@ -296,23 +298,24 @@ impl Plan {
         Ok(())
     }
 
-    /// Records that the driver no longer follows the script. If the driver still had time to report a start, it has not begun.
+    /// Records that the driver no longer follows the script. If the driver still had time to report a start, the script has not started.
     pub(crate) fn is_withdrawn(&mut self, now: Timestamp<Robot>) {
         self.is_over_there |= now < self.held.starts(self.interpolation) + self.tolerance.report;
     }
 
-    /// Whether the script may have begun: the hardware had it at its start and has not shown a start.
+    /// Whether the script may have started without a report: the driver had the script at its start time, or assumes that it started, and
+    /// has not reported a start.
     pub(crate) fn may_have_begun(&self, now: Timestamp<Robot>) -> bool {
         let had_it = self.given > 0 && !self.is_over_there && now >= self.held.starts(self.interpolation);
         self.began.is_none() && (self.assumed || had_it)
     }
 
-    /// Whether the driver has reported that it began, observed or assumed.
+    /// Whether the driver has reported that the script started, either observed or assumed.
     pub(crate) const fn has_begun(&self) -> bool {
         self.began.is_some() || self.assumed
     }
 
-    /// Returns its progress, for people.
+    /// Returns the script's progress as a text for people.
     pub(crate) fn place(&self) -> String {
         match self.began {
             None if !self.assumed => "before its start".to_owned(),
@@ -326,9 +329,9 @@ impl Plan {
 pub(crate) struct Plans {
     plans: BTreeMap<PlanId, Plan>,
     last: u64,
-    /// Scripts that are over for the machine, and must be cancelled with the device's next change.
+    /// Scripts that are over for the machine, with their errors. They must be cancelled with the next change of their device.
     failing: Vec<(PlanId, ControlError)>,
-    /// For each added script.
+    /// Tolerance that each added script gets.
     pub(crate) tolerance: Tolerance,
 }
 
@@ -337,7 +340,7 @@ impl Plans {
         self.plans.is_empty()
     }
 
-    /// Adds an accepted command whose steps the driver times.
+    /// Adds an accepted command whose steps the driver times by itself.
     pub(crate) fn add(
         &mut self,
         index: usize,
@@ -369,7 +372,7 @@ impl Plans {
         self.plans.insert(PlanId(self.last), plan);
     }
 
-    /// Whether such a plan has ever existed.
+    /// Whether a plan with this id exists or has existed.
     pub(crate) const fn has_been(&self, id: PlanId) -> bool {
         id.0 >= 1 && id.0 <= self.last
     }
@@ -391,7 +394,7 @@ impl Plans {
         self.plans.iter().find(|(_, plan)| is_it(plan)).map(|(id, _)| *id)
     }
 
-    /// Returns the plan of a request that has not ended.
+    /// Returns the plan of a request, if it has not ended.
     pub(crate) fn of_request(&self, id: &RequestId) -> Option<&Plan> {
         self.plans.values().find(|plan| plan.held.request_id.as_ref() == Some(id))
     }
@@ -401,7 +404,7 @@ impl Plans {
         self.plans.iter().filter(|(_, plan)| plan.index == index).map(|(id, _)| *id).collect()
     }
 
-    /// Records that the machine has begun a command, or has reached its end.
+    /// Records that the machine has reached a stage of a command, such as its start or end.
     pub(crate) fn come_to(&mut self, index: usize, command: CommandId, stage: Stage) {
         let Some(plan) = self.find(index, command).and_then(|id| self.plans.get_mut(&id)) else { return };
         plan.stage = stage;
@@ -412,7 +415,7 @@ impl Plans {
         self.plans.values().filter_map(at).min()
     }
 
-    /// Returns the plans with steps that must be handed over now.
+    /// Returns the plans whose drivers must receive further steps now.
     pub(crate) fn to_hand_over(&self, now: Timestamp<Robot>) -> Vec<PlanId> {
         let due = |plan: &Plan| plan.next_handover().is_some_and(|at| at <= now);
         self.plans.iter().filter(|(_, plan)| due(plan)).map(|(id, _)| *id).collect()
@@ -423,7 +426,7 @@ impl Plans {
         self.plans.iter_mut().filter_map(|(id, plan)| plan.is_unreported(now).then_some(*id)).collect()
     }
 
-    /// Schedules the plan for cancellation with the next change of its device.
+    /// Schedules a plan for cancellation with the next change of its device.
     pub(crate) fn will_fail(&mut self, id: PlanId, error: ControlError) {
         self.failing.push((id, error));
     }
@@ -434,7 +437,7 @@ impl Plans {
 }
 
 impl<C> PlanPart<C> {
-    /// Returns the same part on another clock, which is ahead by this much.
+    /// Converts the part to a clock that is ahead of its present one by `ahead`.
     #[cfg(feature = "host")]
     pub(crate) fn on_clock<D>(self, ahead: Span) -> PlanPart<D> {
         let there = |at: Timestamp<C>| (at + ahead).assume_clock();

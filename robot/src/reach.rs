@@ -1,14 +1,14 @@
-//! How far a command may reach into the future: one line must not occupy a robot for years.
+//! Limits how far commands may reach into the future, so that one message cannot occupy a robot for years.
 
 use urrcp::{ControlError, ErrorCode, Millis, Robot, Span, StopCondition, Timestamp};
 
 use crate::held::Steps;
 
-/// A command starts at most this long after its receipt. Without a `running` limit, it also ends within this time.
+/// Maximum time from a command's receipt to its start and, without a `running` limit, to its end.
 pub(crate) const REACH_MAX: Span = Span::from_millis(24 * 3_600_000);
-/// Maximum of a `stop_condition` limit: a longer one would be no limit.
+/// Maximum of a `stop_condition` limit. A longer limit would have no effect.
 pub(crate) const SILENCE_MAX: Span = REACH_MAX;
-/// The first command of a device needs a `pending` limit if it starts later than this after its receipt.
+/// Maximum time from receipt to start for the first command of a device without a `pending` limit.
 pub(crate) const START_WITHOUT_LEASE_MAX: Span = Span::from_millis(3_600_000);
 
 /// A command whose reach is checked.
@@ -17,12 +17,12 @@ pub(crate) struct Reach<'a> {
     pub(crate) end: Timestamp<Robot>,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) steps: &'a Steps,
-    /// Whether the device holds no other command on which this one would depend.
+    /// Whether the device holds no other command on which this command would depend.
     pub(crate) is_first: bool,
 }
 
 impl Reach<'_> {
-    /// Checks the reach of a command that is received now.
+    /// Checks the reach of a command that is received at `now`.
     ///
     /// # Errors
     /// `out_of_range`, with the excessive value and its limit.
@@ -46,7 +46,7 @@ impl Reach<'_> {
         Err(ControlError::new(ErrorCode::OutOfRange, message))
     }
 
-    /// Returns all limits that ever apply to the command.
+    /// Returns all silence limits that ever apply to the command.
     fn limits(&self) -> impl Iterator<Item = Millis> + '_ {
         let of_steps = match self.steps {
             Steps::One(_) => &[][..],
@@ -67,7 +67,7 @@ mod tests {
         Timestamp::from_nanos(0) + after
     }
 
-    /// Returns the error for a single value that must be set `ahead` from now, under these limits.
+    /// Returns the error for a single value that must be set `ahead` from now, with `limits` as the pending and the running limit.
     fn says(ahead: Span, ends: Span, limits: [Option<Span>; 2], is_first: bool) -> Option<String> {
         let [pending, running] = limits.map(|limit| limit.map(Millis::from_span));
         let steps = Steps::One(urrcp::Setpoint::new(urrcp::ControlType::Position, 1.0));

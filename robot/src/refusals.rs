@@ -1,4 +1,4 @@
-//! Counts of peers that were refused, slowed down or disconnected, and why.
+//! Counts how often peers were refused, slowed down or disconnected, by reason.
 #![expect(clippy::disallowed_methods, reason = "logs each reason once a second of real time")]
 
 use std::fmt;
@@ -32,38 +32,38 @@ macro_rules! reasons {
 }
 
 reasons! {
-    /// Disconnected: its unread messages exceed its share.
+    /// Disconnected: the peer's unread messages exceed its share.
     Unread = "a peer that does not read its messages is disconnected",
-    /// Disconnected: it took no bytes for 10 s.
+    /// Disconnected: the peer accepted no bytes for 10 s.
     Stuck = "a peer that accepts no bytes is disconnected",
-    /// Disconnected: no complete message in the first 5 s.
+    /// Disconnected: the peer sent no complete message in the first 5 s.
     SaidNothing = "a connection without a message is closed",
-    /// Disconnected: a message was begun and not completed within 10 s.
+    /// Disconnected: the peer did not complete a message within 10 s after its first byte.
     HalfAMessage = "a connection with an incomplete message is closed",
-    /// Disconnected: another connection needed its place.
+    /// Disconnected: another connection took this one's place.
     MadeRoom = "a connection without the session of the robot is closed to make room",
-    /// Disconnected: too many connections from one host.
+    /// Disconnected: one host has too many connections.
     ManyFromOneHost = "one host has too many connections: one of them is closed",
-    /// Slowed down: it sends more than its share.
+    /// Slowed down: the peer sends more than its share.
     Paused = "a peer that sends too much is throttled",
-    /// Refused: the line is longer than a peer without the robot's session may send.
+    /// Refused: the line is longer than a peer that does not own the robot may send.
     LongLine = "a long line of a peer without the session of the robot is skipped",
-    /// Disconnected: it has not proven its identity by TLS or a pass.
+    /// Disconnected: the peer has not proven its identity by TLS or a pass.
     NotProven = "a peer that does not prove its identity is disconnected",
-    /// Disconnected: bytes arrived that the peer did not send, or not in this order.
+    /// Disconnected: bytes arrived that the peer did not send, or did not send in this order.
     Altered = "a connection with altered, repeated or reordered data is closed",
-    /// Refused: the robot belongs to another session, or holds as much as it can.
+    /// Refused: the robot belongs to another session, or holds as many commands as it can.
     Busy = "a peer is refused because the robot is busy",
 }
 
-/// How often each reason applied since the start of the host.
+/// Counts since the start of the host, by reason.
 #[derive(Debug)]
 pub struct Refusals {
     counts: [AtomicU64; Reason::ALL.len()],
-    /// Time of each reason's last log line, in milliseconds since `begin`, plus one; 0: never.
+    /// Time of the last log line about each reason, in milliseconds since `begin`, plus one. 0: no log line yet.
     logged: [AtomicU64; Reason::ALL.len()],
     begin: Instant,
-    /// The peers to which each reason applied, one entry per case.
+    /// The peers to which each reason applied, with one entry per case.
     #[cfg(test)]
     peers: std::sync::Mutex<Vec<(Reason, String)>>,
 }
@@ -81,29 +81,29 @@ impl Default for Refusals {
     }
 }
 
-/// Interval between two log lines about one reason, in milliseconds.
+/// Minimum interval between two log lines about the same reason, in milliseconds.
 const LOG_INTERVAL_MS: u64 = 1_000;
 
 impl Refusals {
-    /// Returns how often this reason applied.
+    /// Returns how often a reason applied.
     #[must_use]
     pub fn count(&self, reason: Reason) -> u64 {
         self.counts[reason as usize].load(Ordering::Relaxed)
     }
 
-    /// Returns each reason that applied, with its count.
+    /// Returns all reasons that have applied, each with its count.
     pub fn iter(&self) -> impl Iterator<Item = (Reason, u64)> + '_ {
         Reason::ALL.iter().map(|reason| (*reason, self.count(*reason))).filter(|(_, count)| *count > 0)
     }
 
-    /// Returns the peers to which this reason applied, without duplicates.
+    /// Returns the peers to which a reason applied, without duplicates.
     #[cfg(test)]
     pub(crate) fn peers(&self, reason: Reason) -> std::collections::BTreeSet<String> {
         let peers = self.peers.lock().unwrap();
         peers.iter().filter(|(noted, _)| *noted == reason).map(|(_, peer)| peer.clone()).collect()
     }
 
-    /// Counts a case, and logs at most once a second. Returns whether it was logged.
+    /// Counts a case. Logs it unless the same reason was logged in the last second, and returns whether it was logged.
     pub(crate) fn note(&self, reason: Reason, peer: &Peer) -> bool {
         self.note_at(reason, peer, u64::try_from(self.begin.elapsed().as_millis()).unwrap_or(u64::MAX))
     }

@@ -1,4 +1,4 @@
-//! A robot as a state machine: it receives messages and the time, and returns answers and values.
+//! A robot as a state machine: it receives messages and the time, and returns responses and values.
 
 mod control;
 mod driven;
@@ -29,24 +29,25 @@ use crate::plans::{PlanCancel, PlanPart, Plans};
 use crate::tolerance::Tolerance;
 use urrcp::Proof;
 
-/// An input of a robot on a link.
+/// An input that a robot receives on a link.
 #[derive(Clone, Debug)]
 pub enum Input {
-    /// A message.
+    /// A message from the peer.
     Message(Message),
-    /// A request with the hash of its content, computed where it was read: hashing a long script takes long.
+    /// A request with the hash of its content. The reader computed the hash, because hashing a long script takes long.
     Hashed(ControlRequest, ContentHash),
-    /// The peer of the link has proven its identity; precedes its messages.
+    /// The peer of the link has proven its identity. Precedes the peer's messages.
     Proven(Proof),
-    /// A line that is no message. It is answered and renews no lease: noise on a line does not prove a live server.
+    /// A line that is not a valid message. The robot answers it, but it renews no lease: noise on a line does not prove that the server
+    /// works.
     Undecodable(DecodeError),
-    /// The link broke. Its silence counts from its last message.
+    /// The link broke. The silence of the link counts from its last message.
     LinkDown,
 }
 
 impl Input {
-    /// Wraps a message that was read. Computes the hash that the robot compares, so that the robot's thread, which it shares with others,
-    /// need not.
+    /// Wraps a message and computes the content hash that the robot compares. The thread that read the message thus relieves the robot's
+    /// thread, which serves several robots.
     #[must_use]
     pub fn read(message: Message) -> Self {
         match message {
@@ -64,55 +65,55 @@ impl Input {
 pub enum Output {
     /// Send a message on a link.
     Send {
-        /// The link that carries it.
+        /// Link on which to send the message.
         link: LinkId,
         /// The message to send.
         message: Message,
     },
-    /// Drive a device.
+    /// Move a device, or bring it to rest.
     Set(SetValue),
-    /// Report by [`Robot::confirmed`] when the hardware has taken all earlier values of this device. Only for a robot that is
-    /// [`Robot::confirmed_by_its_driver`].
+    /// Call [`Robot::confirmed`] once the hardware has taken all earlier values of this device. Only requested if
+    /// [`Robot::confirmed_by_its_driver`] was called.
     Confirm {
-        /// Identifies the question.
+        /// Identifies this request for confirmation.
         ticket: Ticket,
-        /// The device.
+        /// Device whose values must be taken.
         device: DeviceId,
     },
-    /// Read a sensor of the hardware; [`Robot::reading_came`] takes the result.
+    /// Read a sensor of the hardware, and pass the result to [`Robot::reading_came`].
     Read {
-        /// Identifies the reading.
+        /// Identifies this reading.
         reading: ReadingId,
-        /// The sensor.
+        /// Sensor to read.
         sensor: DeviceId,
     },
-    /// Hand over steps of a script to a driver that times them by itself, see [`Robot::plans_ahead`]. [`Robot::plan_reported`] takes the
-    /// driver's reports about them, [`Robot::plan_refused`] its refusal.
+    /// Pass steps of a script to a driver that times scripts by itself, see [`Robot::plans_ahead`]. Pass the driver's reports to
+    /// [`Robot::plan_reported`], and a refusal to [`Robot::plan_refused`].
     Plan(PlanPart<urrcp::Robot>),
-    /// End such a script. [`Robot::plan_cancelled`] takes the driver's confirmation.
+    /// End a script that the driver times by itself, and pass the driver's confirmation to [`Robot::plan_cancelled`].
     Cancel(PlanCancel),
-    /// The driver has reported that a step of such a script was done: for a log.
+    /// For a log: the driver has reported a completed step of a script that it times by itself.
     Played {
-        /// The value that was set.
+        /// The step's value.
         set: SetValue,
-        /// Its time, as the driver reports.
+        /// Time of the step, as the driver reports it.
         at: Timestamp<urrcp::Robot>,
     },
 }
 
-/// One movement of one device.
+/// A movement of one device.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SetValue {
-    /// The device.
+    /// Device to move.
     pub device: DeviceId,
-    /// The instruction.
+    /// Movement of the device.
     pub motion: Motion,
-    /// Time when it was due.
+    /// Time when the movement was due.
     pub due: Timestamp<urrcp::Robot>,
-    /// The request behind it; `None` for coming to rest and for the default state.
+    /// Id of the request that caused the movement. `None` for movements to rest and to the default state.
     pub request_id: Option<RequestId>,
-    /// Index of the script's step.
+    /// Index of the step in the script. `None` if the movement is not a script's step.
     pub step: Option<u32>,
 }
 
@@ -124,30 +125,30 @@ pub struct Robot {
     index_of: HashMap<DeviceId, usize>,
     heard: LastMessages,
     parties: Parties,
-    /// Earliest possible wake-up of each device; a renewed lease makes an entry early, never late.
+    /// Earliest possible wake-up time of each device. A renewed lease makes an entry too early, never too late.
     wakeups: BTreeSet<(Timestamp<urrcp::Robot>, usize)>,
     wakeup_of: Vec<Option<Timestamp<urrcp::Robot>>>,
     answers: Answers,
     readings: HashMap<DeviceId, f64>,
     hardware: Hardware,
-    /// Ends that the hardware has yet to confirm; `None` if they are reported at once.
+    /// Reports about ends of commands that the hardware has yet to confirm. `None` if ends are reported at once.
     unconfirmed: Option<Unconfirmed>,
-    /// Scripts that the driver times by itself.
+    /// Scripts that the driver has received or will receive, and that it times by itself.
     plans: Plans,
     tolerance: Tolerance,
-    /// Whether anything has been set since the start.
+    /// Whether the robot has set any value since its start.
     moved: bool,
     effects: Vec<Effect>,
-    /// All counts except `held`.
+    /// Command counts, in which `held` is unused.
     counts: Counts,
-    /// Pending reports, each with its device and the time of the event.
+    /// Pending reports, each with the index of its device and the time of the event.
     reports: Vec<(usize, Now, Effect)>,
 }
 
 type Now = Timestamp<urrcp::Robot>;
 
 impl Robot {
-    /// Creates a robot at rest, as its initialization block describes it.
+    /// Creates a robot at rest from its initialization block.
     #[must_use]
     pub fn new(block: InitializationBlock) -> Self {
         let devices: Vec<_> = block.devices.iter().cloned().map(DeviceMachine::new).collect();
@@ -174,7 +175,7 @@ impl Robot {
         }
     }
 
-    /// Sets the limits of the movements to rest and home, if they are tighter than those that its devices declare.
+    /// Sets the limits of movements to rest and to the default state, if they are lower than the limits that the devices declare.
     #[must_use]
     pub fn with_limits(mut self, limits: &BTreeMap<DeviceId, MotionLimits>) -> Self {
         for device in &mut self.devices {
@@ -183,13 +184,13 @@ impl Robot {
         self
     }
 
-    /// Returns its description.
+    /// Returns the robot's initialization block.
     #[must_use]
     pub const fn block(&self) -> &InitializationBlock {
         &self.block
     }
 
-    /// Whether nothing is held and no lease runs.
+    /// Whether the robot holds no command and no lease runs.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.wakeups.is_empty()
@@ -198,50 +199,50 @@ impl Robot {
             && self.devices.iter().all(DeviceMachine::is_idle)
     }
 
-    /// Returns its command counts.
+    /// Returns the robot's command counts.
     #[must_use]
     pub fn counts(&self) -> Counts {
         let held = self.devices.iter().map(|device| device.held() as u64).sum();
         Counts { held, ..self.counts }
     }
 
-    /// Whether the hardware answers, if there is any.
+    /// Whether the robot's hardware answers; true for a robot without hardware.
     #[cfg(feature = "host")]
     pub(crate) const fn hardware_answers(&self) -> bool {
         self.hardware.answers()
     }
 
-    /// Returns the value of a signal, including linear movements.
+    /// Returns the value of a signal at `now`, including linear movements.
     #[must_use]
     pub fn value(&self, device: &str, control_type: ControlType, now: Now) -> Option<f64> {
         self.devices[*self.index_of.get(device)?].value(control_type, now)
     }
 
-    /// Sets the position of a device of a simulated robot, without a command.
+    /// Sets the position of a simulated robot's device without a command.
     pub(crate) fn place(&mut self, device: &DeviceId, position: f64) {
         if let Some(index) = self.index_of.get(device) {
             self.devices[*index].place(position);
         }
     }
 
-    /// Returns the values of the sensors that the machine reads by itself.
+    /// Returns the readings of the sensors that the machine answers by itself.
     pub(crate) fn readings(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
         self.readings.iter().map(|(sensor, reading)| (sensor, *reading))
     }
 
-    /// Sets the value that a sensor reads.
+    /// Sets the reading of a sensor that the machine answers by itself.
     pub fn set_reading(&mut self, device: DeviceId, reading: f64) {
         self.readings.insert(device, reading);
     }
 
-    /// Returns when [`Robot::advance`] is next due, or a little earlier.
+    /// Returns the time of the next event, or an earlier time. Call [`Robot::advance`] then.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Now> {
         let device = self.wakeups.first().map(|(at, _)| *at);
         device.into_iter().chain(self.hardware.next_wakeup()).chain(self.plans.next_wakeup()).min()
     }
 
-    /// Executes everything due at or before `now`: all movements precede all reports.
+    /// Executes everything due at or before `now`. All movements precede all reports.
     pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
         self.advance_movements(now, out);
         self.give_up_unreported(now, out);
@@ -249,7 +250,7 @@ impl Robot {
         self.give_up_readings(now, out);
     }
 
-    /// Executes the movements due at or before `now`, without their reports: for a caller that moves many robots at one instant before it
+    /// Executes the movements due at or before `now`, without their reports. A caller can thus move many robots at one instant before it
     /// spends time on messages.
     pub(crate) fn advance_movements(&mut self, now: Now, out: &mut Vec<Output>) {
         while let Some(&(at, index)) = self.wakeups.first() {
@@ -263,7 +264,7 @@ impl Robot {
         self.hand_over(now, out);
     }
 
-    /// Handles an input that reached the robot at `now`, after everything that was due until then.
+    /// Handles an input that reached the robot at `now`. Everything that was due until then is executed first.
     pub fn handle(&mut self, now: Now, link: LinkId, input: Input, out: &mut Vec<Output>) {
         self.advance(now, out);
         if let Input::Message(message) = &input
@@ -308,7 +309,8 @@ impl Robot {
         }
     }
 
-    /// Releases the robot if its session is over. An inquiry's renewal is no claim: it must not give the robot back to an ended session.
+    /// Releases the robot if the session that owns it is over. An inquiry that renews leases is no claim: it must not give the robot back
+    /// to an ended session.
     pub(crate) fn release_if_over(&mut self, now: Now) {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         if self.parties.owner(now, idle, &self.heard).is_none() {
@@ -322,13 +324,14 @@ impl Robot {
         (self.parties.changes(), self.parties.last_claimant())
     }
 
-    /// Whether the robot belongs, or belonged last, to the party of this link.
+    /// Whether the party of this link owns the robot, or owned it last.
     #[cfg(feature = "host")]
     pub(crate) fn is_owner(&self, link: LinkId) -> bool {
         self.parties.last_owner() == Some(self.parties.party(link))
     }
 
-    /// Forgets parties that hold nothing, however many strangers send messages. The last messages of parties with held commands are kept.
+    /// Forgets parties that hold no commands, however many strangers send messages. The times of the last messages of all other parties
+    /// are kept.
     fn forget_who_holds_nothing(&mut self) {
         let holding = self.devices.iter().flat_map(DeviceMachine::parties);
         let holding = holding.chain(self.parties.last_owner()).collect();
@@ -385,14 +388,14 @@ impl Robot {
         out.push(Output::Send { link, message });
     }
 
-    /// Ends all commands that a device holds or runs, and brings it to rest.
+    /// Ends all waiting and running commands of a device, and brings the device to rest.
     fn stop(&mut self, now: Now, index: usize, why: &str, rest: Rest, out: &mut Vec<Output>) {
         let error = ControlError::new(ErrorCode::Cancelled, why);
         self.devices[index].stop(now, &error, rest, &mut self.effects);
         self.settle(now, index, out);
     }
 
-    /// Updates the wake-up, the movements and the reports of a device that was changed from outside.
+    /// Updates the wake-up time, the movements and the reports of a device after an input changed it.
     fn settle(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         self.refresh_wakeup(index);
         self.move_device(now, index, out);
@@ -410,7 +413,7 @@ impl Robot {
         self.answer(link, ControlResponse::refusal(now, request, error), out);
     }
 
-    /// Sends an answer and remembers it for a repetition of its request.
+    /// Sends a response and remembers it for a repetition of its request.
     fn answer(&mut self, link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
         self.answers.remember(&answer);
         tell(link, answer, out);
@@ -425,7 +428,7 @@ impl Robot {
         }
     }
 
-    /// Outputs a device's movements and keeps its reports for later, so that no movement waits for a report.
+    /// Outputs a device's movements. Keeps the device's reports for later, so that no movement waits for a report.
     fn move_device(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         if self.devices[index].lookahead.is_some() {
             return self.plan_effects(now, index, out);
@@ -451,7 +454,7 @@ impl Robot {
     pub(crate) fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
         let mut reports = std::mem::take(&mut self.reports);
         for (index, happened, report) in reports.drain(..) {
-            // If the driver itself has reported the end of a script, no confirmation is needed.
+            // If the driver itself has reported the end of a script, the hardware need not confirm it.
             let is_told = self.devices[index].lookahead.is_some();
             let unconfirmed = self.unconfirmed.as_mut().filter(|_| !is_told);
             if let (Effect::Ended { .. }, Some(unconfirmed)) = (&report, unconfirmed) {
@@ -461,7 +464,7 @@ impl Robot {
                 self.report(now, index, happened, report, out);
             }
         }
-        // Returns the emptied vector to reuse its allocation.
+        // Keeps the emptied vector to reuse its allocation.
         self.reports = reports;
     }
 
@@ -501,7 +504,7 @@ impl Robot {
     }
 }
 
-/// Sends an answer that is not remembered for a repetition of its request.
+/// Sends a response without remembering it for a repetition of its request.
 fn tell(link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
     out.push(Output::Send { link, message: Message::ControlResponse(answer) });
 }

@@ -1,4 +1,4 @@
-//! A robot as a complete program: one call that returns when the program is asked to end.
+//! A robot as a complete program: a single call, which returns after the program has been asked to end.
 
 use std::io;
 use std::net::{TcpListener, ToSocketAddrs};
@@ -8,25 +8,25 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::host::{Host, HostError, HostOptions, Hosted, NotAtRest};
 use crate::serve::serve;
 
-/// Why a robot did not run, or did not end properly.
+/// The reason why a robot did not run, or did not end properly.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RunError {
-    /// The address cannot be listened on, or the system has no resources for another task.
+    /// Listening on the address failed, or the system has no resources for another task.
     #[error("cannot listen: {0}")]
     Listen(io::Error),
     /// The host could not be started. Nothing was moved.
     #[error(transparent)]
     Host(#[from] HostError),
-    /// The robot has ended, and its devices may not be at rest.
+    /// The robot has ended, but its devices may not be at rest.
     #[error(transparent)]
     NotAtRest(#[from] NotAtRest),
 }
 
-/// Runs one robot on a port until Ctrl-C or SIGTERM, and then brings its devices to rest. This is a complete program; for several robots,
-/// or next to other tasks, use [`Host`] and [`serve()`].
+/// Runs one robot on a port until Ctrl-C or SIGTERM, and then brings its devices to rest. A program needs only this call. For several
+/// robots, or a robot next to other tasks, use [`Host`] and [`serve()`].
 ///
-/// It prints nothing by itself: install a `tracing` subscriber to see its events.
+/// This function prints nothing: install a `tracing` subscriber to see its events.
 ///
 /// # Errors
 /// [`RunError`]. All errors except [`RunError::NotAtRest`] occur before the first server can connect.
@@ -37,7 +37,7 @@ pub fn run(
 ) -> Result<(), RunError> {
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(RunError::Listen)?;
-    // Before anything moves.
+    // Opens the port before anything moves.
     let listener = TcpListener::bind(address).map_err(RunError::Listen)?;
     listener.set_nonblocking(true).map_err(RunError::Listen)?;
     let host = Host::start(vec![robot.into()], options)?;

@@ -1,4 +1,4 @@
-//! Messages over TCP for a robot of a host: lines of JSON, or frames of MessagePack for a peer that sends them.
+//! Carries messages over TCP for a robot of a host: lines of JSON, or frames of MessagePack if the peer sends these.
 
 mod connection;
 mod described;
@@ -29,23 +29,24 @@ use downbeat_sealed as sealed;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 use urrcp::Proof;
 
-/// Retry interval of a new connection for which there is no room, because all others are equally new.
+/// Interval at which a new connection is tried again for which there is no room because all others are equally new.
 const ROOM_RETRY: Duration = Duration::from_millis(5);
-/// Delay before the next attempt if the system has no file descriptor left: other connections must close first.
+/// Delay before the next connection is accepted if the system has no file descriptor left. Meanwhile, other connections must close.
 const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 
-/// Accepts servers for one robot of a host until the host stops. `robot` is its index in the list that the host was started with.
+/// Accepts connections for one robot of a host until the host stops. `robot` is the robot's index in the list with which the host was
+/// started.
 ///
 /// # Errors
-/// If the listening socket fails.
+/// The listening socket fails.
 pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io::Result<()> {
     serve_with(listener, host, robot, Patience::default(), Door::Open).await
 }
 
-/// The same for the peers that the door admits.
+/// Like [`serve()`], but admits only the peers that `door` permits.
 ///
 /// # Errors
-/// As [`serve()`].
+/// Those of [`serve()`].
 pub async fn serve_behind(
     listener: TcpListener,
     host: HostHandle,
@@ -55,11 +56,11 @@ pub async fn serve_behind(
     serve_with(listener, host, robot, Patience::default(), door).await
 }
 
-/// Accepts servers for one robot of a host at its key in a Zenoh network, until the host stops. The network decides which peers may open
-/// a connection.
+/// Accepts connections for one robot of a host at its key in a Zenoh network, until the host stops. The network decides which peers may
+/// open a connection.
 ///
 /// # Errors
-/// If the Zenoh session ends.
+/// The Zenoh session ends.
 #[cfg(feature = "zenoh")]
 pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot: usize) -> io::Result<()> {
     let patience = Patience::default();
@@ -76,7 +77,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
         }
         let Some(link) = host.connect_as(robot, peer.clone()) else { return Ok(()) };
         let shared = shared.clone();
-        // As with TCP.
+        // One task per connection, as with TCP.
         tokio::spawn(async move {
             let ends = stream.split();
             if let Err(error) = carry(ends, peer.clone(), link, ticket, shared).await {
@@ -86,7 +87,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
     }
 }
 
-/// Waits until a new connection is admitted.
+/// Waits until the new connection of this peer is admitted.
 async fn ticket(places: &Arc<Places>, peer: &Peer) -> Ticket {
     loop {
         match places.admit(peer) {
@@ -96,17 +97,17 @@ async fn ticket(places: &Arc<Places>, peer: &Peer) -> Ticket {
     }
 }
 
-/// The peers that are admitted.
+/// Determines which peers a robot admits.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub enum Door {
-    /// Anyone.
+    /// Admits all peers.
     #[default]
     Open,
-    /// Operators with a certificate of the robot's authority.
+    /// Admits operators with a certificate of the robot's authority.
     #[cfg(feature = "tls")]
     Tls(Arc<tls::Guard>),
-    /// Operators with a pass that follows from the robot's secret.
+    /// Admits operators with a pass that is derived from the robot's secret.
     #[cfg(feature = "sealed")]
     Sealed(Arc<sealed::Guard>),
 }
@@ -130,8 +131,8 @@ async fn serve_with(
             return Ok(());
         }
         let (shared, door) = (shared.clone(), door.clone());
-        // One task per connection, so that a slow or broken peer harms only itself. It ends when either side closes, or when its place is
-        // needed.
+        // Each connection has its own task, so that a slow or broken peer harms only itself. The task ends when either side closes the
+        // connection, or when another connection needs its place.
         tokio::spawn(async move {
             if let Err(error) = admit(stream, door, peer.clone(), robot, ticket, shared).await {
                 tracing::debug!(%peer, "connection ended: {error}");
@@ -140,7 +141,7 @@ async fn serve_with(
     }
 }
 
-/// Carries a connection, after its peer has proven its identity if the door requires that.
+/// Carries a connection. If the door requires it, the peer must first prove its identity.
 async fn admit(
     stream: TcpStream,
     door: Door,
@@ -194,7 +195,7 @@ where
     })
 }
 
-/// Whether a connection ended because data arrived that its peer did not send in this form.
+/// Whether a connection ended because data arrived that its peer did not send, or did not send in this form.
 #[cfg(any(feature = "sealed", feature = "tls"))]
 fn is_altered(error: &io::Error) -> bool {
     let Some(inner) = error.get_ref() else { return false };

@@ -1,4 +1,4 @@
-//! The values that a robot set, and their times: the truth against which reports are checked.
+//! Log of the values that a robot set, with their times. It is the truth against which reports are checked.
 
 use std::fmt;
 
@@ -9,17 +9,17 @@ use crate::clock::HostTime;
 use crate::device::Motion;
 use crate::robot::SetValue;
 
-/// How an entry of the log changes the value of a device.
+/// How the value of a device changes at an entry of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MotionKind {
     /// The value changes at once.
     Set,
-    /// The value begins to change linearly, and reaches its target when the step is due.
+    /// The value starts to change linearly, and reaches its target when the step is due.
     Ramp,
-    /// A position slows down and comes to rest, at the declared acceleration.
+    /// A position slows down and comes to rest, within the declared acceleration.
     Slow,
-    /// A stop keeps the present value, or sets a speed or an acceleration to zero.
+    /// A stop keeps the current value, or sets a speed or an acceleration to zero.
     Rest,
     /// The device moves to its default state.
     Default,
@@ -41,23 +41,23 @@ impl fmt::Display for MotionKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct LogEntry {
-    /// Time by the one true clock of the host, in nanoseconds since the Unix epoch.
+    /// Time when the value was set, by the host's clock, in nanoseconds since the Unix epoch.
     pub true_ns: i64,
-    /// Time by the robot's own clock.
+    /// Time when the value was set, by the robot's own clock.
     pub set_at: Timestamp<Robot>,
-    /// Time when it was due, by the robot's own clock.
+    /// Time when the value was due, by the robot's own clock.
     pub due: Timestamp<Robot>,
-    /// The device.
+    /// Device whose value was set.
     pub device: DeviceId,
     /// How the value changes.
     pub motion: MotionKind,
-    /// `position`, `speed`, `acceleration` or `custom_N`.
+    /// Control type: `position`, `speed`, `acceleration` or `custom_N`.
     pub control_type: String,
     /// The value that was set, or the target of the ramp.
     pub value: f64,
-    /// Index of the script's step.
+    /// Index of the step in the script. `None` if the value is not a script's step.
     pub step: Option<u32>,
-    /// The request behind it.
+    /// Id of the request that caused the change. `None` for movements to rest and to the default state, and for a request without an id.
     pub request_id: Option<String>,
 }
 
@@ -68,7 +68,7 @@ impl LogEntry {
         matches!(self.motion, MotionKind::Set)
     }
 
-    /// Whether a step of a script was set, as opposed to the movement to the next step.
+    /// Whether the entry sets the value of a script's step. False for the movement to the next step.
     #[cfg(feature = "host")]
     pub(crate) const fn is_a_step(&self) -> bool {
         self.step.is_some() && self.is_set()

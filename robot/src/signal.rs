@@ -1,8 +1,8 @@
-//! One signal of a device: its resting value, or its movement.
+//! The value of one signal of a device over time, at rest or during a movement.
 
 use urrcp::{ControlType, Device, Limits, Robot, Setpoint, Span, Timestamp};
 
-/// A signal, moving or at rest.
+/// A signal that moves or is at rest.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Signal {
     from: f64,
@@ -12,16 +12,16 @@ pub(crate) struct Signal {
     slowing: Option<Slowing>,
 }
 
-/// Coming to rest: braking to a standstill, and then to the target by speeding up, constant speed and slowing down.
+/// Movement to rest: braking to a standstill, then a movement to the target by speeding up, constant speed and slowing down.
 #[derive(Clone, Copy, Debug)]
 struct Slowing {
     phases: [Phase; 4],
-    /// Bounds, since rounding must not exceed the device's limits.
+    /// Limits of the value, so that rounding errors do not exceed the device's limits.
     least: f64,
     largest: f64,
 }
 
-/// A phase of constant acceleration; it lasts until the next one begins.
+/// A phase of constant acceleration. It lasts until the next phase starts.
 #[derive(Clone, Copy, Debug)]
 struct Phase {
     since: Timestamp<Robot>,
@@ -30,12 +30,12 @@ struct Phase {
     acceleration: f64,
 }
 
-/// Maximum rates of change of a device's signal, in the signal's unit.
+/// Maximum rates of change of a device's signal.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rates {
-    /// Per second.
+    /// Maximum change per second, in the signal's unit. `None`: no limit.
     pub(crate) speed: Option<f64>,
-    /// Per second squared.
+    /// Maximum change of the speed, in the signal's unit per second squared. `None`: no limit.
     pub(crate) acceleration: Option<f64>,
 }
 
@@ -48,17 +48,17 @@ impl Signal {
         Self { from, since, to, until, slowing: None }
     }
 
-    /// Whether it is moving.
+    /// Whether the signal is moving at `now`.
     pub(crate) fn moves(&self, now: Timestamp<Robot>) -> bool {
         self.since <= now && now < self.until
     }
 
-    /// Returns its final value.
+    /// Returns the signal's final value.
     pub(crate) const fn target(&self) -> f64 {
         self.to
     }
 
-    /// Returns when it reaches its final value.
+    /// Returns when the signal reaches its final value.
     pub(crate) const fn rests_at(&self) -> Timestamp<Robot> {
         self.until
     }
@@ -78,18 +78,18 @@ impl Signal {
             way if way.is_finite() => {
                 (self.from + way * part).clamp(self.from.min(self.to), self.from.max(self.to))
             }
-            // Both ends are finite, but their difference is not.
+            // Both ends are finite, but their difference exceeds the range of numbers.
             _ => self.from * (1.0 - part) + self.to * part,
         }
     }
 
-    /// Whether it moves to its target at a constant speed.
+    /// Whether the signal moves to its target at constant speed.
     #[cfg(feature = "host")]
     pub(crate) const fn is_linear(&self) -> bool {
         self.slowing.is_none()
     }
 
-    /// Returns its change per second.
+    /// Returns the signal's change per second at `now`.
     fn rate(&self, now: Timestamp<Robot>) -> f64 {
         if now >= self.until || now < self.since {
             return 0.0;
@@ -101,8 +101,9 @@ impl Signal {
         (self.to - self.from) / ((self.until - self.since).as_millis_f64() / 1_000.0)
     }
 
-    /// Returns the movement to rest from the current state: constant deceleration to a standstill, then to the target, if any. `None` if
-    /// it is already there, or if the movement exceeds the range of numbers. A standstill beyond `limits` is avoided by braking harder.
+    /// Returns the movement from the current state to rest: constant deceleration to a standstill, then to the target `to`, if any. To
+    /// avoid a standstill beyond `limits`, the device brakes harder than `rates` permits. Returns `None` if the signal is already there,
+    /// or if the movement exceeds the range of numbers.
     pub(crate) fn brought_to_rest(
         &self,
         now: Timestamp<Robot>,
@@ -156,7 +157,8 @@ impl Signal {
 }
 
 impl Signal {
-    /// The movement to `to` of a device that declares a speed and no acceleration. `None` if it has arrived or has no target.
+    /// Returns the movement to `to` of a device that declares a speed and no acceleration. `None` if the signal has arrived or has no
+    /// target.
     fn ramp_home(&self, now: Timestamp<Robot>, to: Option<f64>, speed: f64) -> Option<Self> {
         let (from, to) = (self.value(now), to?);
         let seconds = (to - from).abs() / speed;
@@ -164,7 +166,7 @@ impl Signal {
             .then(|| Self::ramp(from, now, to, now + Span::from_millis_f64(seconds * 1_000.0)))
     }
 
-    /// Returns the movement of a speed to `to` at constant acceleration. `None` if it is already there.
+    /// Returns the movement of a speed to `to` at constant acceleration. `None` if the speed is already `to`.
     pub(crate) fn slowed_to(&self, now: Timestamp<Robot>, to: f64, acceleration: f64) -> Option<Self> {
         let from = self.value(now);
         let seconds = (to - from).abs() / acceleration;
@@ -173,26 +175,26 @@ impl Signal {
 }
 
 impl Slowing {
-    /// Returns the phase at an instant, and the seconds since its begin.
+    /// Returns the phase at an instant, and the seconds since the start of that phase.
     fn at(&self, now: Timestamp<Robot>) -> (Phase, f64) {
         let phase = self.phases.iter().rev().find(|phase| phase.since <= now).unwrap_or(&self.phases[0]);
         (*phase, (now - phase.since).as_millis_f64().max(0.0) / 1_000.0)
     }
 }
 
-/// Whether the device continues moving under this signal after its last command.
+/// Whether a device continues to move after its last command if the command drove this control type.
 #[cfg(feature = "host")]
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Position)
 }
 
-/// The `default_value` of a signal: only the primary one has it.
+/// Returns the `default_value` of a signal. Only the device's primary control type has one.
 pub(crate) fn default_of(spec: &Device, control_type: ControlType) -> Option<f64> {
     spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type))
 }
 
-/// The values of a signal that rests where it is: zero for a speed or an acceleration, and `at_rest` for a custom type. `None` if the
-/// signal keeps its values. A custom type has as many values as were `driven` last.
+/// Returns the values of a signal at rest: zero for a speed or an acceleration, and `at_rest` for a custom type. A custom type has as
+/// many values as were `driven` last. Returns `None` if a signal at rest keeps its values.
 pub(crate) fn rest_of(
     spec: &Device,
     control_type: ControlType,
@@ -214,9 +216,9 @@ pub(crate) fn with_values(first: Setpoint, driven: Option<&Setpoint>) -> Setpoin
     Setpoint { more: vec![0.0; more].into(), ..first }
 }
 
-/// The assumed value of a signal before any command. A speed or an acceleration rests, whatever the default state of the device is: a
-/// stop that slowed it down from another value would start a movement. Any other signal has its default value, or else its value at
-/// rest, or else the value within its limits that is nearest to zero.
+/// Returns the value that a signal is assumed to have before any command. For a speed or an acceleration, this is its value at rest,
+/// whatever the device's default state: if a stop slowed it down from another value, it would start a movement. For any other signal, it
+/// is the default value, else the value at rest, else the permitted value nearest to zero.
 pub(crate) fn first_value(spec: &Device, control_type: ControlType) -> f64 {
     let limits = spec.available_control_types.limits(control_type);
     let rest = || rest_of(spec, control_type, None).map(|rest| rest.value);
@@ -252,7 +254,7 @@ mod tests {
     fn coming_to_rest_keeps_to_the_acceleration_and_the_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: Some(10.0), acceleration: Some(20.0) };
-        // 8 per second upwards, stopped at 4 s: 1.6 further in 0.4 s, then back to 0.
+        // Upwards at 8 per second, stopped at 4 s: 1.6 further in 0.4 s, then back to 0.
         let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
         let stopped = moving.brought_to_rest(at(4_000), Some(0.0), rates, None).unwrap();
         assert!((stopped.value(at(4_400)) - 33.6).abs() < 1e-9);
@@ -284,7 +286,7 @@ mod tests {
     fn a_ramp_that_begins_elsewhere_than_at_zero_comes_to_rest_from_its_own_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: None, acceleration: Some(20.0) };
-        // 4 per second, up and down: 0.4 further in 0.2 s.
+        // Up and down at 4 per second: 0.4 further in 0.2 s.
         for (to, standstill) in [(140.0, 120.4), (60.0, 79.6)] {
             let moving = Signal::ramp(100.0, at(0), to, at(10_000));
             let stopped = moving.brought_to_rest(at(5_000), None, rates, None).unwrap();
@@ -308,13 +310,13 @@ mod tests {
     fn a_device_below_its_top_speed_goes_to_its_target_by_speeding_up_and_slowing_down() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let resting = Signal::resting(10.0, at(0));
-        // A distance of 5 with 20 per second squared: half of it in half a second each, without a phase of constant speed.
+        // A distance of 5 at 20 per second squared: half a second for each half, without a phase of constant speed.
         let free = Rates { speed: None, acceleration: Some(20.0) };
         let back = resting.brought_to_rest(at(0), Some(5.0), free, None).unwrap();
         assert_eq!(back.rests_at(), at(1_000));
         let values = [0, 250, 500, 750, 1_000].map(|millis| back.value(at(millis)));
         assert_eq!(values, [10.0, 9.375, 7.5, 5.625, 5.0]);
-        // At 2 per second: 0.1 s each for accelerating and braking over 0.1, and 2.4 s for the rest.
+        // At most 2 per second: 0.1 s each for accelerating and braking over 0.1, and 2.4 s for the rest of the distance.
         let slow = Rates { speed: Some(2.0), acceleration: Some(20.0) };
         let back = resting.brought_to_rest(at(0), Some(5.0), slow, None).unwrap();
         assert_eq!(back.rests_at(), at(2_600));
@@ -330,7 +332,7 @@ mod tests {
         let rates = Rates { speed: None, acceleration: Some(1.0) };
         let stopped = moving.brought_to_rest(at(700), None, rates, Some(&limits)).unwrap();
         assert!((stopped.target() - 2.0).abs() < 1e-9, "{}", stopped.target());
-        // The remaining 1 at 10 per second: 0.2 s.
+        // The remaining distance of 1 at 10 per second takes 0.2 s.
         assert_eq!(stopped.rests_at(), at(900));
         assert!((700..1_000).all(|millis| stopped.value(at(millis)) >= 2.0));
     }

@@ -1,5 +1,5 @@
-//! A simulated robot: the real machine behind a clock, a link and faults of its own. It does no I/O and reads no clock, like the machine
-//! itself.
+//! A simulated robot: the real state machine behind a simulated clock and link, and with simulated faults. Like the state machine, it
+//! does no I/O and reads no clock.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap, VecDeque};
@@ -25,30 +25,30 @@ pub use body::Moves;
 
 mod body;
 
-/// The one true clock of a simulated world; on a host, the host's clock.
+/// Marker type for times on the one true clock of a simulated world. On a host, this is the host's clock.
 #[derive(Clone, Copy, Debug)]
 pub enum True {}
 
-/// Deviations of a simulated robot from a perfect one.
+/// Properties of a simulated robot that deviate from those of a perfect one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// Offset of its raw clock from the true one.
+    /// Offset of the robot's raw clock from true time.
     pub clock_offset: Span,
-    /// Drift of its raw clock relative to true time, in parts per million; positive if it runs fast.
+    /// Drift of the robot's raw clock relative to true time, in parts per million. Positive if the clock runs fast.
     pub drift_ppm: f64,
-    /// Maximum random error of the times in its availability responses.
+    /// Maximum random error of the times in the robot's availability responses.
     pub jitter: Span,
-    /// Maximum error of its NTP discipline's estimate of the raw clock's error; `None`: no NTP, the raw clock is used.
+    /// Maximum error with which NTP estimates the error of the robot's raw clock. `None`: the robot uses its raw clock without NTP.
     pub ntp_error: Option<Span>,
-    /// Minimum and maximum delay of every message, in each direction.
+    /// Minimum and maximum delay of a message in either direction. `None`: no delay.
     pub delay: Option<(Span, Span)>,
-    /// Its fault, if any.
+    /// Fault of the robot, if any.
     pub fault: Option<Fault>,
-    /// How its body follows its devices, for devices that it does not follow at once.
+    /// How the robot's body follows its devices. A device without an entry is followed at once.
     pub moves: Vec<Moves>,
-    /// Limits of the movements to rest and home, if they are tighter than those that its devices declare.
+    /// Limits of movements to rest and to the default state by device, if they are lower than the limits that the devices declare.
     pub limits: BTreeMap<DeviceId, MotionLimits>,
-    /// Seed of its random numbers.
+    /// Seed of the robot's random numbers.
     pub seed: u64,
 }
 
@@ -71,18 +71,18 @@ impl Default for Settings {
 /// A fault of a simulated robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// Refuses every script with `busy`.
+    /// The robot refuses every script with `busy`.
     Refuse,
-    /// Never answers a control request, and does not execute it.
+    /// The robot neither executes nor answers control requests.
     Silent,
-    /// Closes the link right after it has accepted a script, and is unreachable afterwards.
+    /// The robot closes the link right after it has accepted a script, and is unreachable afterwards.
     Disconnect,
 }
 
-/// Simulated hardware behind the machine, as behind an edge.
+/// Simulated hardware of a robot's machine.
 #[derive(Clone, Debug, Default)]
 struct SimulatedHardware {
-    /// Since when it no longer acts or answers.
+    /// Time since which the hardware neither acts nor answers. `None`: it works.
     dead_since: Option<Timestamp<True>>,
     readings: HashMap<DeviceId, f64>,
 }
@@ -102,21 +102,23 @@ enum InFlight {
 
 type LaneId = (LinkId, Way);
 
-/// State of one direction of one link. Messages keep their order, as on TCP. Removed when no message is in flight.
+/// State of one direction of one link. Messages keep their order, as on TCP. The entry is removed when no message is in flight.
 #[derive(Clone, Debug)]
 struct Lane {
     last: Timestamp<True>,
     travelling: usize,
-    /// Too many messages were in flight: the link is being closed, and accepts no further ones.
+    /// Whether the link is being closed because too many messages were in flight. It accepts no further messages.
     closing: bool,
 }
 
-/// Maximum number of messages in flight in one direction of one link: a request for each device of the largest robot, and its reports.
+/// Maximum number of messages in flight in one direction of one link: enough for a request to each device of the largest robot, and the
+/// reports on these requests.
 const TRAVELLING_MAX: usize = 4 * DEVICES_MAX;
-/// Maximum drift of a simulated clock in either direction: beyond any real one, but the clock still runs forward.
+/// Maximum drift of a simulated clock in either direction, in parts per million. It exceeds that of any real clock, but the clock still
+/// runs forward.
 const DRIFT_PPM_MAX: f64 = 100_000.0;
 
-/// A robot machine with a clock, a delayed link and faults. All times are true times.
+/// A robot's machine with a simulated clock, a delayed link and faults. All times in its methods are true times.
 #[derive(Clone, Debug)]
 pub struct SimulatedRobot {
     robot: Robot,
@@ -124,21 +126,21 @@ pub struct SimulatedRobot {
     ntp_residue: Span,
     rng: fastrand::Rng,
     epoch: Option<Timestamp<True>>,
-    /// Cached pair of an instant by its clock and by the true one: it is requested repeatedly until it is reached.
+    /// Cache: an instant on the robot's clock, and the same instant on the true clock. It is requested repeatedly until it is reached.
     shown: Cell<Option<(Timestamp<RobotClock>, Timestamp<True>)>>,
-    /// The same for its clock's time at an instant.
+    /// Cache: an instant on the true clock, and the same instant on the robot's clock.
     read: Cell<Option<(Timestamp<True>, Timestamp<RobotClock>)>>,
-    /// Cached time of its next wake-up, as long as nothing has changed.
+    /// Cache: time of the next wake-up. Cleared whenever anything changes.
     wakes: Cell<Option<Option<Timestamp<True>>>>,
-    /// Messages in flight with their arrival times, ordered by arrival, and then by sending.
+    /// Messages in flight with their arrival times, ordered by arrival time, and then by sending time.
     in_flight: VecDeque<(Timestamp<True>, LaneId, InFlight)>,
-    /// Only directions with messages in flight: a few.
+    /// State of those directions that have messages in flight; these are few.
     lanes: Vec<(LaneId, Lane)>,
     log: Vec<LogEntry>,
     outputs: Vec<Output>,
-    /// Whether it has closed its links permanently.
+    /// Whether the robot has closed its links permanently.
     gone: bool,
-    /// `None`: the robot itself moves.
+    /// The robot's hardware. `None`: the machine moves its devices without hardware.
     hands: Option<SimulatedHardware>,
     bodies: Vec<MovedBody>,
 }
@@ -170,7 +172,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Sets the limits of lateness.
+    /// Sets the maximum delays that the robot tolerates.
     #[cfg(all(test, feature = "host"))]
     pub(crate) fn tolerating(self, tolerance: Tolerance) -> Self {
         Self { robot: self.robot.tolerating(tolerance), ..self }
@@ -186,7 +188,7 @@ impl SimulatedRobot {
         robot
     }
 
-    /// Makes the hardware stop answering; its connection stays open.
+    /// Makes the hardware stop answering. The connection to it stays open.
     pub fn hardware_dies(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &mut self.hands {
             hands.dead_since.get_or_insert(now);
@@ -211,7 +213,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Returns the machine.
+    /// Returns the robot's machine.
     #[must_use]
     pub const fn robot(&self) -> &Robot {
         &self.robot
@@ -225,7 +227,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Sets the value that a sensor reads.
+    /// Sets the reading of a sensor.
     pub fn set_reading(&mut self, sensor: DeviceId, reading: f64) {
         if let Some(hands) = &mut self.hands {
             hands.readings.insert(sensor.clone(), reading);
@@ -233,13 +235,14 @@ impl SimulatedRobot {
         self.robot.set_reading(sensor, reading);
     }
 
-    /// Whether nothing is held, runs or is in flight.
+    /// Whether the robot holds no command, and no message is in flight.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.in_flight.is_empty() && self.robot.is_idle()
     }
 
-    /// Restarts its process at `now`: it has forgotten everything except the readings of its sensors, and its clock has continued.
+    /// Returns the robot after a restart of its process at `now`. It has forgotten everything except the readings of its sensors; its
+    /// clock has continued.
     #[must_use]
     pub fn restarted(&self, now: Timestamp<True>) -> Self {
         let settings = Settings {
@@ -256,12 +259,12 @@ impl SimulatedRobot {
         robot
     }
 
-    /// Replaces its fault, and returns the previous one.
+    /// Replaces the robot's fault, and returns the previous one.
     pub const fn replace_fault(&mut self, fault: Option<Fault>) -> Option<Fault> {
         std::mem::replace(&mut self.settings.fault, fault)
     }
 
-    /// Steps its clock forward or back while it runs.
+    /// Steps the robot's clock forward or back while it runs.
     pub fn step_clock(&mut self, by: Span) {
         self.settings.clock_offset += by;
         self.ntp_residue += by;
@@ -293,7 +296,7 @@ impl SimulatedRobot {
         self.dispatch(now, (link, Way::In), InFlight::In(link, input));
     }
 
-    /// Executes everything due at or before `now`: first the machine's own events, then deliveries.
+    /// Executes everything due at or before `now`: first the machine's own events, then the arrival of messages.
     pub fn advance(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
         if self.epoch.is_none() {
             self.epoch = Some(now);
@@ -316,7 +319,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Executes the movements due at or before `now`, unless a delivery is due earlier. Their reports are sent with the next
+    /// Executes the movements due at or before `now`, unless a message arrives earlier. Their reports are sent with the next
     /// [`SimulatedRobot::advance`].
     #[cfg(feature = "host")]
     pub(crate) fn advance_movements(&mut self, now: Timestamp<True>) {
@@ -328,13 +331,13 @@ impl SimulatedRobot {
         }
     }
 
-    /// Whether the machine has work at or before `by`, not counting deliveries.
+    /// Whether the machine has work due at or before `by`. The arrival of messages does not count.
     #[cfg(feature = "host")]
     pub(crate) fn moves_by(&self, by: Timestamp<True>) -> bool {
         self.due_movement(by).is_some()
     }
 
-    /// Checks the hardware before any other work, as an edge does. While hardware answers, this only executes due events.
+    /// Checks the hardware before any other work, as an edge does. If the hardware answers, this only executes due events.
     fn look_after_hardware(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &self.hands {
             let at = self.robot_from_true(now);
@@ -343,7 +346,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Whether [`SimulatedRobot::advance`] has work: silent hardware is checked whenever there is time.
+    /// Whether [`SimulatedRobot::advance`] has work. True while hardware is silent, so that it is checked at every opportunity.
     #[must_use]
     pub fn is_due(&self, now: Timestamp<True>) -> bool {
         let silent = self.hands.as_ref().is_some_and(|hands| hands.dead_since.is_some());
@@ -351,7 +354,7 @@ impl SimulatedRobot {
         silent || self.epoch.is_none() || self.robot.has_reports() || due()
     }
 
-    /// Returns the due time of the machine's next wake-up, if it is due.
+    /// Returns the due time of the machine's next wake-up, if that time has been reached.
     fn due_movement(&self, now: Timestamp<True>) -> Option<Timestamp<True>> {
         let due = self.robot.next_wakeup().filter(|at| *at <= self.robot_from_true(now))?;
         Some(self.true_from_robot(due))
@@ -389,7 +392,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Updates the reading of a sensor that shows a body.
+    /// If the input requests the reading of a sensor that shows a body, updates this reading.
     fn look_at_body(&mut self, now: Timestamp<True>, input: &Input) {
         let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = input else {
             return;
@@ -406,7 +409,7 @@ impl SimulatedRobot {
         self.set_reading(sensor, reading);
     }
 
-    /// Returns the delay of the sensor that gave this reading.
+    /// Returns the delay of the sensor whose reading the message contains. `None` if it has no delay.
     fn sensor_delay(&self, message: &Message) -> Option<Span> {
         let Message::ControlResponse(response) = message else { return None };
         let of = |body: &&MovedBody| body.moves.sensor == response.device_id && body.moves.delay > Span::ZERO;
@@ -414,7 +417,7 @@ impl SimulatedRobot {
         Some(body.moves.delay)
     }
 
-    /// Applies the robot's fault to an input, and returns the rest of it.
+    /// Applies the robot's fault to an input. Returns the input unless the fault suppresses it.
     fn through_fault(&mut self, now: Timestamp<True>, link: LinkId, input: Input) -> Option<Input> {
         let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = &input else {
             return Some(input);
@@ -432,7 +435,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Executes the machine's outputs, which may have changed its next wake-up.
+    /// Executes the machine's outputs. The time of its next wake-up may have changed.
     fn perform(&mut self, now: Timestamp<True>) {
         self.wakes.set(None);
         if self.outputs.is_empty() {
@@ -441,9 +444,9 @@ impl SimulatedRobot {
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
-                // Its hardware takes everything at once, so no confirmation is needed.
+                // The simulated hardware takes all values at once, so no confirmation is needed.
                 Output::Confirm { .. } => {}
-                // It times everything by itself.
+                // Not used: the machine of a simulated robot times all scripts by itself.
                 Output::Plan(_) | Output::Cancel(_) | Output::Played { .. } => {}
                 Output::Read { reading, sensor } => self.hardware_reads(now, reading, &sensor),
                 Output::Set(set) => {
@@ -464,11 +467,12 @@ impl SimulatedRobot {
                 }
             }
         }
-        // Returns the emptied vector to reuse its allocation.
+        // Keeps the emptied vector to reuse its allocation.
         self.outputs = outputs;
     }
 
-    /// Answers a reading of hardware at once, if the hardware is alive. A robot without hardware answers readings by itself.
+    /// Answers the request for a reading of the hardware at once, if the hardware works. A robot without hardware answers readings by
+    /// itself.
     fn hardware_reads(&mut self, now: Timestamp<True>, reading: ReadingId, sensor: &DeviceId) {
         let Some(hands) = self.hands.as_ref().filter(|hands| hands.dead_since.is_none()) else { return };
         let value = hands.readings.get(sensor).copied().unwrap_or(0.0);
@@ -498,7 +502,7 @@ impl SimulatedRobot {
         if let Message::ControlResponse(response) = &mut message {
             response.timestamp = response.timestamp + delay;
         }
-        // Other answers do not wait for the sensor.
+        // Responses without a reading do not wait for the sensor.
         self.dispatch(
             now + delay,
             (link, Way::OutOfSensor),
@@ -506,7 +510,7 @@ impl SimulatedRobot {
         );
     }
 
-    /// Sends a message after those that are already in flight in this direction.
+    /// Sends a message so that it arrives after the messages that are already in flight in this direction.
     fn dispatch(&mut self, now: Timestamp<True>, lane_id: LaneId, mut in_flight: InFlight) {
         let arrival = now + self.draw_delay();
         let place = self.lanes.iter().position(|(id, _)| *id == lane_id).unwrap_or_else(|| {
@@ -544,7 +548,7 @@ impl SimulatedRobot {
         (least + Span::from_nanos(self.rng.i64(0..=width))).max(Span::ZERO)
     }
 
-    /// Returns the time that the robot assumes: its raw clock, minus the error that its NTP discipline knows.
+    /// Returns the time on the robot's clock: its raw clock, minus the error that NTP has estimated.
     #[must_use]
     pub fn robot_from_true(&self, now: Timestamp<True>) -> Timestamp<RobotClock> {
         match self.read.get() {
@@ -557,7 +561,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// Clears the cached times, because its clock has changed.
+    /// Clears the cached times, because the robot's clock has changed.
     fn forget_times(&self) {
         self.shown.set(None);
         self.read.set(None);
@@ -577,12 +581,12 @@ impl SimulatedRobot {
         Span::from_millis_f64(since.as_millis_f64() * self.drift())
     }
 
-    /// Returns the drift as a fraction of true time.
+    /// Returns the drift of the robot's clock as a fraction of true time.
     fn drift(&self) -> f64 {
         self.settings.drift_ppm.clamp(-DRIFT_PPM_MAX, DRIFT_PPM_MAX) * 1e-6
     }
 
-    /// Returns the first instant at which the robot's clock shows `at`.
+    /// Returns the first true time at which the robot's clock shows `at`.
     fn true_from_robot(&self, at: Timestamp<RobotClock>) -> Timestamp<True> {
         match self.shown.get() {
             Some((shown, when)) if shown == at => when,
@@ -602,7 +606,7 @@ impl SimulatedRobot {
         guess = guess - self.settings.clock_offset;
         let since = self.epoch.map_or(Span::ZERO, |epoch| guess - epoch);
         guess = guess - Span::from_millis_f64(since.as_millis_f64() * self.drift() / (1.0 + self.drift()));
-        // The rest is the rounding to nanoseconds. The search is bounded, since at the end of time no instant may fit.
+        // Corrects the rounding to nanoseconds. The number of attempts is bounded, since at the end of time no instant may match.
         for _ in 0..8 {
             match self.compute_robot_from_true(guess) {
                 shown if shown < at => guess = guess + Span::from_nanos(1),
@@ -627,7 +631,7 @@ fn bodies(block: &InitializationBlock, settings: &Settings) -> Vec<MovedBody> {
     let body = |(index, moves): (usize, &Moves)| {
         let sensor = block.device(moves.sensor.as_str()).and_then(|d| d.available_control_types.sensor());
         let range = sensor.map_or((f64::MIN, f64::MAX), |sensor| (sensor.min_value, sensor.max_value));
-        // A separate random generator, so that other random numbers do not change.
+        // A separate random generator, so that a body does not change the robot's other random numbers.
         let seed = settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(index as u64 + 1);
         let device = block.device(moves.device.as_str());
         let at_first = device.and_then(|device| device.default_value).unwrap_or_default();

@@ -1,30 +1,30 @@
-//! How late a robot may be before it ends commands that are out of sync.
+//! Maximum delays of a robot before it ends commands that are out of sync.
 
 use std::time::Duration;
 
 use urrcp::Span;
 
-/// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command, which would be out of
-/// sync.
+/// Maximum delay of a start. A robot that was delayed for longer, for example because its process was stopped, drops the command, which
+/// would be out of sync.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
-/// A value of a script that is later than this is no longer set.
+/// Maximum delay of a script's value. A later value is no longer set.
 pub(crate) const STALE: Duration = Duration::from_millis(250);
-/// The driver reports a start or an end within this time.
+/// Time within which a driver must report the start or end of a script.
 pub(crate) const REPORT_WAIT: Span = Span::from_millis(750);
-/// Maximum silence of the hardware while it holds something, in addition to twice the duration of its calls.
+/// Maximum silence of the hardware while it holds a command, in addition to twice the duration of its calls.
 pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 
-/// Limits of lateness, of the robot, the thread that runs it and its hardware. Products use the defaults; a test whose machine may be
-/// slow sets its own.
+/// Maximum delays of a robot, of the thread that runs it, and of its hardware. Products use the defaults; a test on a slow machine may
+/// use others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Tolerance {
-    /// A command that starts later than this is dropped.
+    /// Maximum delay of a start. A command that would start later is dropped.
     pub(crate) start: Span,
-    /// A later step or a value that is later than this is not set.
+    /// Maximum delay of a later step or of a value. A later one is not set.
     pub(crate) step: Span,
-    /// A driver that times scripts reports a start or an end within this time.
+    /// Time within which a driver that times scripts by itself must report a start or an end.
     pub(crate) report: Span,
-    /// Hardware that is silent for longer than this near a start is not ready.
+    /// Maximum silence of the hardware near a start. Hardware that is silent for longer is not ready.
     #[cfg(feature = "host")]
     pub(crate) silence: Duration,
 }
@@ -43,7 +43,7 @@ impl Default for Tolerance {
 
 #[cfg(all(test, feature = "host"))]
 impl Tolerance {
-    /// For tests that do not depend on lateness: however slow the machine is, nothing is too late.
+    /// Limits of an hour, for tests that do not depend on delays: however slow the machine is, nothing is too late.
     pub(crate) const AN_HOUR: Self = Self {
         start: Span::from_millis(3_600_000),
         step: Span::from_millis(3_600_000),

@@ -1,5 +1,5 @@
-//! Robots behind real sockets, and a hostile peer: it receives an error, its link continues if possible, other links and robots are not
-//! affected, and memory stays bounded. A separate process, which measures its own memory.
+//! Tests robots behind real sockets with a hostile peer. The peer receives an error, its link continues if possible, other links and
+//! robots are not affected, and memory stays bounded. A separate process, because the tests measure its memory.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::net::SocketAddr;
@@ -12,7 +12,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Mutex, MutexGuard};
 use urrcp::{ControlResponse, ErrorCode, InitializationBlock, LINE_BYTES_MAX, Message, Status};
 
-/// One test at a time, so that each measures only its own memory.
+/// Lock that lets only one test run at a time, so that each test measures only its own memory.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
 const ARM: &str = r#""name": "arm", "available_control_types": {
@@ -20,7 +20,7 @@ const ARM: &str = r#""name": "arm", "available_control_types": {
     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}"#;
 const ASK: &[u8] = b"{\"availability_request\": {}}\n";
 const CLAIM: &[u8] = b"{\"availability_request\": {\"session\": \"hostile\"}}\n";
-/// Maximum wait for an answer, however busy the machine is.
+/// Maximum time to wait for a response, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const MIB: usize = 1024 * 1024;
 
@@ -31,7 +31,7 @@ fn robot(id: &str, devices: usize) -> SimulatedRobot {
     SimulatedRobot::new(serde_json::from_str::<InitializationBlock>(&block).unwrap(), Settings::default())
 }
 
-/// Two robots of one host, the second with many devices, and a well-behaved server of each.
+/// Two robots of one host, the second with many devices, and a well-behaved peer of each.
 struct Stage {
     _host: Host,
     addresses: Vec<SocketAddr>,
@@ -94,7 +94,7 @@ impl Peer {
         assert_eq!(response.status, Status::Ok);
     }
 
-    /// Exactly one refusal, and the link continues.
+    /// Checks that the robot sends exactly one refusal that contains `says`, and that the link continues.
     async fn is_refused(&mut self, says: &str) {
         let error = match self.read().await {
             Message::AvailabilityResponse(response) => response.error,
@@ -108,19 +108,19 @@ impl Peer {
     }
 }
 
-/// Resets the peak.
+/// Resets the peak of the process's memory usage.
 fn forget_peak() {
     std::fs::write("/proc/self/clear_refs", "5").unwrap();
 }
 
-/// Returns a value of the process's status, in bytes.
+/// Returns a value of the process's status in `/proc`, in bytes.
 fn memory(line: &str) -> usize {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let found = status.lines().find_map(|l| l.strip_prefix(line)).unwrap();
     found.trim().trim_end_matches(" kB").parse::<usize>().unwrap() * 1024
 }
 
-/// Growth of the process from its begin to its peak.
+/// Measures by how much the memory usage of the process grows from a start to its peak.
 struct Growth(usize);
 
 impl Growth {
@@ -213,7 +213,7 @@ async fn a_line_beyond_the_limit_is_refused_once_and_takes_no_more_than_a_few_li
         peer.write(b"\n").await;
         peer.is_refused("a line longer than 16777216 bytes").await;
     }
-    // A line while it grows, and its shorter predecessor, which is copied into it.
+    // The growing line, and its shorter predecessor, which is copied into it.
     growth.is_at_most(4 * LINE_BYTES_MAX);
 }
 
@@ -254,7 +254,7 @@ async fn ten_thousand_questions_of_a_peer_that_does_not_read_take_no_more_than_t
     let mut deaf = Peer::connected(stage.addresses[1]).await;
     let growth = Growth::begins();
     let questions = b"{\"initialization_request\":{}}\n".repeat(10_000);
-    // Ends when the robot no longer reads, since its answers of a megabyte each are not read.
+    // Ends when the robot no longer reads, because its responses of a megabyte each are not read.
     let asking = tokio::spawn(async move { deaf.write(&questions).await });
     for _ in 0..20 {
         stage.others_notice_nothing().await;

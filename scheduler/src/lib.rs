@@ -54,7 +54,7 @@ pub use downbeat_show as show;
 #[doc(hidden)]
 pub use cli::main;
 
-/// The examples of the README are compiled with the tests.
+/// Includes the README, so that its examples are compiled as documentation tests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,6 +1,7 @@
 //! The program `downbeat`.
 
-/// One thread creates messages and another drops them. The system allocator takes locks for that: `benches/fan_out.rs`.
+/// The global allocator. One thread allocates messages and another frees them, for which the system allocator takes locks; see
+/// `benches/fan_out.rs`.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -1,4 +1,4 @@
-//! Acts that move devices to the positions that other acts expect, at the start of a choreography or after a stop.
+//! Acts that move devices to the positions that other acts expect, for the start of a choreography or after a stop.
 
 use std::collections::HashMap;
 
@@ -11,10 +11,10 @@ use crate::fleet::Fleet;
 use crate::home::{largest_speeds, transfer};
 use crate::plan::{Act, Choreography, Positions, Wait, Way};
 
-/// How devices are moved to their first positions.
+/// Settings of the movement of devices to their first positions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Approach {
-    /// Duration of the movement.
+    /// Duration of this movement.
     #[serde(rename = "over_ms")]
     pub over: Span,
     /// Positions of devices before the movement. Devices without an entry are not moved.
@@ -22,7 +22,7 @@ pub struct Approach {
 }
 
 impl Approach {
-    /// Whether an act of this name may be an approach. A scenario may have an act of this name, too.
+    /// Whether `act` may be the name of a generated approach. A scenario may have an act of this name, too.
     #[must_use]
     pub fn may_be_named(act: &str) -> bool {
         let number = |rest: &str| rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok());
@@ -32,13 +32,13 @@ impl Approach {
 
 const NAME: &str = "approach";
 
-/// Adds an act before `first` that moves devices to their first positions in that act and those that follow it. Returns the
-/// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as
-/// far as bodies are known, without collisions. Lamps, and devices that are there already, are not moved. If no device has to
-/// move, no act is added.
+/// Adds an act before `first` that moves devices to their first positions in `first` and the acts that follow it. Returns the
+/// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as far as
+/// bodies are known, without collisions. Lamps, and devices already at their first position, are not moved. If no device has to move, no
+/// act is added.
 ///
 /// # Errors
-/// The errors in the new act, for example a movement that a device cannot make in that time.
+/// Returns the errors in the new act, for example a movement that a device cannot make in [`Approach::over`].
 pub fn add_approach(
     mut choreography: Choreography,
     first: usize,
@@ -69,14 +69,14 @@ pub fn add_approach(
     Ok((choreography, 0))
 }
 
-/// Plans an act that moves devices from these positions to their first positions, in the act `to` or in those that follow it. The act is
-/// planned like that of [`plan_home`](crate::plan_home), and its settings are those of `to`. If `to` waits for the operator, the new act
+/// Plans an act that moves devices from the positions `from` to their first positions in the act `to` or in those that follow it. The
+/// act is planned like that of [`plan_home`](crate::plan_home), with the settings of `to`. If `to` waits for the operator, the new act
 /// waits, too.
 ///
 /// Returns `None` if no device has to move.
 ///
 /// # Errors
-/// The errors in the act, for example a collision.
+/// Returns the errors in the new act, for example a collision.
 pub fn plan_approach(
     choreography: &Choreography,
     to: usize,
@@ -94,7 +94,7 @@ pub fn plan_approach(
     Ok(ahead)
 }
 
-/// The movements to these positions. Lamps, and devices whose position is unknown, stay.
+/// Returns the movements of devices to these positions. Lamps, and devices whose position is unknown, are not moved.
 fn ways_to<'a>(
     choreography: &'a Choreography,
     positions: impl Iterator<Item = (&'a RobotId, &'a DeviceId, f64)>,
@@ -203,7 +203,7 @@ acts:
     fn after_a_stop_devices_move_to_the_first_positions_of_another_act_as_fast_as_they_may() {
         let (mut show, fleet) = show();
         show.acts[1].wait = Wait::Operator;
-        // It returns from `one` to `two`; only its first position matters.
+        // The act returns from `one` to `two`; only its first position matters.
         show.acts[1].next = Way::Act(0);
         let ahead = plan_approach(&show, 1, &fleet, &approach(0, 80.0).from).unwrap().unwrap();
         assert_eq!((ahead.name.as_str(), &ahead.wait, ahead.next), ("approach", &Wait::Operator, Way::End));
@@ -215,8 +215,8 @@ acts:
         assert_eq!(plan_approach(&show, 1, &fleet, &approach(0, 30.0).from).unwrap(), None);
     }
 
-    /// The acts that are planned for the arm, which is at 80 degrees, before the show and after a stop. Another robot has stopped at 40
-    /// degrees, on a rail `y` metres away from the arm's.
+    /// Plans the acts for the arm, which is at 80 degrees, before the show and after a stop. Another robot has stopped at 40 degrees, on
+    /// a rail `y` metres away from the arm's.
     fn past_another(y: f64) -> [Result<Act, Vec<Finding>>; 2] {
         let (show, mut fleet) = show();
         let mut other = fleet.robots[0].clone();

@@ -1,4 +1,4 @@
-//! Plans acts that move devices from the positions at which they stopped to their default positions or to others.
+//! Plans acts that move devices from the positions at which they stopped to their default positions or to other positions.
 
 use std::collections::HashMap;
 
@@ -11,24 +11,24 @@ use crate::motion::Easing;
 use crate::plan::{Act, Choreography, FailurePolicy, OnFailure, Positions};
 
 const NAME: &str = "home";
-/// The shortest duration of the act.
+/// The shortest duration of a planned act.
 const SHORTEST: Span = Span::from_millis(1_000);
-/// The shortest duration if the act linearly moves a device whose largest speed is unknown.
+/// The shortest duration of a planned act that linearly moves a device whose largest speed is unknown.
 const WITHOUT_LIMIT: Span = Span::from_millis(5_000);
-/// On a grid, some steps are faster than the movement by up to this fraction.
+/// Largest fraction by which some steps on a grid are faster than the movement.
 const SLACK: f64 = 0.02;
-/// The maximum number of times that the duration is doubled if a device cannot move fast enough.
+/// Maximum number of times that the duration is doubled because a device cannot move fast enough.
 const DOUBLED_MAX: u32 = 4;
 
-/// Plans an act that moves devices from these positions to their default positions. The act is compiled like any other: within the limits
-/// of the devices and, as far as bodies are known, without collisions. Its duration follows from the largest speeds. It is at least 1 s,
-/// and at least 5 s if a device moves linearly and its largest speed is unknown. Devices without a default position do not move. Leases
-/// and tolerances are those of the act `like`.
+/// Plans an act that moves devices from the positions `from` to their default positions. The act is compiled like any other: within the
+/// limits of the devices and, as far as bodies are known, without collisions. Its duration follows from the largest speeds. It is at
+/// least 1 s, and at least 5 s if a device moves linearly and its largest speed is unknown. Devices without a default position do not
+/// move. Leases and tolerances are those of the act `like`.
 ///
-/// Returns `None` if every device is at its default position.
+/// Returns `None` if every device is already at its default position.
 ///
 /// # Errors
-/// The errors in the act, for example a collision.
+/// Returns the errors in the planned act, for example a collision.
 pub fn plan_home(
     choreography: &Choreography,
     like: usize,
@@ -42,7 +42,7 @@ pub fn plan_home(
     Ok(act)
 }
 
-/// Plans an act with these movements and the settings of the act `like`.
+/// Plans an act that makes the given movements with the settings of the act `like`.
 pub(crate) fn transfer(
     choreography: &Choreography,
     name: &str,
@@ -67,7 +67,7 @@ pub(crate) fn transfer(
     Ok(Some(act))
 }
 
-/// The shortest common duration of movements that the largest speeds of their devices allow.
+/// Returns the shortest common duration of movements that the largest speeds of their devices allow.
 fn shortest(choreography: &Choreography, ways: &[DeviceWay<'_>], fleet: &Fleet) -> Span {
     let speeds = largest_speeds(choreography);
     let shortest = ways.iter().map(|DeviceWay { robot, device, from, to }| {
@@ -87,7 +87,7 @@ fn shortest(choreography: &Choreography, ways: &[DeviceWay<'_>], fleet: &Fleet) 
     shortest.max().unwrap_or_default().max(SHORTEST)
 }
 
-/// The largest speeds of devices that the acts use.
+/// Returns the largest speeds of devices that acts of the choreography use, as far as they are known.
 pub(crate) fn largest_speeds(choreography: &Choreography) -> HashMap<(&RobotId, &DeviceId), f64> {
     let used = choreography.acts.iter().flat_map(|act| &act.devices);
     used.filter_map(|used| Some(((&used.robot, &used.device), used.speed_max?))).collect()
@@ -160,8 +160,8 @@ acts:
         assert_eq!(lasts.as_millis_f64().round(), 4_781.0);
     }
 
-    /// The act that moves the arm home from 80 degrees. Another robot, whose joint has no default position, has stopped at 40 degrees, on
-    /// a rail `y` metres away from the arm's.
+    /// Plans the act that moves the arm home from 80 degrees. Another robot, whose joint has no default position, has stopped at 40
+    /// degrees, on a rail `y` metres away from the arm's.
     fn home_past_another(y: f64) -> Result<Act, Vec<Finding>> {
         let (show, mut fleet) = show();
         let mut other = fleet.robots[0].clone();

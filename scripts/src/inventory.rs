@@ -16,40 +16,40 @@ use crate::source::Source;
 /// A move or a sequence that cues can use.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Offer {
-    /// `move` or `sequence`.
+    /// Kind of the entry: `move` or `sequence`.
     pub kind: &'static str,
-    /// The name by which the scenario uses it.
+    /// Name by which the scenario uses the entry.
     pub name: String,
-    /// Its description, from its `doc`.
+    /// Description of the entry: the text of its key `doc`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub doc: Option<String>,
-    /// In the order of the file.
+    /// Parameters in the order of the file.
     pub parameters: Vec<Parameter>,
-    /// The devices that a move uses, in their order. Devices of a played move whose name is a parameter are not included.
+    /// Devices that a move uses, in the order of the file. Devices whose names are parameters of a played move are not included.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub devices: Vec<String>,
-    /// The moves and sequences that it uses, in their order.
+    /// Names of the moves and sequences that the entry uses, in the order of the file.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub uses: Vec<String>,
-    /// The file that contains it.
+    /// Name of the file that contains the entry.
     pub file: String,
-    /// Its line in that file, from 1.
+    /// Line of the entry in that file, from 1.
     pub line: usize,
 }
 
 /// A parameter of a move or a sequence.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Parameter {
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
-    /// Its default as written; `None` if it has none.
+    /// Default value as written; `None` if the parameter has no default.
     pub default: Option<String>,
 }
 
-/// Returns the moves and sequences of a scenario and of all files that it includes, by kind and name.
+/// Returns the moves and sequences of a scenario and of all files that it includes, sorted by kind and name.
 ///
 /// # Errors
-/// The findings if one of the files cannot be read or is not YAML. Errors within the entries are left to [`crate::compile`].
+/// Returns the findings if one of the files cannot be read or is not YAML. Errors within the entries are left to [`crate::compile`].
 pub fn inventory(source: &Source, files: &dyn Files) -> Result<Vec<Offer>, Vec<Finding>> {
     let documents = scenario::documents(source, files)?;
     let fleet = Fleet::default();
@@ -96,7 +96,7 @@ fn text(node: &Node, key: &str) -> Option<String> {
     }
 }
 
-/// The devices of its own tracks, without duplicates.
+/// Returns the devices of a move's own tracks, without duplicates.
 fn devices(node: &Node) -> Vec<String> {
     let mut devices: Vec<String> = Vec::new();
     let tracks =
@@ -123,7 +123,7 @@ fn parameters(node: &Node) -> Vec<Parameter> {
     entries.iter().map(|(name, node)| Parameter { name: name.clone(), default: written(node) }).collect()
 }
 
-/// The moves or sequences that it plays or that its cues use, without duplicates.
+/// Returns the moves that a move plays, or the moves and sequences that a sequence's cues use, without duplicates.
 fn uses(node: &Node) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for item in entries_of(node) {
@@ -136,7 +136,7 @@ fn uses(node: &Node) -> Vec<String> {
     names
 }
 
-/// The entries of `play`, including those of its inner lists, or the cues of a sequence.
+/// Returns the entries of `play`, including those of inner lists, or the cues of a sequence.
 fn entries_of<'n>(node: &'n Node) -> Vec<&'n Node> {
     let lists = [entry(node, "play"), entry(node, "cues")].into_iter().flatten();
     let inner = |item: &'n Node| if matches!(item, Node::List(_)) { items(item) } else { vec![item] };
@@ -150,7 +150,7 @@ fn items(node: &Node) -> Vec<&Node> {
     }
 }
 
-/// Adds to each move the devices of the moves that it plays.
+/// Adds the devices of played moves to each move that plays them.
 fn add_played_devices(offers: &mut [Offer]) {
     let index_of: BTreeMap<String, usize> = offers
         .iter()

@@ -1,4 +1,5 @@
-//! The scenario language of Downbeat: reads a fleet and a choreography, reports everything that would not work, and compiles them.
+//! The scenario language of Downbeat: reads a fleet and a choreography, reports everything that would not work, and compiles the
+//! choreography.
 //!
 //! ```text
 //!   fleet.yaml ── read_fleet ──▶ Fleet ─┐
@@ -86,7 +87,7 @@ pub use inventory::{Offer, Parameter, inventory};
 pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
 pub use schema::{Schema, all_maps, schema};
 
-/// Wording for messages, shared with the program.
+/// Functions for the wording of messages, shared with the program.
 #[doc(hidden)]
 pub use {
     downbeat_fleet::address::address_fault, downbeat_yaml::duration::written,
@@ -96,7 +97,7 @@ pub use {
 #[cfg(test)]
 mod tests;
 
-/// The examples of the README are compiled with the tests.
+/// Compiles the examples of the README with the tests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

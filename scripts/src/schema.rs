@@ -1,8 +1,8 @@
-//! JSON Schemas (2020-12) of user-written files, for editors and for programs that generate such files.
+//! JSON Schemas (2020-12) of the files that users write, for editors and for programs that generate such files.
 
 pub use maps::all_maps;
 
-/// The kind of file that a schema describes.
+/// A kind of file that a schema describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Schema {

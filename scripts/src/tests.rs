@@ -1,4 +1,4 @@
-//! Laws of the whole compiler: it never panics, findings refer to the text, and places survive aliases.
+//! Laws of the whole compiler: it never panics, findings refer to the text, and places of findings survive aliases.
 
 use proptest::prelude::*;
 
@@ -19,7 +19,7 @@ cues:
       d: [{at: 0s, to: 0}, {at: 1s, to: 45, ease: smooth}]
 ";
 
-/// A simulated robot of [`BLOCK`].
+/// Returns a simulated robot with the description [`BLOCK`].
 pub(crate) fn robot() -> FleetRobot {
     let init: urrcp::InitializationBlock = serde_json::from_str(BLOCK).unwrap();
     FleetRobot::new(init.id.clone(), Address::Simulated, Some(init))
@@ -45,7 +45,7 @@ impl Files for Included {
     }
 }
 
-/// Checks that every finding names a line of the text, and that there is a plan exactly if there are no findings.
+/// Checks that every finding names a line of the text, and that there is a plan if and only if there are no findings.
 fn check_laws(text: &str) {
     check_laws_with(text, "");
 }
@@ -67,7 +67,7 @@ fn a_fault_of_the_yaml_is_placed_by_the_lines_that_editors_show() {
     let compiled = compile_text("a: \u{2028}x\u{85}y\n- b: [ö, c\n");
     let finding = &compiled.findings[0];
     assert!(finding.line <= 3 && compiled.choreography.is_none(), "{finding:?}");
-    // A line break for the parser, but not for an editor.
+    // U+2028 and U+0085 are line breaks for the parser, but not for an editor.
     for (text, line) in
         [("key:\u{2028}word", 1), ("a: 1\nkey:\u{2028}word", 2), ("a: 1\r\nkey:\u{85}word", 2)]
     {

@@ -1,18 +1,18 @@
-//! Scripts in the text form of [`encode`](crate::encode). The hash covers exactly this text, so a reader that has it need not serialize
-//! the script again to compare the hash.
+//! Parses scripts in the canonical JSON that [`encode`](crate::encode) writes. The hash of a script covers exactly this text. A reader
+//! that has the text need not serialize the script again to compare hashes.
 
 use crate::control_type::ControlType;
 use crate::limits::{CONTROL_VALUES_MAX, SCRIPT_STEPS_MAX};
 use crate::message::{Script, Setpoint, Step};
 use crate::time::Millis;
 
-/// Maximum number of digits with which every decimal has a distinct double (`DBL_DIG` of C).
+/// Maximum number of digits up to which distinct decimals have distinct doubles (`DBL_DIG` in C).
 const DIGITS_MAX: usize = 15;
-/// Smaller numbers than 0.0001 are left to the general parser: the smallest ones are written with an exponent.
+/// Maximum number of zeros after the decimal point. The general parser reads smaller numbers, because the smallest ones have an exponent.
 const LEADING_ZEROS_MAX: usize = 3;
 
-/// Reads the script whose canonical JSON begins here. Returns it with that JSON and the rest of the text. `None` for everything else, and
-/// for steps with a condition or with long numbers, which may also form a script.
+/// Parses the script whose canonical JSON `text` starts with. Returns the script, that JSON and the rest of `text`. `None` for anything
+/// else, and also for valid scripts with long numbers or with a stop condition in a step.
 pub(super) fn read(text: &str) -> Option<(Script, &str, &str)> {
     let mut rest = text.strip_prefix('[')?;
     let mut steps = Vec::with_capacity(steps_at_most(rest));
@@ -31,7 +31,7 @@ pub(super) fn read(text: &str) -> Option<(Script, &str, &str)> {
     Some((Script::new(steps).ok()?, own, rest))
 }
 
-/// Upper bound of the number of steps in a text of this length, regardless of its content.
+/// Upper bound on the number of steps in `text`.
 fn steps_at_most(text: &str) -> usize {
     const SHORTEST: &str = r#"{"time_offset_to_start":0,"control_type":"speed","control_value":0}"#;
     memchr::memchr_iter(b'{', text.as_bytes()).count().min(text.len() / SHORTEST.len())
@@ -62,11 +62,11 @@ fn read_step(text: &str) -> Option<(Step, &str)> {
     Some((Step::new(Millis::new(offset).ok()?, setpoint), rest.strip_prefix('}')?))
 }
 
-/// Reads a number in its canonical text; returns it with the rest.
+/// Parses the number that `text` starts with if it is in canonical form. Returns the number and the rest of `text`.
 ///
-/// A decimal with this few digits is the shortest text of its nearest double, because no other decimal of this length has the same
-/// double. Digits and power of ten are exact doubles, so their quotient is that double (W. D. Clinger, "How to Read Floating Point
-/// Numbers Accurately", 1990).
+/// A decimal with at most [`DIGITS_MAX`] digits is the shortest text of its nearest double, because no other decimal of that length has
+/// the same double. The digits and the power of ten are exact doubles, so their quotient is the nearest double (W. D. Clinger, "How to
+/// Read Floating Point Numbers Accurately", 1990).
 fn read_number(text: &str) -> Option<(f64, &str)> {
     const TENS: [f64; DIGITS_MAX + 1] =
         [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];

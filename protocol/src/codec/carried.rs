@@ -1,4 +1,5 @@
-//! Messages with a script, which is usually known or in its canonical text. Both can be read faster than general JSON.
+//! Fast parsing of messages that contain a script. A script that is known or written as canonical JSON can be parsed faster than general
+//! JSON.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,20 +9,20 @@ use memchr::memmem;
 use super::canonical;
 use crate::message::{Command, ControlRequest, ControlResponse, Message, Script, StatusValue};
 
-/// Number of scripts that are kept; older ones are parsed step by step when they are received again.
+/// Number of scripts to keep. Older scripts are parsed step by step when they are received again.
 const KEPT: usize = 16;
-/// The beginning of a message with a script, and the key of that script.
+/// The start of each kind of message that can contain a script, with the key of the script.
 const CARRIERS: [(&str, &str); 2] =
     [(r#"{"control_request":{"#, r#""control_value":"#), (r#"{"control_response":{"#, r#""status_value":"#)];
 
-/// The most recent scripts of requests that were sent or received. A robot repeats a script that it accepts, and robots of a group
-/// receive the same one. A [`Decoder`](crate::Decoder) returns a known script together with its cached results; the decoded messages are
-/// the same as without it. Clones share their content.
+/// The most recent scripts in sent and received requests. They recur because a robot repeats each script that it accepts, and all robots
+/// of a group receive the same script. A [`Decoder`](crate::Decoder) reuses a known script and its cached results; the decoded messages
+/// are the same as without `KnownScripts`. Clones share their content.
 #[derive(Clone, Debug, Default)]
 pub struct KnownScripts(Arc<Mutex<VecDeque<Script>>>);
 
 impl KnownScripts {
-    /// Keeps the script of a request if its text is known: if its hash was computed and the script is not too long.
+    /// Keeps the script of `request` if its canonical text is cached, that is, if its hash was computed and the script is not too long.
     pub fn note(&self, request: &ControlRequest) {
         let Command::Script(script) = &request.command else { return };
         if script.is_empty() || script.kept_text().is_none() {
@@ -34,7 +35,7 @@ impl KnownScripts {
         }
     }
 
-    /// Finds the script whose text is at the beginning of `value`; returns it with the rest.
+    /// Finds the known script whose text `value` starts with. Returns the script and the rest of `value`.
     fn find<'a>(&self, value: &'a str) -> Option<(Script, &'a str)> {
         self.scripts().iter().find_map(|script| {
             let rest = value.strip_prefix(script.kept_text()?)?;
@@ -47,7 +48,7 @@ impl KnownScripts {
     }
 }
 
-/// Reads the message on this line if its script is known or in its canonical text; `None` if it has to be parsed like any other line.
+/// Parses the message on `line` if its script is known or written as canonical JSON; `None` if the general JSON parser has to parse it.
 pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> {
     let (_, key) = CARRIERS.iter().find(|(begin, _)| line.starts_with(begin))?;
     let at = memmem::find(line.as_bytes(), key.as_bytes())?;
@@ -62,7 +63,7 @@ pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> 
     let mut message = serde_json::from_str(&[head, "[]", rest].concat()).ok()?;
     let place = match &mut message {
         Message::ControlRequest(ControlRequest { command: Command::Script(steps), content_hash, .. }) => {
-            // A request with a hash asks the robot to compare it.
+            // The robot compares a hash in the request with the hash of the script.
             if let (Some(text), Some(_)) = (text, content_hash) {
                 script.hash_as(text);
             }
@@ -75,7 +76,7 @@ pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> 
     Some(message)
 }
 
-/// Whether the position after `head` is directly in the object of the message, and not in a string.
+/// Whether the position after `head` is directly inside the message's object, not in a nested value or a string.
 fn is_where_keys_of_a_message_are(head: &str) -> bool {
     let (mut depth, mut in_string, mut escaped) = (0_i32, false, false);
     for byte in head.bytes() {
@@ -109,7 +110,7 @@ mod tests {
         serde_json::to_string(script).unwrap()
     }
 
-    /// A response with these keys after its mandatory ones, and a request likewise.
+    /// A response line and a request line, each with `keys` after the mandatory keys.
     fn lines(keys: &str) -> [String; 2] {
         let time = "2026-11-20T19:00:00.000000000Z";
         [
@@ -198,7 +199,7 @@ mod tests {
         assert_eq!(known.scripts().len(), 0, "nobody asked for its hash");
     }
 
-    /// Checks that the result is the same with and without known scripts.
+    /// Checks that lines with `keys` decode to the same messages with and without known scripts.
     #[track_caller]
     fn check_as_any_other(keys: &str, known: &KnownScripts) {
         for line in lines(keys) {

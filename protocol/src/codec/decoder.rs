@@ -1,4 +1,4 @@
-//! Splits a stream into lines and frames. The limit of a message bounds the memory.
+//! Splits a stream into lines and frames. A maximum message length bounds the memory that a decoder uses.
 
 use super::error::{DecodeError, DecodeErrorKind};
 use super::{Encoding, KnownScripts, frame, line};
@@ -16,9 +16,9 @@ use crate::message::Message;
 #[derive(Debug)]
 pub struct Decoder {
     buffer: Vec<u8>,
-    /// Start of the unread part.
+    /// Index in `buffer` of the first byte that has not been read.
     read: usize,
-    /// End of the part that contains no newline.
+    /// Index in `buffer` up to which the search for a newline has found none.
     searched: usize,
     limit: usize,
     skipping: Skipping,
@@ -26,28 +26,28 @@ pub struct Decoder {
     known: Option<KnownScripts>,
 }
 
-/// A buffer that contains data is shrunk only if its capacity exceeds this many bytes.
+/// Capacity in bytes up to which the decoder does not shrink a buffer that contains data.
 const KEPT_MAX: usize = 64 * 1024;
 
 /// The buffered part of the next message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Front {
-    /// Its length in bytes as far as it is known: a frame states it in its head, a line at its end.
+    /// Length of the message in bytes as far as it is known: the header of a frame states it, a line shows it only at its end.
     pub bytes: usize,
-    /// Whether it has been received completely.
+    /// Whether the message has been received completely.
     pub whole: bool,
 }
 
-/// The item at the front: `None` for an empty line or the rest of an overlong one.
+/// The item at the start of the buffer: `None` for an empty line or the rest of an overlong line.
 type Found = Option<Result<Message, DecodeError>>;
 
 /// The part of an overlong message that is still to be discarded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Skipping {
     Nothing,
-    /// Everything up to the next newline.
+    /// The rest of an overlong line: everything up to the next newline.
     Line,
-    /// This many bytes.
+    /// The rest of an overlong frame: the given number of bytes.
     Frame(usize),
 }
 
@@ -72,21 +72,22 @@ impl Decoder {
         }
     }
 
-    /// The same decoder, but faster for lines that contain one of these scripts.
+    /// Returns this decoder with `scripts`, which it recognizes in lines without parsing them step by step.
     #[must_use]
     pub fn that_knows(mut self, scripts: KnownScripts) -> Self {
         self.known = Some(scripts);
         self
     }
 
-    /// The encoding of the last decoded message, or of the error in its place; JSON before the first. An answer should use the same
-    /// encoding.
+    /// The encoding of the last decoded message or decoding error; JSON before the first one. A response should use the encoding of its
+    /// request.
     #[must_use]
     pub const fn encoding(&self) -> Encoding {
         self.encoding
     }
 
-    /// Adds received bytes. If all messages are read before the next push, the buffer contains at most one message and one push.
+    /// Adds received bytes to the buffer. If the caller reads all messages before each push, the buffer contains at most one message and
+    /// one push.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.read);
         self.searched -= self.read;
@@ -94,7 +95,7 @@ impl Decoder {
         let needed = self.buffer.len() + bytes.len();
         let capacity = self.buffer.capacity();
         if needed > capacity {
-            // Doubled, so that a long message is rarely copied, but not beyond the maximum buffer size.
+            // The capacity doubles, so that a long message is rarely copied, but never exceeds the maximum buffer size.
             let most = self.limit.saturating_add(frame::HEAD_BYTES).saturating_add(bytes.len());
             let grown = capacity.saturating_mul(2).min(most).max(needed);
             self.buffer.reserve_exact(grown - self.buffer.len());
@@ -102,13 +103,13 @@ impl Decoder {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Changes the limit of subsequent lines and payloads, in bytes. Buffered bytes are kept.
+    /// Changes the maximum length in bytes of subsequent lines and payloads. Buffered bytes are kept.
     pub const fn set_limit(&mut self, limit: usize) {
         self.limit = limit;
     }
 
-    /// Describes the buffered part of the next message, including empty lines, without decoding it. `None` if the buffer is empty or
-    /// contains only the rest of an overlong message. With it, the reader can choose where to decode a long message.
+    /// Describes the buffered part of the next message, including empty lines, without decoding it. The caller can use this to choose
+    /// where to decode a long message. `None` if the buffer is empty or contains only the rest of an overlong message.
     pub fn front(&mut self) -> Option<Front> {
         let unread = self.buffer.get(self.read..).filter(|unread| !unread.is_empty())?;
         match (self.skipping, unread.first()?) {
@@ -126,7 +127,7 @@ impl Decoder {
         }
     }
 
-    /// Whether the rest of an overlong message is still to be discarded.
+    /// Whether the decoder still has to discard the rest of an overlong message.
     #[must_use]
     pub fn is_skipping(&self) -> bool {
         self.skipping != Skipping::Nothing
@@ -138,11 +139,12 @@ impl Decoder {
         self.buffer.len() - self.read
     }
 
-    /// Returns the next message or the error in its place; `None` until more bytes are pushed. Skips empty lines.
+    /// Returns the next message, or the error if its bytes are invalid; `None` until more bytes are pushed. Skips empty lines.
     pub fn next_message(&mut self) -> Option<Result<Message, DecodeError>> {
         let found = self.find();
         if self.read == self.buffer.len() {
-            // Thousands of connections are idle at a time. Released memory that the next one allocates is still in the processor's cache.
+            // Thousands of connections are idle at a time. When the next connection allocates the released memory, it is still in the
+            // processor's cache.
             (self.buffer, self.read, self.searched) = (Vec::new(), 0, 0);
         } else if self.buffer.capacity() > KEPT_MAX && self.buffered() <= self.buffer.capacity() / 4 {
             // Otherwise the first bytes of the next message would keep a long message's allocation alive.
@@ -177,7 +179,7 @@ impl Decoder {
         };
     }
 
-    /// Marks bytes as read.
+    /// Marks the next `bytes` bytes as read.
     fn take(&mut self, bytes: usize) {
         self.read += bytes;
         self.searched = self.read;
@@ -222,7 +224,7 @@ impl Decoder {
         Some(Some(line::read(text, self.known.as_ref())))
     }
 
-    /// Discards the beginning of a line that exceeds the limit, and reports it once.
+    /// Discards the start of a line that exceeds the limit, and reports the line once.
     fn overflow(&mut self) -> Option<Found> {
         if self.skipping != Skipping::Line && self.buffer.len() - self.read <= self.limit {
             return None;

@@ -1,4 +1,4 @@
-//! Errors in bytes that are not a valid message.
+//! Errors for bytes that are not a valid message.
 
 use std::fmt;
 
@@ -7,14 +7,14 @@ use serde::Deserialize;
 use crate::message::{Message, OfUnknownType};
 use crate::text::{DeviceId, RequestId, shortened};
 
-/// Why a line or frame is not a message, and the device and request for an answer.
+/// Why a line or frame is not a message, with the device id and request id that an error response needs.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct DecodeError {
-    /// The error.
+    /// The kind of error.
     pub kind: DecodeErrorKind,
-    /// The device of a control request, if it can be recognized.
+    /// Id of the device that a control request addresses; `None` if it cannot be recognized.
     pub device_id: Option<DeviceId>,
-    /// The request id, if it can be recognized.
+    /// Id of the control request; `None` if it has none or it cannot be recognized.
     pub request_id: Option<RequestId>,
 }
 
@@ -22,40 +22,40 @@ pub struct DecodeError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DecodeErrorKind {
-    /// A line longer than the decoder's limit, in bytes.
+    /// A line is longer than the decoder's limit.
     LineTooLong {
-        /// The limit.
+        /// The maximum length in bytes.
         limit: usize,
     },
-    /// A frame whose payload is longer than the decoder's limit, in bytes.
+    /// The payload of a frame is longer than the decoder's limit.
     FrameTooLong {
-        /// The length in its head.
+        /// The payload length in bytes, as stated in the frame's header.
         length: usize,
-        /// The limit.
+        /// The maximum length in bytes.
         limit: usize,
     },
-    /// The line is not valid UTF-8 from this byte.
+    /// A line is not valid UTF-8.
     NotUtf8 {
-        /// Number of valid bytes before it.
+        /// Number of valid bytes before the first invalid one.
         valid_up_to: usize,
     },
-    /// Not JSON.
+    /// A line is not valid JSON.
     NotJson {
-        /// Column of the error, from 1.
+        /// Column of the error in the line, from 1.
         column: usize,
-        /// The parser's message.
+        /// The parser's error message.
         message: String,
     },
-    /// The payload of a frame is not one whole value of MessagePack.
+    /// The payload of a frame is not exactly one MessagePack value.
     NotMessagePack {
-        /// The parser's message.
+        /// The parser's error message.
         message: String,
     },
-    /// JSON or MessagePack, but no message of the protocol.
+    /// A line or payload is valid JSON or MessagePack, but not a message of the protocol.
     Invalid {
         /// Path of the invalid key, such as `control_request.control_value[3].control_type`.
         path: String,
-        /// The found and the expected value.
+        /// The value found and the value expected.
         message: String,
     },
 }
@@ -65,10 +65,10 @@ impl DecodeError {
         Self { kind, device_id: None, request_id: None }
     }
 
-    /// An error in text that is well formed but not a message.
+    /// Creates the error for a well-formed line or payload that is not a message.
     pub(super) fn invalid(path: String, message: String, of: Addressee) -> Self {
         Self {
-            // The message may quote the line and be just as long, but an answer must be short.
+            // The parser's message may quote the whole line, but a response must be short.
             kind: DecodeErrorKind::Invalid { path: shortened(&path), message: shortened(&message) },
             device_id: of.device_id.and_then(|id| DeviceId::new(id).ok()),
             request_id: of.request_id.and_then(|id| RequestId::new(id).ok()),
@@ -97,7 +97,7 @@ impl fmt::Display for DecodeError {
     }
 }
 
-/// The device and the id of a control request, read independently of the rest.
+/// The device id and request id of a control request, parsed even if the rest of the request is invalid.
 #[derive(Default, Deserialize)]
 pub(super) struct Addressee {
     #[serde(default)]
@@ -106,7 +106,7 @@ pub(super) struct Addressee {
     request_id: Option<String>,
 }
 
-/// A control request of a control type that this version does not know, with any values.
+/// A message with a control request whose control type this version does not know; its values may be anything.
 #[derive(Deserialize)]
 pub(super) struct UnknownType {
     control_request: OfUnknownType,
@@ -118,7 +118,7 @@ impl From<UnknownType> for Message {
     }
 }
 
-/// A control request around its addressee.
+/// A message with a control request, of which only the device id and request id are parsed.
 #[derive(Deserialize)]
 pub(super) struct Envelope {
     pub(super) control_request: Addressee,

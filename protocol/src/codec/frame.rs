@@ -1,4 +1,4 @@
-//! The compact encoding: a byte that no line contains, the length of the payload, and the payload in MessagePack.
+//! The compact encoding, a frame: a mark byte that no line contains, the payload length, and the payload in MessagePack.
 
 use rmp_serde::decode::Error;
 use serde::de::IgnoredAny;
@@ -9,14 +9,14 @@ use super::line;
 use crate::message::Message;
 use crate::text::shortened;
 
-/// The first byte of a frame: never valid in UTF-8, never used by MessagePack.
+/// The first byte of a frame, which occurs neither in valid UTF-8 nor in MessagePack.
 pub(super) const MARK: u8 = 0xC1;
-/// The mark and the payload's length, big-endian.
+/// Size of a frame's header in bytes: the mark and the payload length as a big-endian 32-bit integer.
 pub(super) const HEAD_BYTES: usize = 5;
 /// Maximum nesting of lists and dictionaries, as in serde_json.
 const DEPTH_MAX: usize = 128;
 
-/// Appends a message as a frame.
+/// Appends `message` to `bytes` as a frame, or as a line if it is too long for a frame.
 pub(super) fn write(message: &Message, bytes: &mut Vec<u8>) {
     let begin = bytes.len();
     bytes.extend_from_slice(&[MARK, 0, 0, 0, 0]);
@@ -26,7 +26,7 @@ pub(super) fn write(message: &Message, bytes: &mut Vec<u8>) {
     debug_assert!(written.is_ok(), "{written:?}");
     match u32::try_from(bytes.len() - begin - HEAD_BYTES) {
         Ok(length) => bytes[begin + 1..begin + HEAD_BYTES].copy_from_slice(&length.to_be_bytes()),
-        // Too long for a frame. Every peer accepts a line instead.
+        // The message is too long for a frame. Every peer also accepts a line.
         Err(_) => {
             bytes.truncate(begin);
             line::write(message, bytes);
@@ -34,14 +34,14 @@ pub(super) fn write(message: &Message, bytes: &mut Vec<u8>) {
     }
 }
 
-/// The payload's length, once the whole head has been received.
+/// The payload length in bytes; `None` until the whole header has been received.
 pub(super) fn length(head: &[u8]) -> Option<usize> {
     let length = head.get(1..HEAD_BYTES)?.try_into().map(u32::from_be_bytes).ok()?;
-    // If an address has fewer bits than a length, this is beyond any limit.
+    // On platforms where the length exceeds `usize`, it is beyond any limit.
     Some(usize::try_from(length).unwrap_or(usize::MAX))
 }
 
-/// Reads the payload of one frame.
+/// Parses the payload of one frame.
 pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
     let message = if names_one_message(payload) {
         read_whole(payload)
@@ -54,7 +54,7 @@ pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
     })
 }
 
-/// Whether it begins with a dictionary of one entry, in any form of MessagePack. The parser itself would also accept a list.
+/// Whether the payload starts with a MessagePack dictionary of one entry. The parser itself would also accept a list.
 const fn names_one_message(payload: &[u8]) -> bool {
     matches!(payload, [0x81, ..] | [0xDE, 0, 1, ..] | [0xDF, 0, 0, 0, 1, ..])
 }
@@ -76,7 +76,7 @@ fn read_whole<'a, T: Deserialize<'a>>(payload: &'a [u8]) -> Result<T, Error> {
     }
 }
 
-/// Parses an invalid payload again, more slowly, to find the path of the error and the ids for an answer.
+/// Parses an invalid payload again, more slowly, to find the path of the error and the ids for a response.
 fn explain(payload: &[u8], error: &Error) -> DecodeError {
     let well_formed = read_whole::<IgnoredAny>(payload);
     if let Err(fault) = well_formed {

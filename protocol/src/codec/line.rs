@@ -11,10 +11,10 @@ use super::{KnownScripts, carried};
 use crate::message::{Message, OnLine};
 use crate::text::shortened;
 
-/// The end of a line.
+/// The byte that ends a line.
 pub(super) const END: u8 = b'\n';
 
-/// Appends a message and its newline.
+/// Appends `message` and a newline to `line`.
 pub(super) fn write(message: &Message, line: &mut Vec<u8>) {
     const WITHOUT_SCRIPT: usize = 512;
     let written = match OnLine(message).gap() {
@@ -30,8 +30,7 @@ pub(super) fn write(message: &Message, line: &mut Vec<u8>) {
     line.push(END);
 }
 
-/// Replaces the empty list after this key by the text. No earlier part of the line matches the key, because quotes in strings are
-/// escaped.
+/// Replaces the empty list after `key` by `text`. No earlier part of the line matches `key`, because quotes in strings are escaped.
 fn fill(line: &mut Vec<u8>, begin: usize, key: &str, text: &str) {
     let gap = memmem::find(&line[begin..], key.as_bytes()).map_or(line.len(), |at| begin + at + key.len());
     let rest = line.split_off(gap);
@@ -39,7 +38,7 @@ fn fill(line: &mut Vec<u8>, begin: usize, key: &str, text: &str) {
     line.extend_from_slice(rest.strip_prefix(b"[]").unwrap_or_default());
 }
 
-/// Reads one line without its newline.
+/// Parses one line, given without its newline.
 pub(super) fn read(line: &[u8], known: Option<&KnownScripts>) -> Result<Message, DecodeError> {
     let text = std::str::from_utf8(line)
         .map_err(|e| DecodeError::bare(DecodeErrorKind::NotUtf8 { valid_up_to: e.valid_up_to() }))?;
@@ -52,7 +51,7 @@ pub(super) fn read(line: &[u8], known: Option<&KnownScripts>) -> Result<Message,
     })
 }
 
-/// Parses an invalid line again, more slowly, to find the path of the error and the ids for an answer.
+/// Parses an invalid line again, more slowly, to find the path of the error and the ids for a response.
 fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
     // A number beyond the range of a double, for example, is still JSON.
     if !error.is_data() && serde_json::from_str::<IgnoredAny>(text).is_err() {
@@ -69,7 +68,7 @@ fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
     DecodeError::invalid(path, message, addressee.unwrap_or_default())
 }
 
-/// The number of keys of an object.
+/// Deserializes an object to count its keys.
 struct KeyCount(usize);
 
 impl<'de> Deserialize<'de> for KeyCount {

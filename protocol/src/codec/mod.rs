@@ -15,12 +15,12 @@ pub use error::{DecodeError, DecodeErrorKind};
 use crate::encoding::Encoding;
 use crate::message::Message;
 
-/// Appends a message as a line of JSON, including its newline.
+/// Appends `message` to `bytes` as a line of JSON, including the newline.
 pub fn encode(message: &Message, bytes: &mut Vec<u8>) {
     line::write(message, bytes);
 }
 
-/// Appends a message in this encoding.
+/// Appends `message` to `bytes` in the given encoding.
 ///
 /// ```
 /// use urrcp::{Encoding, Decoder, Message, encode_as};

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{AvailabilityRequest, Command, ControlRequest, Script};
 
-/// A frame with this payload.
+/// Encodes `payload` as a frame.
 fn frame(payload: &[u8]) -> Vec<u8> {
     let length = u32::try_from(payload.len()).unwrap();
     [&[frame::MARK], length.to_be_bytes().as_slice(), payload].concat()
@@ -24,7 +24,7 @@ fn written(encoding: Encoding, message: &Message) -> Vec<u8> {
     bytes
 }
 
-/// The error for a payload. Checks that the following message is still read.
+/// Returns the decoding error for `payload`. Checks that the decoder still reads the next message.
 #[track_caller]
 fn refused(payload: &[u8]) -> DecodeError {
     let mut decoder = Decoder::default();
@@ -43,7 +43,7 @@ fn check_not_message_pack(payload: &[u8], says: &str) {
     assert!(message.contains(says), "{message}");
 }
 
-/// A control request in MessagePack with these additional fields.
+/// Encodes a control request in MessagePack, with `fields` in addition to the mandatory ones.
 fn request(fields: &[(&str, &[u8])]) -> Vec<u8> {
     let text = |text: &str| [&[0xD9, u8::try_from(text.len()).unwrap()], text.as_bytes()].concat();
     let mut payload = [&[0x81], text("control_request").as_slice()].concat();
@@ -170,7 +170,7 @@ fn depth_is_bounded() {
 
 #[test]
 fn lengths_that_lie_take_no_memory() {
-    // A text, a list of steps and a dictionary of four billion entries each, none of which follow.
+    // Headers of a text, a list of steps and a dictionary that state four billion entries, without any entries.
     for lie in [b"\xDB\xFF\xFF\xFF\xFF", b"\xDD\xFF\xFF\xFF\xFF", b"\xDF\xFF\xFF\xFF\xFF"] {
         check_not_message_pack(
             &request(&[("control_type", SCRIPT), ("control_value", lie)]),

@@ -1,4 +1,4 @@
-//! Steps 1 and 2: is the equipment available, and what does its clock show?
+//! Steps 1 and 2 of the protocol: whether the robot is available, and what its clock shows.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -8,24 +8,25 @@ use crate::object;
 use crate::text::SessionId;
 use crate::time::{Robot, Server, Timestamp};
 
-/// Step 1. Also renews the leases on a quiet link.
+/// Step 1 of the protocol: asks whether the robot is available. Also renews leases while the server has no other message to send.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityRequest {
-    /// When the server sent it, T1 of RFC 5905 (our extension).
+    /// When the server sent the request, T1 of RFC 5905 (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timestamp: Option<Timestamp<Server>>,
-    /// Claims the robot for this session; a robot that belongs to another answers `Failed` with `busy` (our extension).
+    /// The session that claims the robot (our extension). A robot that belongs to another session responds with `Failed` and `busy`.
+    /// `None`: the request claims nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
-    /// With a session: takes the robot from its current session, whose commands end (our extension). A robot complies if the peer has
-    /// proven by TLS that it has the role `seize`, and refuses otherwise.
+    /// With `session`: whether to take the robot from its current session, whose commands then end (our extension). The robot refuses
+    /// unless the peer has proven by TLS that it has the role `seize`.
     #[serde(default, deserialize_with = "flag", skip_serializing_if = "is_off")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<bool>"))]
     pub seize: bool,
 }
 
-/// Treats `null` like an omitted flag.
+/// Deserializes a flag; `null` counts as omitted.
 fn flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
     Option::deserialize(deserializer).map(Option::unwrap_or_default)
 }
@@ -35,26 +36,27 @@ const fn is_off(flag: &bool) -> bool {
     !*flag
 }
 
-/// Step 2. Together with the time of arrival, its three timestamps determine offset and delay as in NTP (RFC 5905, section 8).
+/// Step 2 of the protocol: the robot's response to an availability request. Its three timestamps and its arrival time determine clock
+/// offset and delay as in NTP (RFC 5905, section 8).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityResponse {
-    /// The request's own timestamp, echoed: T1.
+    /// The timestamp of the request, T1. `None` if the request had none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub originate_timestamp: Option<Timestamp<Server>>,
-    /// When the robot received the request: T2.
+    /// When the robot received the request, T2.
     pub receive_timestamp: Timestamp<Robot>,
-    /// When the robot sent this: T3.
+    /// When the robot sent this response, T3.
     pub timestamp: Timestamp<Robot>,
-    /// `OK`, or `Failed` with an error: then the mission stops.
+    /// `OK`, or `Failed` with an error. On `Failed` the mission stops.
     pub status: Status,
-    /// Why the check failed.
+    /// Why the status is `Failed`.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
 
 impl AvailabilityResponse {
-    /// The answer to a request that was received at one instant of the robot's clock and is answered at another.
+    /// Creates the response to `request` from the robot's clock readings at receipt and at sending.
     #[must_use]
     pub const fn new(
         request: &AvailabilityRequest,

@@ -1,4 +1,4 @@
-//! Step 5: the control signal, with all data for driving one device.
+//! Step 5 of the protocol: the control request, with all data for driving one device.
 
 use std::fmt;
 
@@ -14,47 +14,48 @@ use crate::number;
 use crate::text::{DeviceId, Label, RequestId, SessionId};
 use crate::time::{Millis, Robot, Server, Timestamp};
 
-/// Drives, reads or stops one device.
+/// Step 5 of the protocol: drives, reads or stops one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlRequest {
-    /// When the server sent it; all requests of one act carry the same.
+    /// When the server sent the request. All requests of one act have the same timestamp.
     pub timestamp: Option<Timestamp<Server>>,
-    /// Milliseconds from `timestamp` to the start. If omitted, the command starts on receipt.
+    /// Milliseconds from `timestamp` to the start. If it is omitted, the command starts on receipt.
     pub time_offset_to_start: Option<Millis>,
-    /// The addressed device.
+    /// The id of the device that the request addresses.
     pub device_id: DeviceId,
-    /// The lease. If omitted, there is none.
+    /// The lease of the command. `None`: the command has no lease.
     pub stop_condition: Option<StopCondition>,
-    /// The robot drops the request if it has not begun by this instant of the robot's clock. An inquiry that names the request may
-    /// replace the instant (our extension).
+    /// The instant by the robot's clock at which the robot drops the command if it has not started (our extension). An inquiry that names
+    /// the request may replace the instant.
     pub pending_until: Option<Timestamp<Robot>>,
-    /// Echoed in every response (our extension).
+    /// The id that every response to this request repeats (our extension).
     pub request_id: Option<RequestId>,
-    /// The hash of `control_value`, checked and echoed by the robot (our extension).
+    /// The hash of `control_value`, which the robot checks and repeats in its response (our extension).
     pub content_hash: Option<ContentHash>,
-    /// The session of the sender; a robot accepts commands of one session at a time (our extension).
+    /// The session of the sender (our extension). A robot accepts commands of only one session at a time.
     pub session: Option<SessionId>,
-    /// With an empty script: the device goes to its default state instead of coming to rest where it is (our extension).
+    /// With an empty script: whether the device goes to its default state instead of coming to rest where it is (our extension).
     pub home: bool,
-    /// The command: `control_type` with its values.
+    /// The control type with its values.
     pub command: Command,
 }
 
-/// The control type of a request with its values.
+/// The command in a control request: the control type with its values.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
-    /// position, speed, acceleration or custom_N.
+    /// Sets values of control type `position`, `speed`, `acceleration` or `custom_N`.
     Set(Setpoint),
-    /// script.
+    /// Plays a script; an empty one cancels.
     Script(Script),
-    /// sensor.
+    /// Requests a reading of the sensor.
     ReadSensor,
-    /// A control type that this version does not know, and that no device has. Its values are ignored.
+    /// A command of a control type that this version does not know and that no device has. Contains the name of the type; the values are
+    /// ignored.
     Unknown(Label),
 }
 
 impl Command {
-    /// The `control_type` on the wire, if this version knows it.
+    /// The control type of the command; `None` if this version does not know it.
     #[must_use]
     pub const fn control_type(&self) -> Option<ControlType> {
         match self {
@@ -65,7 +66,7 @@ impl Command {
         }
     }
 
-    /// SHA-256 over the canonical JSON of the value or the steps.
+    /// SHA-256 over the canonical JSON of the command's values or steps.
     #[must_use]
     pub fn content_hash(&self) -> ContentHash {
         let json = match self {
@@ -84,7 +85,7 @@ impl Command {
 }
 
 impl ControlRequest {
-    /// A request that starts at once on receipt, without a lease.
+    /// Creates a request that takes effect on receipt and has no lease.
     #[must_use]
     pub const fn immediate(device_id: DeviceId, command: Command) -> Self {
         Self {
@@ -101,16 +102,16 @@ impl ControlRequest {
         }
     }
 
-    /// Whether it is an empty script that takes effect at once: it ends the current command of the device, regardless of the session. A
-    /// script that sends the device home moves it, and is not a stop.
+    /// Whether the request is a stop: an empty script that takes effect on receipt. A stop ends the current command of the device,
+    /// regardless of the session. An empty script with `home` is not a stop, because it moves the device.
     #[must_use]
     pub fn is_stop(&self) -> bool {
         let empty = matches!(&self.command, Command::Script(script) if script.is_empty());
         empty && self.starts_at().is_none() && !self.home
     }
 
-    /// A request without a lease that starts at an instant of the server's clock, given as the time of sending and the time from there to
-    /// the start. All requests of one start should have the same `timestamp`.
+    /// Creates a request without a lease that starts `time_offset_to_start` after `timestamp`. All requests that are to start together
+    /// should have the same `timestamp`.
     #[must_use]
     pub fn deferred(
         timestamp: Timestamp<Server>,
@@ -125,28 +126,28 @@ impl ControlRequest {
         }
     }
 
-    /// The same request with an id, which every response to it repeats.
+    /// Returns this request with an id, which every response to it repeats.
     #[must_use]
     pub fn with_request_id(mut self, request_id: RequestId) -> Self {
         self.request_id = Some(request_id);
         self
     }
 
-    /// The same request with a lease.
+    /// Returns this request with a lease.
     #[must_use]
     pub const fn with_stop_condition(mut self, stop_condition: StopCondition) -> Self {
         self.stop_condition = Some(stop_condition);
         self
     }
 
-    /// The same request with the hash of its values, which the robot compares with the received values.
+    /// Returns this request with the hash of its values. The robot compares the hash with the values that it receives.
     #[must_use]
     pub fn with_content_hash(mut self) -> Self {
         self.content_hash = Some(self.command.content_hash());
         self
     }
 
-    /// The instant of its start; `None` if it starts on receipt.
+    /// The instant at which the command starts; `None` if it starts on receipt.
     #[must_use]
     pub fn starts_at(&self) -> Option<Timestamp<Server>> {
         Some(self.timestamp? + self.time_offset_to_start?.span())
@@ -166,7 +167,7 @@ impl Serialize for OnLine<'_, ControlRequest> {
 }
 
 impl ControlRequest {
-    /// Serializes it, with its script in the given form.
+    /// Serializes the request; `form` selects how its script is serialized.
     fn write<'a, S: Serializer, T: Serialize>(
         &'a self,
         serializer: S,
@@ -217,15 +218,15 @@ impl<'de> Deserialize<'de> for ControlRequest {
     }
 }
 
-/// `control_value` before its control type is known.
+/// A `control_value` that was parsed before its control type is known.
 enum RawValue {
     Null,
     Number(f64),
     Script(Script),
 }
 
-/// A control request of a control type that this version does not know. Its values are ignored, so that a list or a text there does not
-/// invalidate the request: it sends the device to its default state (paper, step 6).
+/// A control request whose control type this version does not know. Its values are ignored, so a list or a text among them does not make
+/// the request invalid. The request sends the device to its default state (paper, step 6).
 pub(crate) struct OfUnknownType(pub(crate) ControlRequest);
 
 impl<'de> Deserialize<'de> for OfUnknownType {
@@ -234,7 +235,7 @@ impl<'de> Deserialize<'de> for OfUnknownType {
     }
 }
 
-/// Whether the values of a request are read.
+/// Whether the parser reads the values of a request.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Values {
     Read,
@@ -339,7 +340,7 @@ enum RequestKey {
     Home,
     ControlType,
     Value,
-    /// `control_value_N`, numbered from 2.
+    /// The key `control_value_N`; N is at least 2.
     Further(usize),
     Unknown,
 }
@@ -405,7 +406,7 @@ fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
     })
 }
 
-/// The name of a control type, known or unknown.
+/// A control type by its name, which this version may not know.
 enum Named {
     Known(ControlType),
     Unknown(Label),

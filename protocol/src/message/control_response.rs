@@ -1,4 +1,4 @@
-//! Step 6: the robot's response to a control request.
+//! Step 6 of the protocol: the robot's response to a control request.
 
 use std::fmt;
 
@@ -14,44 +14,44 @@ use crate::object;
 use crate::text::{DeviceId, Label, RequestId};
 use crate::time::{Millis, Robot, Timestamp};
 
-/// Confirms acceptance, reports progress, or provides a reading.
+/// The robot's response to a control request: confirms acceptance, reports progress, or provides a sensor reading.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ControlResponse {
-    /// When the robot sent this. Not for synchronization.
+    /// When the robot sent this response. Not used for synchronization.
     pub timestamp: Timestamp<Robot>,
-    /// The device that reports.
+    /// The id of the device that the response is about.
     pub device_id: DeviceId,
     /// The result of the request.
     pub status: Status,
-    /// The value accepted for execution, or the reading; null on failure.
+    /// The value or script accepted for execution, or the sensor reading; null on failure.
     #[serde(default)]
     pub status_value: StatusValue,
-    /// Id of the request that this answers (our extension).
+    /// The id of the request that this response belongs to (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<RequestId>,
     /// The hash that the robot computed over the accepted value (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content_hash: Option<ContentHash>,
-    /// When the reported event, a start or an end, actually happened (our extension).
+    /// When the reported start or end actually happened (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event_timestamp: Option<Timestamp<Robot>>,
-    /// Number of executed steps (our extension).
+    /// Number of script steps executed so far (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_done: Option<u32>,
-    /// Number of executed steps that were late by more than a millisecond (our extension).
+    /// Number of executed script steps that were late by more than a millisecond (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
-    /// Delay of the latest step (our extension).
+    /// Largest delay of an executed script step, in milliseconds; `None` if no step was late (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
-    /// Why the request failed (our extension).
+    /// Why the request failed (our extension). `None` unless the status is `Failed`.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
 
 impl ControlResponse {
-    /// A response with only the mandatory fields. Set further fields as needed, or with `..ControlResponse::new(...)`.
+    /// Creates a response with only the mandatory fields. Set other fields afterwards or with `..ControlResponse::new(...)`.
     ///
     /// ```
     /// use urrcp::{ControlResponse, DeviceId, Status, StatusValue, Timestamp};
@@ -79,7 +79,7 @@ impl ControlResponse {
         }
     }
 
-    /// The answer `Failed` to a request, with the reason and the id of the request, if it has one.
+    /// Creates the response `Failed` to `request`, with the reason and with the id of the request, if it has one.
     #[must_use]
     pub fn refusal(timestamp: Timestamp<Robot>, request: &ControlRequest, error: ControlError) -> Self {
         Self {
@@ -103,7 +103,7 @@ impl Serialize for OnLine<'_, ControlResponse> {
 }
 
 impl ControlResponse {
-    /// Serializes it, with its value in the given form.
+    /// Serializes the response with `status_value` in place of its own value.
     fn write<S: Serializer>(&self, serializer: S, status_value: &impl Serialize) -> Result<S::Ok, S::Error> {
         let optional = [
             self.request_id.is_some(),
@@ -150,20 +150,20 @@ impl ControlResponse {
 pub enum Status {
     /// Completed.
     Ok,
-    /// Accepted for execution.
+    /// The robot has accepted the request for execution.
     Accepted,
-    /// The first value is set, or the device begins to move to it linearly (ours).
+    /// The device has set its first value, or has begun to move to it linearly (our extension).
     Started,
-    /// A sensor's reading.
+    /// The response provides a sensor reading.
     Provide,
-    /// Refused or ended early.
+    /// The robot has refused the request or ended it early.
     Failed,
-    /// A word that this version does not know.
+    /// A status that this version does not know.
     Other(Label),
 }
 
 impl Status {
-    /// The word on the wire.
+    /// The word that represents the status on the wire.
     #[must_use]
     pub fn as_str(&self) -> &str {
         match self {
@@ -206,12 +206,12 @@ impl<'de> Deserialize<'de> for Status {
 /// The value in a response.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum StatusValue {
-    /// No value, for example on failure.
+    /// The response has no value, for example on failure.
     #[default]
     Null,
-    /// The value of a setpoint, or a reading.
+    /// The value of a setpoint, or a sensor reading.
     Number(f64),
-    /// The accepted script.
+    /// The script accepted for execution.
     Script(Script),
 }
 

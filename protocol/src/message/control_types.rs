@@ -1,4 +1,4 @@
-//! The control types of a device with their parameters: ranges, granularity, number of steps.
+//! The control types of a device and their parameters: ranges, granularity, maximum number of steps.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,7 +15,7 @@ use crate::message::script::Setpoint;
 use crate::number;
 use crate::object::Object;
 
-/// Control types with their parameters, each at most once.
+/// The control types that a device supports, each with its parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ControlTypes(BTreeMap<ControlType, ControlParameters>);
 
@@ -23,17 +23,17 @@ pub struct ControlTypes(BTreeMap<ControlType, ControlParameters>);
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum ControlParameters {
-    /// Parameters of position, speed and acceleration.
+    /// Parameters of the control types `position`, `speed` and `acceleration`.
     Motion(Limits),
-    /// Parameters of script.
+    /// Parameters of the control type `script`.
     Script(ScriptParameters),
-    /// Parameters of sensor.
+    /// Parameters of the control type `sensor`.
     Sensor(SensorParameters),
-    /// Parameters of custom_N, which each type defines itself.
+    /// Parameters of a control type `custom_N`. Each custom type defines its own parameters.
     Custom(Map<String, Value>),
 }
 
-/// Bounds of a control signal, in the device's unit (paper, table 3).
+/// Range, granularity and error of the values of a control type, in the device's unit (paper, table 3).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Object<RawLimits>")]
@@ -46,11 +46,11 @@ pub struct Limits {
     #[serde(with = "number")]
     #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub max_value: f64,
-    /// Smallest step; above 0. Values are multiples of it, counted from zero.
+    /// Granularity; above 0. All values are multiples of it.
     #[serde(with = "number")]
     #[cfg_attr(feature = "schema", schemars(with = "f64", extend("exclusiveMinimum" = 0)))]
     pub granularity: f64,
-    /// Largest error due to construction or operating conditions.
+    /// Largest error of a value due to construction or operating conditions. `None`: unknown.
     #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     pub max_error: Option<f64>,
@@ -74,7 +74,7 @@ impl TryFrom<Object<RawLimits>> for Limits {
     fn try_from(Object(raw): Object<RawLimits>) -> Result<Self, LimitError> {
         check_range(raw.min_value, raw.max_value)?;
         check_not_negative("max_error", raw.max_error)?;
-        // Already finite, so the comparison is sufficient.
+        // The granularity is finite here, so this comparison also excludes NaN.
         if raw.granularity <= 0.0 {
             return Err(LimitError::Granularity { granularity: raw.granularity });
         }
@@ -104,17 +104,18 @@ fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), Limit
     }
 }
 
-/// Maximum distance of a value from the grid due to the rounding of decimal text, in steps.
+/// Maximum deviation of a value from a multiple of the granularity due to decimal rounding, as a fraction of the granularity.
 const GRID_TOLERANCE: f64 = 1e-6;
 
-/// For larger factors, the rounding of the granularity exceeds [`GRID_TOLERANCE`].
+/// Largest factor of a granularity for which decimal rounding is corrected. For larger factors, the rounding error of the granularity
+/// exceeds [`GRID_TOLERANCE`].
 const FACTOR_MAX: f64 = 1e9;
 
-/// Granularities have at most this many decimal digits.
+/// Powers of ten by which a granularity is multiplied to become an integer; granularities have at most 12 decimal digits.
 const POWERS_OF_TEN: [f64; 13] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12];
 
 impl Limits {
-    /// Creates limits without a known error.
+    /// Creates limits with an unknown error.
     ///
     /// # Errors
     /// [`LimitError`] if a number is not finite, `min_value` is above `max_value`, the granularity is not above 0, or no multiple of
@@ -124,36 +125,35 @@ impl Limits {
         Self::try_from(Object(RawLimits { min_value, max_value, granularity, max_error: None }))
     }
 
-    /// Whether the value is between min_value and max_value.
+    /// Whether `value` is from `min_value` to `max_value`, inclusive.
     #[must_use]
     pub fn contains(&self, value: f64) -> bool {
         value >= self.min_value && value <= self.max_value
     }
 
-    /// Whether the value is a multiple of the granularity, except for the rounding of decimal text.
+    /// Whether `value` is a multiple of the granularity, apart from decimal rounding.
     #[must_use]
     pub fn on_grid(&self, value: f64) -> bool {
         let steps = value / self.granularity;
         (steps - steps.round()).abs() <= GRID_TOLERANCE
     }
 
-    /// The multiple of the granularity nearest to the value. It may be outside the limits.
+    /// The multiple of the granularity nearest to `value`. It may be outside the limits.
     #[must_use]
     pub fn nearest(&self, value: f64) -> f64 {
         self.multiple((value / self.granularity).round())
     }
 
-    /// The settable value nearest to this one: a multiple of the granularity within the limits.
+    /// The multiple of the granularity within the limits that is nearest to `value`.
     #[must_use]
     pub fn nearest_settable(&self, value: f64) -> f64 {
         let [low, high] = self.multiples();
         let multiple = self.multiple((value / self.granularity).round().min(high).max(low));
-        // A bound may deviate from the grid by the rounding of decimal text.
+        // Decimal rounding may place a bound slightly off the grid.
         multiple.clamp(self.min_value, self.max_value)
     }
 
-    /// The multiple of the granularity with this factor, with at most as many decimal digits as the granularity: 41 * 0.1 is 4.1, not
-    /// 4.1000000000000005.
+    /// Returns `factor` times the granularity, rounded to the decimal digits of the granularity: 41 * 0.1 is 4.1, not 4.1000000000000005.
     fn multiple(&self, factor: f64) -> f64 {
         let is_whole = |scale: &f64| {
             let scaled = self.granularity * scale;
@@ -185,48 +185,48 @@ impl Limits {
     }
 }
 
-/// The parameters of a script, including the inherited ones.
+/// The parameters of the control type `script`, after inheritance.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ScriptParameters {
-    /// Parameters that are omitted are inherited from the control type that the script supports.
+    /// Limits of the values in steps. Omitted limits are inherited from the control type that the script supports.
     #[serde(flatten)]
     #[cfg_attr(feature = "schema", schemars(with = "InheritedLimits"))]
     pub limits: Limits,
     /// Largest number of steps in one script; at least 1.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_number_of_steps: u32,
-    /// Control types that steps may use; by default all of the device except script and sensor (our extension).
+    /// The control types that steps may use (our extension). `None`: all control types of the device except `script` and `sensor`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub control_types: Option<Vec<ControlType>>,
 }
 
 impl ScriptParameters {
-    /// Scripts of at most this many steps, which may use every control type of the device within these limits.
+    /// Parameters for scripts of at most `max_number_of_steps` steps, which may use every control type of the device within `limits`.
     #[must_use]
     pub const fn new(limits: Limits, max_number_of_steps: u32) -> Self {
         Self { limits, max_number_of_steps, control_types: None }
     }
 }
 
-/// The schema of limits that may be inherited.
+/// The JSON Schema of limits of which each may be omitted and inherited.
 #[cfg(feature = "schema")]
 #[derive(schemars::JsonSchema)]
 #[expect(dead_code, reason = "only its schema is used")]
 struct InheritedLimits {
-    /// Smallest value in steps.
+    /// Smallest value that a step may set.
     min_value: Option<f64>,
-    /// Largest value in steps.
+    /// Largest value that a step may set.
     max_value: Option<f64>,
-    /// Smallest step; above 0.
+    /// Granularity; above 0.
     #[schemars(extend("exclusiveMinimum" = 0))]
     granularity: Option<f64>,
-    /// Largest error due to construction or operating conditions.
+    /// Largest error of a value due to construction or operating conditions. `None`: unknown.
     #[schemars(range(min = 0))]
     max_error: Option<f64>,
 }
 
-/// The parameters of a script as written in JSON.
+/// The parameters of the control type `script` as written in JSON, before inheritance.
 #[derive(Deserialize)]
 struct WrittenScript {
     #[serde(default, with = "number::optional")]
@@ -243,7 +243,8 @@ struct WrittenScript {
 }
 
 impl WrittenScript {
-    /// Inherits omitted parameters from the supported control type. If several of these have different limits, nothing is inherited.
+    /// Inherits omitted parameters from the control type that the script supports. If it supports several control types with different
+    /// limits, it inherits nothing.
     fn inherit(self, types: &BTreeMap<ControlType, ControlParameters>) -> Result<ScriptParameters, String> {
         let Self { min_value, max_value, granularity, max_error, max_number_of_steps, control_types } = self;
         if max_number_of_steps == 0 {
@@ -280,7 +281,7 @@ impl WrittenScript {
     }
 }
 
-/// Properties of a sensor (paper, table 4).
+/// Parameters of the control type `sensor` (paper, table 4).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Object<RawSensor>")]
@@ -293,11 +294,11 @@ pub struct SensorParameters {
     #[serde(with = "number")]
     #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub max_value: f64,
-    /// Largest error of a reading.
+    /// Largest error of a reading. `None`: unknown.
     #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     pub max_error: Option<f64>,
-    /// Largest latency in milliseconds.
+    /// Largest latency of a reading in milliseconds. `None`: unknown.
     #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     pub max_delay: Option<f64>,
@@ -328,7 +329,7 @@ impl TryFrom<Object<RawSensor>> for SensorParameters {
 }
 
 impl SensorParameters {
-    /// A sensor with unknown error and delay.
+    /// Creates the parameters of a sensor with unknown error and delay.
     ///
     /// # Errors
     /// [`LimitError`] if a number is not finite, or `min_value` exceeds `max_value`.
@@ -339,18 +340,18 @@ impl SensorParameters {
 }
 
 impl ControlTypes {
-    /// Adds a control type, or replaces its parameters.
+    /// Adds a control type, or replaces the parameters of a control type that is already present.
     pub(super) fn insert(&mut self, control_type: ControlType, parameters: ControlParameters) {
         self.0.insert(control_type, parameters);
     }
 
-    /// The parameters of a control type, if the device has it.
+    /// The parameters of a control type; `None` if the device lacks the control type.
     #[must_use]
     pub fn get(&self, control_type: ControlType) -> Option<&ControlParameters> {
         self.0.get(&control_type)
     }
 
-    /// The bounds of position, speed or acceleration.
+    /// The limits of `position`, `speed` or `acceleration`; `None` for other control types and for those that the device lacks.
     #[must_use]
     pub fn limits(&self, control_type: ControlType) -> Option<&Limits> {
         match self.get(control_type)? {
@@ -359,7 +360,7 @@ impl ControlTypes {
         }
     }
 
-    /// The parameters of script, if the device accepts scripts.
+    /// The parameters of `script`; `None` if the device does not accept scripts.
     #[must_use]
     pub fn script(&self) -> Option<&ScriptParameters> {
         match self.get(ControlType::Script)? {
@@ -368,7 +369,7 @@ impl ControlTypes {
         }
     }
 
-    /// The parameters of sensor, if the device is one.
+    /// The parameters of `sensor`; `None` if the device is not a sensor.
     #[must_use]
     pub fn sensor(&self) -> Option<&SensorParameters> {
         match self.get(ControlType::Sensor)? {
@@ -377,8 +378,9 @@ impl ControlTypes {
         }
     }
 
-    /// The `at_rest` that a custom type declares (our extension), for a command with this many values. A number applies to all of them; a
-    /// list has one entry per value, and its last entry also applies to further values.
+    /// The setpoint at rest of a command with `count` values, as a custom control type declares it in `at_rest` (our extension). If
+    /// `at_rest` is a number, it applies to all values. If it is a list, each entry applies to one value, and the last entry also applies
+    /// to further values.
     #[must_use]
     pub fn at_rest(&self, control_type: ControlType, count: usize) -> Option<Setpoint> {
         let ControlParameters::Custom(parameters) = self.get(control_type)? else { return None };
@@ -388,13 +390,13 @@ impl ControlTypes {
         Some(Setpoint { more, ..Setpoint::new(control_type, value(0)?) })
     }
 
-    /// Iterates over all of them, in the order of [`ControlType`].
+    /// Iterates over all control types and their parameters, in the order of [`ControlType`].
     pub fn iter(&self) -> impl Iterator<Item = (ControlType, &ControlParameters)> {
         self.0.iter().map(|(control_type, parameters)| (*control_type, parameters))
     }
 }
 
-/// The values of `at_rest`, if there is one.
+/// The values of the parameter `at_rest`; `None` if it is absent.
 fn declared_at_rest(parameters: &Map<String, Value>) -> Result<Option<Vec<f64>>, &'static str> {
     const EXPECTED: &str =
         "invalid `at_rest` of a custom control type, expected a number or a list of 1 to 256 numbers";
@@ -446,7 +448,7 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
         let mut script: Option<WrittenScript> = None;
         while let Some(control_type) = map.next_key::<ControlType>()? {
             let parameters = match control_type {
-                // The inherited parameters may follow it.
+                // The control types from which the script inherits may come later.
                 ControlType::Script if script.is_none() => {
                     script = Some(map.next_value::<Object<WrittenScript>>()?.0);
                     continue;

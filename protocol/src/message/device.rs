@@ -19,45 +19,45 @@ use crate::time::Span;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Interpolation {
-    /// The value is set at the step's time and held.
+    /// The device sets the value at the step's time and holds it.
     #[default]
     Hold,
-    /// The value moves linearly and arrives at the step's time.
+    /// The device moves linearly and reaches the value at the step's time.
     Linear,
 }
 
-/// One device of a robot.
+/// A device of a robot, as its robot describes it.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Device {
-    /// Unique among the robot's devices.
+    /// The id of the device, unique within the robot.
     pub id: DeviceId,
-    /// The device's name, for people.
+    /// The name of the device, for people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<Label>,
-    /// Unit of all values of this device (our extension).
+    /// The unit of all values of the device (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<Label>,
-    /// Its value in the default state; without one, it holds its last position there (our extension).
+    /// The value of the device in its default state (our extension). `None`: in its default state the device holds its last position.
     #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub default_value: Option<f64>,
-    /// How it moves between script steps (our extension).
+    /// How the device moves between script steps (our extension).
     #[serde(default)]
     pub interpolation: Interpolation,
-    /// Maximum number of scripts that the device holds and that have not ended (our extension).
+    /// Maximum number of scripts that the device holds at a time, pending or running (our extension).
     #[serde(default = "one_script")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub script_queue: u32,
-    /// Median time from the instant at which a value is passed to the device until the first visible motion (our extension).
+    /// Median time from passing a value to the device until the first visible motion (our extension).
     #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
     pub latency: Option<Span>,
-    /// 95 % of all trials are within the latency ± this; only with a latency (our extension).
+    /// Spread of the latency: 95 % of all trials are within `latency` ± `latency_spread` (our extension). Requires `latency`.
     #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
     pub latency_spread: Option<Span>,
-    /// The control types by which it can be driven or read.
+    /// The control types by which the device can be driven or read.
     pub available_control_types: ControlTypes,
 }
 
@@ -66,8 +66,8 @@ const fn one_script() -> u32 {
 }
 
 impl Device {
-    /// A device that accepts nothing yet: add control types with `with_...`. By default it holds values between the steps of a script,
-    /// and holds one script at a time. Set the other fields as needed.
+    /// Creates a device without control types; add them with `with_...`. By default the device holds its value between script steps, and
+    /// its script queue has room for one script. Set the other fields as needed.
     ///
     /// ```
     /// use urrcp::{Device, DeviceId, Interpolation, Limits, ScriptParameters};
@@ -94,37 +94,38 @@ impl Device {
         }
     }
 
-    /// The same device, which accepts positions within these limits.
+    /// Returns this device with the control type `position` within `limits`.
     #[must_use]
     pub fn with_position(self, limits: Limits) -> Self {
         self.with(ControlType::Position, ControlParameters::Motion(limits))
     }
 
-    /// The same device, which accepts speeds within these limits.
+    /// Returns this device with the control type `speed` within `limits`.
     #[must_use]
     pub fn with_speed(self, limits: Limits) -> Self {
         self.with(ControlType::Speed, ControlParameters::Motion(limits))
     }
 
-    /// The same device, which accepts accelerations within these limits. A linear device uses them to slow down on a stop.
+    /// Returns this device with the control type `acceleration` within `limits`. A device with linear interpolation uses the limits to
+    /// slow down on a stop.
     #[must_use]
     pub fn with_acceleration(self, limits: Limits) -> Self {
         self.with(ControlType::Acceleration, ControlParameters::Motion(limits))
     }
 
-    /// The same device, which accepts scripts of its control types.
+    /// Returns this device with the control type `script`.
     #[must_use]
     pub fn with_scripts(self, parameters: ScriptParameters) -> Self {
         self.with(ControlType::Script, ControlParameters::Script(parameters))
     }
 
-    /// The same device with a sensor.
+    /// Returns this device with the control type `sensor`.
     #[must_use]
     pub fn with_sensor(self, parameters: SensorParameters) -> Self {
         self.with(ControlType::Sensor, ControlParameters::Sensor(parameters))
     }
 
-    /// The same device, which accepts `custom_N` with these parameters.
+    /// Returns this device with the control type `custom_N`, where N is `number`.
     #[must_use]
     pub fn with_custom(self, number: u32, parameters: serde_json::Map<String, serde_json::Value>) -> Self {
         self.with(ControlType::Custom(number), ControlParameters::Custom(parameters))
@@ -135,27 +136,28 @@ impl Device {
         self
     }
 
-    /// The control type of plain values: the first of position, speed, acceleration, custom_N.
+    /// The first control type that the device supports of `position`, `speed`, `acceleration`, `custom_N`. `None` if it supports none of
+    /// these.
     #[must_use]
     pub fn primary_control_type(&self) -> Option<ControlType> {
         let mut types = self.available_control_types.iter().map(|(control_type, _)| control_type);
         types.find(|t| !matches!(t, ControlType::Script | ControlType::Sensor))
     }
 
-    /// Its actuation latency, if the robot declares one.
+    /// The actuation latency of the device; `None` if the robot declares none.
     #[must_use]
     pub fn actuation_latency(&self) -> Option<Latency> {
         Some(Latency { median: self.latency?, spread: self.latency_spread.unwrap_or_default() })
     }
 
-    /// The same device with this declared actuation latency.
+    /// Returns this device with a declared actuation latency.
     #[must_use]
     pub const fn with_latency(mut self, latency: Latency) -> Self {
         (self.latency, self.latency_spread) = (Some(latency.median), Some(latency.spread));
         self
     }
 
-    /// Checks that a spread has a latency.
+    /// Checks that `latency` is set if `latency_spread` is.
     pub(super) fn check_latency(&self) -> Result<(), LimitError> {
         match (self.latency, self.latency_spread) {
             (None, Some(_)) => Err(LimitError::SpreadAlone { id: self.id.to_string() }),
@@ -171,7 +173,7 @@ impl Device {
         }
     }
 
-    /// Checks that a stop cannot lead to a position that no command may set.
+    /// Checks that the default value is within the limits, so that a stop cannot lead to a position that no command may set.
     pub(super) fn check_default(&self) -> Result<(), LimitError> {
         let limits =
             self.primary_control_type().and_then(|primary| self.available_control_types.limits(primary));
@@ -186,7 +188,7 @@ impl Device {
         }
     }
 
-    /// The control types that a script of this device may use; empty without scripts.
+    /// The control types that a script for this device may use; empty if the device does not accept scripts.
     #[must_use]
     pub fn script_control_types(&self) -> Vec<ControlType> {
         let Some(script) = self.available_control_types.script() else { return Vec::new() };
@@ -214,10 +216,10 @@ impl Device {
         }
     }
 
-    /// Checks a setpoint of a script step: against its control type and the inherited limits.
+    /// Checks the setpoint of a script step against the parameters of its control type and the limits of scripts.
     ///
     /// # Errors
-    /// As [`Device::check`].
+    /// The same errors as [`Device::check`].
     pub fn check_in_script(&self, setpoint: &Setpoint) -> Result<(), ControlError> {
         let Some(script) = self.available_control_types.script() else {
             return Err(self.unsupported(ControlType::Script));

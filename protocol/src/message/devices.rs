@@ -1,4 +1,4 @@
-//! The devices of a robot, shared by all copies of its description.
+//! The list of a robot's devices, which all copies of the robot's description share.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -7,8 +7,8 @@ use serde::{Serialize, Serializer};
 
 use super::Device;
 
-/// The devices in an initialization block. A copy shares them with its original until either is changed, so that a robot with thousands
-/// of devices describes itself without copying them.
+/// The devices in an initialization block. A clone shares the list with its original until either is changed, so that cloning a
+/// description with thousands of devices is cheap.
 ///
 /// ```
 /// use urrcp::{Device, DeviceId, Devices};
@@ -21,7 +21,7 @@ use super::Device;
 pub struct Devices(Arc<Vec<Device>>);
 
 impl Devices {
-    /// Whether both share the same list in memory.
+    /// Whether `self` and `other` share one list in memory.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)

@@ -1,4 +1,4 @@
-//! Steps 3 and 4: the robot's description and its devices.
+//! Steps 3 and 4 of the protocol: the request for the robot's description, and the description.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -17,45 +17,45 @@ use crate::time::{Server, Timestamp};
 /// The version of the protocol that [`InitializationBlock::new`] declares.
 pub const API_VERSION: &str = "1";
 
-/// Step 3: describe yourself.
+/// Step 3 of the protocol: asks the robot for its description.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct InitializationRequest {
-    /// When the server sent it (our extension).
+    /// When the server sent the request (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timestamp: Option<Timestamp<Server>>,
 }
 
-/// Step 4: the robot's own description (paper, figure 2).
+/// Step 4 of the protocol: the robot's description of itself (paper, figure 2).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Object<RawBlock>")]
 pub struct InitializationBlock {
-    /// Identifies the robot uniquely.
+    /// The unique id of the robot.
     pub id: RobotId,
-    /// For people; unique in one system.
+    /// The name of the robot for people, unique within one system.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<Label>,
-    /// Its intended use.
+    /// The intended use of the robot.
     #[serde(rename = "type", skip_serializing_if = "Option::is_none")]
     pub robot_type: Option<RobotType>,
-    /// Its manufacturer.
+    /// The manufacturer of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub manufacture: Option<Label>,
-    /// The robot's version.
+    /// The version of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub version: Option<Label>,
-    /// The URRCP version.
+    /// The version of URRCP that the robot implements.
     pub api_version: Label,
-    /// Whether it sends `Started`, `OK` and `Failed` after `Accepted` (our extension).
+    /// Whether the robot sends `Started`, `OK` and `Failed` after `Accepted` (our extension).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub reports: bool,
-    /// Supported encodings in addition to JSON, such as `msgpack` (our extension).
+    /// The encodings that the robot supports in addition to JSON, such as `msgpack` (our extension).
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub encodings: Vec<Label>,
-    /// Whether it answers an `inquiry` (our extension).
+    /// Whether the robot answers inquiries (our extension).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub inquiry: bool,
@@ -63,7 +63,7 @@ pub struct InitializationBlock {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub pending_until: bool,
-    /// 1 to 32,000 devices, ids unique.
+    /// The robot's devices: 1 to 32,000, with unique ids.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<Device>", length(min = 1, max = DEVICES_MAX)))]
     pub devices: Devices,
 }
@@ -92,7 +92,7 @@ struct RawBlock {
     devices: Vec<Object<Device>>,
 }
 
-/// Reads a list of at most [`ENCODINGS_MAX`] encodings.
+/// Deserializes a list of at most [`ENCODINGS_MAX`] encodings.
 fn encodings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Label>, D::Error> {
     match deserializer.deserialize_seq(Bounded { most: ENCODINGS_MAX, of: PhantomData })? {
         (encodings, count) if count <= ENCODINGS_MAX => Ok(encodings),
@@ -100,7 +100,7 @@ fn encodings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Label>, D
     }
 }
 
-/// Reads a list of at most [`DEVICES_MAX`] devices, whose custom control types are bounded together.
+/// Deserializes a list of at most [`DEVICES_MAX`] devices. A common limit applies to the parameters of all their custom control types.
 fn devices<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Object<Device>>, D::Error> {
     let list = Bounded { most: DEVICES_MAX, of: PhantomData };
     match parameters::together(ROBOT_PARAMETERS_MAX, || deserializer.deserialize_seq(list))? {
@@ -109,7 +109,7 @@ fn devices<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Object<Devi
     }
 }
 
-/// Reads a list and its length: entries beyond `most` are counted and discarded.
+/// Deserializes a list together with its length. Counts and discards entries beyond `most`.
 struct Bounded<T> {
     most: usize,
     of: PhantomData<T>,
@@ -172,8 +172,8 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
 }
 
 impl InitializationBlock {
-    /// The description of a robot with these devices. It declares no extension of the protocol: set the other fields as needed. A robot
-    /// of the crate `downbeat-robot` itself sets the extensions that it implements.
+    /// Creates a description that declares no extension of the protocol. Set the other fields as needed. A robot of the crate
+    /// `downbeat-robot` itself declares the extensions that it implements.
     ///
     /// # Errors
     /// [`LimitError`] if there is no device or more than [`DEVICES_MAX`], two have the same id, a default value is outside its device's
@@ -195,13 +195,13 @@ impl InitializationBlock {
         }))
     }
 
-    /// The device with this id.
+    /// The device with the given id; `None` if the robot has no such device.
     #[must_use]
     pub fn device(&self, id: &str) -> Option<&Device> {
         self.devices.iter().find(|device| device.id.as_str() == id)
     }
 
-    /// The same robot, with this encoding declared as supported.
+    /// Returns this description with `encoding` declared as supported.
     #[must_use]
     pub fn and_understands(mut self, encoding: Encoding) -> Self {
         if !self.understands(encoding) {
@@ -210,7 +210,7 @@ impl InitializationBlock {
         self
     }
 
-    /// Declares that the robot answers inquiries and acts on `pending_until`.
+    /// Returns this description with the declaration that the robot answers inquiries and acts on `pending_until`.
     #[must_use]
     pub const fn and_answers_inquiries(mut self) -> Self {
         self.inquiry = true;
@@ -218,7 +218,7 @@ impl InitializationBlock {
         self
     }
 
-    /// Whether the robot declares support for this encoding. JSON is always supported.
+    /// Whether the robot supports `encoding`. Every robot supports JSON.
     #[must_use]
     pub fn understands(&self, encoding: Encoding) -> bool {
         encoding == Encoding::Json || self.encodings.iter().any(|listed| listed.as_str() == encoding.as_str())
@@ -230,14 +230,14 @@ impl InitializationBlock {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum RobotType {
-    /// For production, usually a manipulator.
+    /// A robot for production, usually a manipulator.
     Industrial,
-    /// For moving goods.
+    /// A robot that moves goods.
     Transport,
-    /// General purpose, like a human.
+    /// A general-purpose robot that resembles a human.
     Anthropomorphic,
-    /// For the military.
+    /// A military robot.
     Military,
-    /// None of the above.
+    /// A robot for another use.
     Other,
 }

@@ -1,4 +1,4 @@
-//! A query without effect: the state of requests, and the room and the commanded position of devices.
+//! The inquiry: queries the states of requests, and the free queue space and commanded positions of devices.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -15,50 +15,50 @@ use crate::object::{self, Object};
 use crate::text::{DeviceId, RequestId, SessionId};
 use crate::time::{Millis, Robot, Server, Timestamp};
 
-/// Queries a robot about its requests and devices (our extension). Starts, stops and moves nothing, and does not claim the robot. Like
-/// any message, it renews the leases of its sender.
+/// Queries a robot about its requests and devices (our extension). An inquiry starts, stops and moves nothing, and does not claim the
+/// robot. Like any message, it renews the leases of its sender.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Inquiry {
-    /// When the server sent it, T1 of RFC 5905: every inquiry is also a clock sample.
+    /// When the server sent the inquiry, T1 of RFC 5905. Every inquiry with a timestamp is also a clock sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timestamp: Option<Timestamp<Server>>,
     /// The session of the sender. Only the session that owns the robot receives information about requests.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
-    /// The requests whose state is queried; at most 32,000.
+    /// The ids of the requests to query; at most 32,000.
     #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<RequestId>>", length(max = INQUIRY_NAMES_MAX)))]
     pub requests: Vec<RequestId>,
-    /// The devices whose room for further scripts is queried; at most 32,000.
+    /// The ids of the devices to query; at most 32,000.
     #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceId>>", length(max = INQUIRY_NAMES_MAX)))]
     pub devices: Vec<DeviceId>,
-    /// After receipt, the pending lease of each request in `requests` that is held and has not begun is the shorter of its own and this
-    /// one; in milliseconds.
+    /// Upper bound in milliseconds for the pending leases of the requests in `requests` that are held and have not started. From receipt
+    /// of the inquiry, the shorter of this lease and the request's own one applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_lease: Option<Millis>,
-    /// The pending lease of each request in `requests` that is held and has not begun ends no later than this instant of the robot's
-    /// clock, regardless of later messages. Replaces the instant of the request itself or of an earlier inquiry of the same sender. An
-    /// inquiry without this key leaves the instant unchanged.
+    /// Latest end of the pending leases of the requests in `requests` that are held and have not started. It is an instant of the robot's
+    /// clock and applies regardless of later messages. Replaces the instant set by the request itself or by an earlier inquiry of the
+    /// same sender. An inquiry without this key leaves the instant unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_until: Option<Timestamp<Robot>>,
 }
 
-/// The robot's knowledge at one instant.
+/// The robot's response to an inquiry: the states of requests and devices at one instant.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InquiryResponse {
-    /// The inquiry's own timestamp, echoed: T1.
+    /// The timestamp of the inquiry, T1. `None` if the inquiry had none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub originate_timestamp: Option<Timestamp<Server>>,
     /// When the robot received the inquiry: T2.
     pub receive_timestamp: Timestamp<Robot>,
-    /// When the robot sent this: T3.
+    /// When the robot sent this response: T3.
     pub timestamp: Timestamp<Robot>,
     /// `OK`, or `Failed` with an error.
     pub status: Status,
-    /// `busy`: the robot belongs to another session. `internal`: its hardware is absent.
+    /// Why the status is `Failed`. `busy`: the robot belongs to another session. `internal`: the robot's hardware is absent.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
     /// One entry per queried request, in the same order; empty if the robot belongs to another session.
@@ -77,27 +77,27 @@ pub struct InquiryResponse {
 pub struct RequestReport {
     /// The id of the request.
     pub request_id: RequestId,
-    /// Its state.
+    /// The state of the request.
     pub state: RequestState,
-    /// The hash that the robot computed over the accepted value.
+    /// The hash that the robot computed over the accepted value of the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content_hash: Option<ContentHash>,
-    /// The planned start, while it is held or running.
+    /// The planned start, while the request is held or running.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_timestamp: Option<Timestamp<Robot>>,
-    /// The actual start, once it has started.
+    /// The actual start, once the request has started.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub event_timestamp: Option<Timestamp<Robot>>,
-    /// Number of executed steps.
+    /// Number of script steps executed so far.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_done: Option<u32>,
-    /// Number of executed steps that were late by more than a millisecond.
+    /// Number of executed script steps that were late by more than a millisecond.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
-    /// Delay of the latest step.
+    /// Largest delay of an executed script step, in milliseconds; `None` if no step was late.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
-    /// Why an ended request was refused or ended early. Absent if it completed.
+    /// Why the robot refused the request or ended it early. `None` if the request completed or has not ended.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
@@ -107,33 +107,33 @@ pub struct RequestReport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RequestState {
-    /// The robot never received it, has forgotten it or has restarted since.
+    /// The robot never received the request, has forgotten it or has restarted since.
     Unknown,
-    /// Accepted, but not yet due.
+    /// The robot has accepted the request, but the start is not yet due.
     Held,
-    /// Begun and not yet ended.
+    /// The request has started and has not ended.
     Running,
-    /// Completed, refused or ended early.
+    /// The request was completed, refused or ended early.
     Ended,
 }
 
-/// The room and the commanded position of a device.
+/// The free queue space and the commanded position of a device.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceReport {
     /// The id of the device.
     pub device_id: DeviceId,
-    /// Number of free places in its script queue.
+    /// Number of further scripts that the device's script queue can hold.
     pub room: u32,
-    /// The commanded position at the instant of the answer, in the device's unit. Absent if the device has no position or the
-    /// robot does not know it.
+    /// The commanded position when the robot responds, in the device's unit. `None` if the device has no position or the robot does not
+    /// know it.
     #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub position: Option<f64>,
 }
 
 impl InquiryResponse {
-    /// The answer to an inquiry with the instants of its receipt and of the answer by the robot's clock, without entries.
+    /// Creates a response without entries to `inquiry`, from the robot's clock readings at receipt and at sending.
     #[must_use]
     pub const fn new(
         inquiry: &Inquiry,
@@ -154,7 +154,7 @@ impl InquiryResponse {
 }
 
 impl RequestReport {
-    /// A report with only the state.
+    /// Creates a report that contains only the state.
     #[must_use]
     pub const fn new(request_id: RequestId, state: RequestState) -> Self {
         Self {
@@ -171,18 +171,18 @@ impl RequestReport {
     }
 }
 
-/// Reads a list of at most [`INQUIRY_NAMES_MAX`] entries; null is an empty list.
+/// Deserializes a list of at most [`INQUIRY_NAMES_MAX`] entries; null counts as an empty list.
 fn names<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
     Ok(Option::<List<T>>::deserialize(deserializer)?.map(|List(names)| names).unwrap_or_default())
 }
 
-/// Reads a list of objects with the same limit.
+/// Deserializes a list of at most [`INQUIRY_NAMES_MAX`] objects; null counts as an empty list.
 fn objects<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
     let list: Vec<Object<T>> = names(deserializer)?;
     Ok(list.into_iter().map(|Object(entry)| entry).collect())
 }
 
-/// A list whose length is bounded.
+/// A list of at most [`INQUIRY_NAMES_MAX`] entries.
 struct List<T>(Vec<T>);
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for List<T> {

@@ -1,4 +1,4 @@
-//! The time from a command to visible motion.
+//! The actuation latency of a device: the time from a command to visible motion.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
@@ -6,22 +6,22 @@ use crate::limits::{LATENCY_MS_MAX, LimitError};
 use crate::number;
 use crate::time::Span;
 
-/// The actuation latency of a device: from the instant at which a value is passed to it until the first visible motion (our extension).
+/// The actuation latency of a device: the time from passing a value to the device until the first visible motion (our extension).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Latency {
-    /// The median of all trials.
+    /// The median latency of all trials.
     #[serde(rename = "median_ms")]
     pub median: Span,
-    /// 95 % of all trials are within the median ± this.
+    /// The spread: 95 % of all trials are within `median` ± `spread`.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
 }
 
 impl Latency {
-    /// Checks that both are from 0 to [`LATENCY_MS_MAX`] milliseconds.
+    /// Creates a latency from a median and a spread, each from 0 to [`LATENCY_MS_MAX`] milliseconds.
     ///
     /// # Errors
-    /// [`LimitError::Latency`] otherwise.
+    /// [`LimitError::Latency`] if a value is outside that range.
     pub fn new(median: Span, spread: Span) -> Result<Self, LimitError> {
         [median, spread].into_iter().try_for_each(check)?;
         Ok(Self { median, spread })
@@ -33,7 +33,7 @@ fn check(span: Span) -> Result<(), LimitError> {
     if (0.0..=LATENCY_MS_MAX).contains(&millis) { Ok(()) } else { Err(LimitError::Latency { millis }) }
 }
 
-/// A latency, or its spread, on the wire: milliseconds that may be omitted or null.
+/// Serialization of a latency or its spread as milliseconds that may be omitted or null.
 pub(super) mod wire {
     use super::{Deserialize, Deserializer, LimitError, Serialize, Serializer, Span, check, de, number};
 
@@ -44,7 +44,7 @@ pub(super) mod wire {
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Span>, D::Error> {
         let Some(number::Number(millis)) = Option::<number::Number>::deserialize(d)? else { return Ok(None) };
         let span = Span::from_millis_f64(millis);
-        // Rounding to nanoseconds would hide a slightly negative number.
+        // `span` is rounded to nanoseconds, which would hide a slightly negative number.
         if millis < 0.0 { Err(LimitError::Latency { millis }) } else { check(span).map(|()| Some(span)) }
             .map_err(de::Error::custom)
     }

@@ -1,4 +1,4 @@
-//! The eight messages: an object with exactly one key, which names the message.
+//! The eight messages of the protocol. On the wire, each is an object with exactly one key, which names the message.
 
 mod availability;
 mod control_request;
@@ -40,31 +40,31 @@ pub use stop_condition::StopCondition;
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Message {
-    /// Step 1, server to robot: is the equipment available?
+    /// Step 1, server to robot: asks whether the robot is available.
     #[serde(deserialize_with = "object::deserialize")]
     AvailabilityRequest(AvailabilityRequest),
-    /// Step 2, robot to server.
+    /// Step 2, robot to server: the response to an availability request.
     #[serde(deserialize_with = "object::deserialize")]
     AvailabilityResponse(AvailabilityResponse),
-    /// Step 3, server to robot: describe yourself.
+    /// Step 3, server to robot: asks for the robot's description.
     #[serde(deserialize_with = "object::deserialize")]
     InitializationRequest(InitializationRequest),
-    /// Step 4, robot to server.
+    /// Step 4, robot to server: the robot's description.
     InitializationBlock(InitializationBlock),
-    /// Step 5, server to robot: drive one device.
+    /// Step 5, server to robot: drives, reads or stops one device.
     ControlRequest(ControlRequest),
-    /// Step 6, robot to server.
+    /// Step 6, robot to server: the response to a control request.
     #[serde(deserialize_with = "object::deserialize")]
     ControlResponse(ControlResponse),
-    /// Server to robot: what is the state of these requests? A query without effect (our extension).
+    /// Server to robot: queries the states of requests and devices, without any effect on them (our extension).
     #[serde(deserialize_with = "object::deserialize")]
     Inquiry(Inquiry),
-    /// Robot to server.
+    /// Robot to server: the response to an inquiry (our extension).
     #[serde(deserialize_with = "object::deserialize")]
     InquiryResponse(InquiryResponse),
 }
 
-/// Converts each kind of message into a [`Message`].
+/// Implements the conversion of each kind of message into a [`Message`].
 macro_rules! is_a_message {
     ($($kind:ident),*) => {
         $(impl From<$kind> for Message {

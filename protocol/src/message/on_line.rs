@@ -1,15 +1,15 @@
-//! Messages with a gap for the text of a script. A mission and a robot have serialized each of their scripts to hash it, so the line of
-//! JSON reuses that text.
+//! Serializes messages with a gap into which the text of a script is inserted. Missions and robots have already serialized each script to
+//! hash it, so the line of JSON reuses that text.
 
 use serde::{Serialize, Serializer};
 
 use super::{Command, Message, Script, StatusValue};
 
-/// Serializes like [`Serialize`], but replaces a script whose text is kept by an empty list.
+/// Serializes the message or script, but writes an empty list in place of a script whose text is kept.
 pub(crate) struct OnLine<'a, T>(pub(crate) &'a T);
 
 impl<'a> OnLine<'a, Message> {
-    /// The key whose value is the empty list, and the text that replaces it; `None` without a gap.
+    /// The key whose value is written as an empty list, and the text that replaces the list; `None` if no script text is kept.
     pub(crate) fn gap(&self) -> Option<(&'static str, &'a str)> {
         match self.0 {
             Message::ControlRequest(request) => match &request.command {

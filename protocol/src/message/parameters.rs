@@ -11,12 +11,11 @@ use crate::limits::{LimitError, PARAMETERS_MAX};
 use crate::text::check_length;
 
 thread_local! {
-    /// Number of values that all further dictionaries read on this thread may have in total.
+    /// Number of values that the dictionaries still to be read on this thread may have in total.
     static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
 }
 
-/// Calls `read` with a limit on the total number of values in all dictionaries, so that a robot with many dictionaries takes no more
-/// memory than one with few.
+/// Calls `read` with a limit on the total number of values in all dictionaries, so that many dictionaries take no more memory than few.
 pub(super) fn together<T>(values: usize, read: impl FnOnce() -> T) -> T {
     let before = ROOM.replace(values);
     let read = read();
@@ -43,11 +42,11 @@ impl<'de> Deserialize<'de> for Parameters {
     }
 }
 
-/// A value including its nested values.
+/// Deserializes a value including its nested values, within a size limit.
 struct AnyValue<'a> {
-    /// Number of further permitted values.
+    /// Number of values that may still be read.
     room: &'a mut usize,
-    /// The error if there are more.
+    /// The error if there are more values than that.
     beyond: &'a LimitError,
 }
 

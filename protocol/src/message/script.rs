@@ -1,4 +1,4 @@
-//! Setpoints, and the script: many setpoints in one command.
+//! Setpoints and scripts. A script contains many setpoints in one command.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -15,32 +15,32 @@ use crate::limits::{CONTROL_VALUES_MAX, LimitError, SCRIPT_STEPS_MAX};
 use crate::number::Number;
 use crate::time::Span;
 
-/// One control type with its values, in the device's unit.
+/// The values that a command sets, with their control type; in the device's unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setpoint {
-    /// position, speed, acceleration or custom_N.
+    /// `position`, `speed`, `acceleration` or `custom_N`.
     pub control_type: ControlType,
-    /// `control_value`.
+    /// The first value (key `control_value`).
     pub value: f64,
-    /// `control_value_2` ... `control_value_N`.
+    /// The further values (keys `control_value_2` to `control_value_N`).
     pub more: Box<[f64]>,
 }
 
 impl Setpoint {
-    /// A setpoint with a single value.
+    /// Creates a setpoint with a single value.
     #[must_use]
     pub fn new(control_type: ControlType, value: f64) -> Self {
         Self { control_type, value, more: Box::default() }
     }
 
-    /// All values, including the first.
+    /// Iterates over all values, including the first.
     pub fn values(&self) -> impl Iterator<Item = f64> + '_ {
         std::iter::once(self.value).chain(self.more.iter().copied())
     }
 }
 
-/// Steps in order of time. A script without steps cancels. Clones share their steps and cached results: once the hash has been computed,
-/// it is kept, and so is its text, if that is not too long. That text is reused when lines are written.
+/// A list of steps in order of time. A script without steps cancels commands. Clones share their steps and cached results. Once the hash
+/// has been computed, the script caches it, together with the canonical JSON if that is not too long. The encoder reuses the cached JSON.
 #[derive(Clone, Default)]
 pub struct Script(Arc<Shared>);
 
@@ -52,7 +52,7 @@ struct Shared {
 
 struct Hashed {
     hash: ContentHash,
-    /// The canonical JSON; `None` if it is longer than [`KEPT_TEXT_MAX`].
+    /// The canonical JSON of the script; `None` if it is longer than [`KEPT_TEXT_MAX`].
     text: Option<Box<str>>,
 }
 
@@ -63,7 +63,7 @@ impl Hashed {
     }
 }
 
-/// Maximum length of a kept text, in bytes: about the memory that its steps take.
+/// Maximum length in bytes of the canonical JSON to keep. The text takes about as much memory as the steps.
 const KEPT_TEXT_MAX: usize = 64 * 1024;
 
 impl PartialEq for Script {
@@ -95,13 +95,13 @@ impl Script {
         }
     }
 
-    /// The empty script, which cancels everything that is scheduled to start at its own start or later.
+    /// Returns the empty script. It cancels all commands that are scheduled to start at its own start time or later.
     #[must_use]
     pub fn cancel() -> Self {
         Self::default()
     }
 
-    /// The steps in order.
+    /// The steps in order of time.
     #[must_use]
     pub fn steps(&self) -> &[Step] {
         &self.0.steps
@@ -116,30 +116,31 @@ impl Script {
         hashed.hash
     }
 
-    /// Hashes the known canonical JSON of the steps, which saves its serialization.
+    /// Computes the hash from the canonical JSON of the steps, which the caller already has, without serializing the steps again.
     pub(crate) fn hash_as(&self, canonical_json: &str) {
         debug_assert_eq!(serde_json::to_string(self).ok().as_deref(), Some(canonical_json));
         self.0.hashed.get_or_init(|| Hashed::of(canonical_json));
     }
 
-    /// The canonical JSON of the steps, if it is kept.
+    /// The canonical JSON of the steps; `None` if the script does not keep it.
     pub(crate) fn kept_text(&self) -> Option<&str> {
         self.0.hashed.get()?.text.as_deref()
     }
 
-    /// Whether it is a clone of `other`.
+    /// Whether `self` and `other` are clones of the same script.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// Whether it has no steps, so that it cancels instead of moving.
+    /// Whether the script has no steps, so that it cancels instead of moving.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.steps().is_empty()
     }
 
-    /// Time from the start of the script until it has started: until its first value or, on a device that moves linearly, zero,
-    /// because the device begins to move to the first value at once.
+    /// Time from the scheduled start of the script until the robot reports it as started. On a device that holds values, this is the
+    /// offset of the first step. On a device that moves linearly it is zero, because the device begins to move to the first value at
+    /// once.
     #[must_use]
     pub fn until_started(&self, interpolation: Interpolation) -> Span {
         match interpolation {
@@ -148,7 +149,7 @@ impl Script {
         }
     }
 
-    /// Time from its start to its last step.
+    /// Time from the start of the script to its last step.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.steps().last().map_or(Span::ZERO, |step| step.offset.span())
@@ -177,7 +178,7 @@ impl<'de> Visitor<'de> for Steps {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Script, A::Error> {
-        // The stated length of a list is trusted only up to a limit.
+        // The length that a list states may be false, so only a limited number of steps is preallocated.
         let mut steps = Vec::with_capacity(list.size_hint().unwrap_or(STEPS_USUAL).min(STEPS_BELIEVED));
         while let Some(step) = list.next_element()? {
             if steps.len() == SCRIPT_STEPS_MAX {
@@ -189,12 +190,12 @@ impl<'de> Visitor<'de> for Steps {
     }
 }
 
-/// Maximum number of steps that are allocated in advance.
+/// Maximum number of steps to preallocate, even if the list states a greater length.
 const STEPS_BELIEVED: usize = 1_024;
-/// Number of preallocated steps if the list does not state its length.
+/// Number of steps to preallocate if the list does not state its length.
 const STEPS_USUAL: usize = 32;
 
-/// Writes `control_value` and the further values of a setpoint.
+/// Serializes all values of a setpoint: `control_value`, `control_value_2` and so on.
 pub(super) fn serialize_values<M: SerializeMap>(setpoint: &Setpoint, map: &mut M) -> Result<(), M::Error> {
     map.serialize_entry("control_value", &Number(setpoint.value))?;
     for (i, value) in setpoint.more.iter().enumerate() {
@@ -203,12 +204,12 @@ pub(super) fn serialize_values<M: SerializeMap>(setpoint: &Setpoint, map: &mut M
     Ok(())
 }
 
-/// Collects `control_value_2` ... in any order.
+/// Collects the values of `control_value_2` and above, which may occur in any order.
 #[derive(Default)]
 pub(super) struct FurtherValues(Vec<Option<f64>>);
 
 impl FurtherValues {
-    /// The N of the key `control_value_N`, as an index from 0 for N = 2; `None` for other keys.
+    /// The index of the key `control_value_N`, which is N - 2; `None` for other keys.
     pub(super) fn index<E: de::Error>(key: &str) -> Result<Option<usize>, E> {
         let Some(digits) = key.strip_prefix("control_value_") else { return Ok(None) };
         match digits.parse::<usize>() {
@@ -219,7 +220,7 @@ impl FurtherValues {
         }
     }
 
-    /// Takes a value; null is an omitted one.
+    /// Stores the value at `index`; null counts as omitted.
     pub(super) fn put<E: de::Error>(&mut self, index: usize, value: Option<Number>) -> Result<(), E> {
         let Some(value) = value else { return Ok(()) };
         if self.0.len() <= index {
@@ -244,10 +245,10 @@ impl FurtherValues {
     }
 }
 
-/// A key of an object, recognized in place: millions of steps have keys, and none of these needs its own string.
+/// A key of an object, deserialized without allocating a string, because messages may have millions of keys.
 pub(super) struct Key<K>(pub(super) K);
 
-/// The keys of one kind of object.
+/// An enumeration of the keys of one kind of object.
 pub(super) trait Keys: Sized {
     fn named<E: de::Error>(key: &str) -> Result<Self, E>;
 }

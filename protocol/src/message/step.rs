@@ -1,4 +1,4 @@
-//! One step of a script: by names as in JSON, or in the short form of a binary encoding.
+//! A script step: an object with named keys in JSON, or a short list in a binary encoding.
 
 use std::fmt;
 
@@ -13,19 +13,19 @@ use crate::limits::CONTROL_VALUES_MAX;
 use crate::number::Number;
 use crate::time::Millis;
 
-/// One step of a script.
+/// A step of a script: the values that a device sets at a certain time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
-    /// Milliseconds from the script's own start.
+    /// Milliseconds from the start of the script.
     pub offset: Millis,
-    /// The values to set.
+    /// The values that the device sets.
     pub setpoint: Setpoint,
-    /// Overrides the script's lease while this step is the current one.
+    /// The lease while this step is the current one. `None`: the lease of the script applies.
     pub stop_condition: Option<StopCondition>,
 }
 
 impl Step {
-    /// A step under the lease of its script.
+    /// Creates a step under the lease of its script.
     #[must_use]
     pub const fn new(offset: Millis, setpoint: Setpoint) -> Self {
         Self { offset, setpoint, stop_condition: None }
@@ -49,7 +49,7 @@ impl Serialize for Step {
 }
 
 impl Step {
-    /// `[time_offset_to_start, control_type, control_value, ...]`, the short form in a binary encoding.
+    /// Serializes the short form, a list: `[time_offset_to_start, control_type, control_value, ...]`.
     fn serialize_short<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut list = serializer.serialize_seq(Some(SHORT_MIN + self.setpoint.more.len()))?;
         list.serialize_element(&self.offset)?;
@@ -68,7 +68,7 @@ impl Step {
     }
 }
 
-/// Entries of a short step with one value.
+/// Number of list entries in the short form of a step with one value.
 const SHORT_MIN: usize = 3;
 
 impl<'de> Deserialize<'de> for Step {
@@ -81,7 +81,7 @@ impl<'de> Deserialize<'de> for Step {
     }
 }
 
-/// Reads a step by names, or in the short form.
+/// Deserializes a step from an object with named keys or from the short form.
 struct ShortStepVisitor;
 
 impl<'de> Visitor<'de> for ShortStepVisitor {
@@ -118,7 +118,7 @@ enum StepKey {
     Offset,
     ControlType,
     Value,
-    /// `control_value_N`, numbered from 2.
+    /// The key `control_value_N`; N is at least 2.
     Further(usize),
     StopCondition,
     Unknown,

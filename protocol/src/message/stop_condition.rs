@@ -1,4 +1,4 @@
-//! The lease: when to stop executing without a command.
+//! The lease: the maximum silence of the server after which a device stops on its own.
 
 use std::fmt;
 
@@ -9,20 +9,20 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::number;
 use crate::time::Millis;
 
-/// How long the server may be silent, in milliseconds, before the device drops pending commands, ends the running one and comes to rest.
-/// `None` means unlimited.
+/// The lease of a command: how long the server may be silent, in milliseconds, before the device drops its pending commands, ends the
+/// running one and comes to rest. `None` means unlimited.
 ///
-/// On the wire: a number for both, or `{"pending": ms, "running": ms or null}`.
+/// On the wire, a lease is one number that applies before and after the start, or `{"pending": ms, "running": ms or null}`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StopCondition {
-    /// While the command waits for its start.
+    /// Maximum silence in milliseconds while the command waits for its start.
     pub pending: Option<Millis>,
-    /// Once it has started.
+    /// Maximum silence in milliseconds once the command has started.
     pub running: Option<Millis>,
 }
 
 impl StopCondition {
-    /// The same limit before and after the start.
+    /// Creates a lease with the same limit before and after the start of the command.
     #[must_use]
     pub const fn both(silence: Millis) -> Self {
         Self { pending: Some(silence), running: Some(silence) }

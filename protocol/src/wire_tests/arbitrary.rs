@@ -13,7 +13,7 @@ use crate::{
     SessionId, Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
 };
 
-/// Any message.
+/// Generates any message.
 pub(super) fn message() -> impl Strategy<Value = Message> {
     prop_oneof![
         availability_request().prop_map(Message::AvailabilityRequest),
@@ -224,7 +224,7 @@ fn inquiry_response() -> impl Strategy<Value = InquiryResponse> {
     })
 }
 
-/// Parameters of a custom control type: any JSON.
+/// Generates the parameters of a custom control type: any JSON.
 fn parameters() -> impl Strategy<Value = Value> {
     let leaf = prop_oneof![
         Just(Value::Null),
@@ -248,7 +248,7 @@ fn initialization_block() -> impl Strategy<Value = InitializationBlock> {
         (number(), number(), number(), option::of(number())).prop_map(|(a, b, granularity, error)| {
             let (min, max) = (a.min(b), a.max(b));
             let granularity = if granularity == 0.0 { 1.0 } else { granularity.abs() };
-            // A bound is a multiple of itself.
+            // With a bound as the granularity, the limits always contain a multiple: the bound itself.
             let granularity =
                 if Limits::new(min, max, granularity).is_ok() { granularity } else { max.abs() };
             let mut limits = json!({"min_value": min, "max_value": max, "granularity": granularity});

@@ -1,4 +1,4 @@
-//! Checks a robot's answers to requests, and records the resulting duties of its devices.
+//! Checks a robot's responses to requests, and records which duties of its devices follow from them.
 
 use std::collections::HashSet;
 
@@ -12,13 +12,13 @@ use crate::judge::{Asked, Judge, is_refused};
 use crate::model::{DeviceModel, Order, cancels_from, start_of};
 use crate::{Violation, hold};
 
-/// A stop takes back messages that its own party sends up to this long after its receipt, as `docs/protocol.md` requires.
+/// Maximum time after receipt of a stop for which the stop cancels messages from its own party, as `docs/protocol.md` requires.
 const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 
 type Now = Timestamp<urrcp::Robot>;
 
 impl Judge {
-    /// Judges the robot's answer to a request that it has not answered before.
+    /// Judges the robot's first response to a request.
     pub(crate) fn answered(
         &mut self,
         now: Now,
@@ -28,14 +28,14 @@ impl Judge {
         let request = asked.request;
         let echoes = answer.request_id == request.request_id && answer.device_id == request.device_id;
         hold(echoes && answer.timestamp == now, || format!("{answer:?} to {request:?}"))?;
-        // A reading is not remembered: a repeated request reads again.
+        // A reading is not remembered: the robot reads the sensor again for a repeated request.
         if let Some(id) = request.request_id.as_ref().filter(|_| answer.status != Status::Provide) {
             self.remember(id, answer);
         }
         let owed = match answer.status {
             Status::Accepted => self.accepted(now, asked, answer)?,
             Status::Ok => {
-                // The report of a movement's end has an event time; this one answers an empty script.
+                // The report about a movement's end has an event time. This response has none, so it must answer an empty script.
                 let cancels = is_cancel(request) && self.devices.contains_key(&request.device_id);
                 hold(cancels, || format!("done already: {request:?}"))?;
                 self.hold_session(request.session.as_ref())?;
@@ -54,7 +54,7 @@ impl Judge {
         self.hashes.extend(answer.content_hash.map(|hash| (id.clone(), hash)));
     }
 
-    /// Checks that the robot belongs to the session for which it holds commands.
+    /// Checks that the robot belongs to the session whose commands it holds.
     pub(crate) fn hold_session(&self, session: Option<&SessionId>) -> Result<(), Violation> {
         let of_others = |order: &&Order| order.session.is_some() && order.session.as_ref() != session;
         let others = self.devices.values().flat_map(|device| &device.queue).find(of_others);
@@ -94,7 +94,7 @@ impl Judge {
         Ok(HashSet::new())
     }
 
-    /// Returns the orders that an empty script must end.
+    /// Returns the serial numbers of the orders that an empty script must end.
     fn cancelled_by(&mut self, now: Now, request: &ControlRequest) -> HashSet<usize> {
         let from = cancels_from(now, request);
         let Some(device) = self.devices.get_mut(&request.device_id) else { return HashSet::new() };
@@ -103,11 +103,11 @@ impl Judge {
                 let latest: Timestamp<Server> = (now + ahead).assume_clock();
                 request.timestamp.map(|sent| sent.min(latest))
             };
-            // A later bound may be reset when a session claims the robot.
+            // A bound in the future may be reset when a session claims the robot.
             device.taken_back = device.taken_back.max(at_most(Span::ZERO));
             device.taken_back_at_most = device.taken_back_at_most.max(at_most(TAKEN_BACK_AHEAD_MAX));
         }
-        // Ended orders are already gone from the queue: those that are still in it must not be cancelled.
+        // Orders that have ended are no longer in the queue. The orders that are still there must not be cancelled.
         let standing: HashSet<_> =
             device.queue.iter().filter(|order| order.falls(from)).map(|order| order.serial).collect();
         &self.cancelled | &standing
@@ -126,7 +126,7 @@ impl Judge {
         Ok(HashSet::new())
     }
 
-    /// Judges a refusal: its reason must apply.
+    /// Judges a refusal: the stated reason must apply.
     fn refused(
         &mut self,
         now: Now,
@@ -172,7 +172,7 @@ impl Judge {
         Ok(HashSet::new())
     }
 
-    /// Checks that everything due has been done between two operations, and that the robot asks to be woken in time.
+    /// Checks that everything due has been done between two operations, and that the robot requests its next wake-up in time.
     pub(crate) fn check_settled(&self, now: Now, robot: &Robot) -> Result<(), Violation> {
         let wakeup = robot.next_wakeup();
         hold(wakeup.is_none_or(|at| at > now || now == Timestamp::from_nanos(i64::MAX)), || {
@@ -202,7 +202,7 @@ impl Judge {
         hold(began <= 1 && !done, || format!("{began} under way, or one never reported as done: {device:?}"))
     }
 
-    /// Checks that nothing is held in the end.
+    /// Checks that the robot holds no order at the end of a run.
     pub(crate) fn check_rest(&self, robot: &Robot) -> Result<(), Violation> {
         let held = self.devices.values().find(|device| !device.queue.is_empty() || !device.guards.is_empty());
         hold(held.is_none() && robot.is_idle(), || format!("in the end there is still {held:?}"))
@@ -217,7 +217,8 @@ fn hash_of(request: &ControlRequest) -> ContentHash {
     request.command.content_hash()
 }
 
-/// Whether both would drive the device at the same time. Adjacent orders do not, nor does a zero-length order before another begins.
+/// Whether two orders would drive the device at the same time. Adjacent orders do not, nor does a zero-length order before the start of
+/// another.
 fn overlap(held: &Order, new: &Order) -> bool {
     let into_running = held.began && (new.start, new.end()) < (held.start, held.end());
     into_running || new.start < held.end() && held.start < new.end()

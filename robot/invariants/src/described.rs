@@ -1,4 +1,5 @@
-//! Robots of any valid description: a robot describes itself, and each device can be driven to its bounds and stopped on the way.
+//! Robots with any valid description: each robot describes itself, and each device can be driven to its bounds and stopped during a
+//! movement.
 
 use downbeat_robot::{Input, LinkId, Output, Robot};
 use urrcp::{
@@ -9,11 +10,11 @@ use urrcp::{
 use crate::{BEGIN, Violation, hold};
 
 const LINK: LinkId = LinkId(1);
-/// Duration from one bound to the other.
+/// Duration of a movement from one bound to the other.
 const WAY: Span = Span::from_millis(1_000);
 
-/// Requests the description of a robot, and drives each of its devices from bound to bound. The robot answers each request for the
-/// requested device, and the value of a moving device is always a number.
+/// Requests the description of a robot, and drives each of its devices from bound to bound. Checks that the robot answers each request
+/// for the requested device, and that the value of a moving device is always a number.
 ///
 /// # Errors
 /// The first [`Violation`].
@@ -39,7 +40,7 @@ pub fn drive_all(block: &InitializationBlock) -> Result<(), Violation> {
     Ok(())
 }
 
-/// Returns commands from bound to bound in every control type and half of the way back, a stop, and a reading.
+/// Returns commands that drive a device from bound to bound in every control type, and halfway back. A stop and a reading follow.
 fn commands(device: &Device) -> Vec<Command> {
     let mut commands = Vec::new();
     for (control_type, _) in device.available_control_types.iter() {

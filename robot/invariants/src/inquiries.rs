@@ -1,4 +1,4 @@
-//! An inquiry is answered truthfully, and changes only leases.
+//! Checks that the robot answers inquiries truthfully, and that an inquiry changes only leases.
 
 use downbeat_robot::{LinkId, Output};
 use urrcp::{
@@ -13,7 +13,7 @@ use crate::{Violation, hold};
 type Now = Timestamp<urrcp::Robot>;
 
 impl Judge {
-    /// Judges an inquiry, after everything that was due.
+    /// Judges the response to an inquiry, after everything that was due has been judged.
     pub(crate) fn inquired(
         &mut self,
         now: Now,
@@ -32,7 +32,7 @@ impl Judge {
             Status::Ok => self.told(party, inquiry, answer)?,
             _ => self.not_told(inquiry, answer)?,
         }
-        // Only an expired lease has further effects.
+        // An inquiry has further effects only if a lease has expired.
         self.passed(now, brought)
     }
 
@@ -90,7 +90,7 @@ impl Judge {
         }
         let Some(answer) = self.answers.get(id) else { return *report == unknown };
         let error = answer.error.clone();
-        // A refusal because of the session is not remembered.
+        // The robot does not remember a refusal because of the session.
         let forgotten = error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy);
         let (steps_done, late_steps, late_ms_max) =
             (answer.steps_done, answer.late_steps, answer.late_ms_max);

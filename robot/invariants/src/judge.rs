@@ -1,4 +1,4 @@
-//! Compares a robot's actions and messages with what its accepted orders allow.
+//! Compares a robot's actions and messages with those that its accepted orders permit.
 
 use std::collections::{HashMap, HashSet};
 
@@ -13,36 +13,36 @@ use crate::{Violation, hold};
 
 type Now = Timestamp<urrcp::Robot>;
 
-/// The robot's duties, and its previous messages.
+/// The duties of a robot, and its previous messages.
 #[derive(Debug)]
 pub(crate) struct Judge {
     pub(crate) heard: Heard,
     pub(crate) devices: HashMap<DeviceId, DeviceModel>,
     pub(crate) answers: HashMap<RequestId, ControlResponse>,
     pub(crate) serials: usize,
-    /// Orders that the judged event has cancelled.
+    /// Serial numbers of the orders that the judged event has cancelled.
     pub(crate) cancelled: HashSet<usize>,
-    /// The earliest start that the judged event cancels; `None`: all.
+    /// Earliest start of the orders that the judged event cancels. `None`: it cancels all orders.
     cancels_from: Option<Now>,
-    /// The content hash of each request that was accepted with one.
+    /// Content hash of each accepted request that contained one.
     pub(crate) hashes: HashMap<RequestId, ContentHash>,
-    /// Actual start of each started request.
+    /// Actual start of each request that has started.
     pub(crate) starts: HashMap<RequestId, Now>,
-    /// The effects of the leases that the judged event has ended, per device.
+    /// Effects of the leases that the judged event has ended, by device.
     lost: HashMap<DeviceId, Lost>,
-    /// Devices that came to rest.
+    /// Devices that the judged event has brought to rest.
     rested: HashSet<DeviceId>,
-    /// Whether the judged event sends a device to its default state.
+    /// Whether the judged event moves a device to its default state.
     sends_home: bool,
-    /// Devices with a report other than the end of a lease.
+    /// Devices about which the robot has sent a report other than the end of a lease.
     acted: HashSet<DeviceId>,
 }
 
-/// The orders that ended leases take with them.
+/// The orders of a device that end because leases have ended.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lost {
     everything: bool,
-    /// Earliest start of the orders that have not begun.
+    /// Earliest start of those orders that end although they have not started. `None`: no such order ends.
     from: Option<Now>,
 }
 
@@ -79,19 +79,19 @@ impl Judge {
         }
     }
 
-    /// Records a message on a link.
+    /// Records a message on a link, and returns the party that sent it.
     pub(crate) fn heard(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         self.heard.message(now, link, session)
     }
 
-    /// Judges outputs after time has passed without another event.
+    /// Judges the outputs after time has passed without another event.
     pub(crate) fn passed(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.judge(now, out, None)?;
         hold(self.cancelled.is_empty(), || "a command was cancelled without a request".to_owned())
     }
 
-    /// Judges the outputs after an operator has seized the robot: all held commands have ended, and every movement to rest was caused by
-    /// that.
+    /// Judges the outputs after an operator has seized the robot: all orders must have ended, and only the seizure may have caused
+    /// movements to rest.
     pub(crate) fn seized(
         &mut self,
         now: Now,
@@ -105,7 +105,7 @@ impl Judge {
         hold(held.is_none(), || format!("the robot was seized and still holds {held:?}"))
     }
 
-    /// Judges outputs without a request: all devices may be stopped.
+    /// Judges outputs without a request, where all devices may have been stopped.
     fn judge_stopped(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.begin_untold(now);
         self.forget_the_last();
@@ -127,7 +127,7 @@ impl Judge {
         Ok(())
     }
 
-    /// Begins orders whose start has come and whose first value is due later. Robots do not report this.
+    /// Marks orders as started if their start has come and their first value is due later. Robots do not report such a start.
     fn begin_untold(&mut self, now: Now) {
         self.devices.values_mut().for_each(|device| device.begin_untold(now, &self.heard));
     }
@@ -139,7 +139,7 @@ impl Judge {
         self.acted.clear();
     }
 
-    /// Judges a request, after everything that was due.
+    /// Judges the outputs after a request, once everything that was due before it has been judged.
     pub(crate) fn asked(
         &mut self,
         now: Now,
@@ -193,7 +193,7 @@ impl Judge {
         Ok(())
     }
 
-    /// Checks that an ended lease has ended exactly the orders that it must.
+    /// Checks that the end of a lease has ended exactly the orders that it must end.
     fn check_lost(&self, asked: bool) -> Result<(), Violation> {
         for (id, lost) in &self.lost {
             let left = self.devices.get(id).and_then(|device| device.queue.iter().find(|o| lost.takes(o)));
@@ -314,7 +314,7 @@ impl Judge {
                     .is_some())
             }
             Some(ErrorCode::Cancelled) => {
-                // Among commands without an id, this means one that the request cancels.
+                // Among commands without an id, the report must mean one that the request cancels.
                 let from = self.cancels_from;
                 let cancelled = take(device, |order| of(order) && order.falls(from));
                 self.cancelled.extend(cancelled.as_ref().map(|order| order.serial));
@@ -325,14 +325,14 @@ impl Judge {
     }
 }
 
-/// Removes the order that a report ends.
+/// Removes and returns the first order that `of` selects.
 fn take(device: &mut DeviceModel, of: impl Fn(&Order) -> bool) -> Option<Order> {
     let at = device.queue.iter().position(of)?;
     Some(device.queue.remove(at))
 }
 
-/// Judges a motion by which a device comes to rest where it is, or goes to its default state. The motion ends the leases of rates
-/// that continued after their command.
+/// Judges a motion that brings a device to rest where it is, or moves it to its default state. The motion ends the leases of rates that
+/// continued after their command.
 fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<(), Violation> {
     let (control_type, to) = match &set.motion {
         Motion::Rest(setpoint) | Motion::Default(setpoint) => (setpoint.control_type, setpoint.value),
@@ -359,7 +359,7 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
     Ok(())
 }
 
-/// Whether a motion starts no movement: a moving position stays where it is or continues in its direction, and a rate goes to its
+/// Whether a motion starts no new movement: a moving position stays where it is or continues in its direction, and a rate changes to its
 /// value at rest.
 fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
     const ROUNDING: f64 = 1e-6;
@@ -378,13 +378,13 @@ fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
     }
 }
 
-/// Whether an output refuses a control type that the device lacks. The device then goes to its default state.
+/// Whether an output refuses a control type that the device does not have. The device then moves to its default state.
 fn is_unsupported(output: &Output) -> bool {
     matches!(output, Output::Send { message: Message::ControlResponse(answer), .. }
         if is_refused(answer, &ErrorCode::UnsupportedControlType))
 }
 
-/// Whether this is the order's step at its time, or the movement to it.
+/// Whether `set` is the order's step at its due time, or the movement to this step.
 fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
     let setpoint = &order.steps[step].setpoint;
     let before = step.checked_sub(1).map_or(Some(order.start), |before| order.time_of(before));
@@ -400,10 +400,10 @@ fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
     }
 }
 
-/// Checks that at the instant of a movement, both the lease before it and the lease after it are in force.
+/// Checks that, at the instant of a movement, both the lease before the movement and the lease after it are in force.
 fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Result<(), Violation> {
     let done = step + usize::from(matches!(set.motion, Motion::Set(_)));
-    // The movement to a step begins with the previous step, which has already been judged.
+    // The movement to a step starts with the previous step, which has already been judged.
     let until_then = match step {
         0 if set.due == order.start => order.pending_ends(heard),
         _ => order.running_ends(heard, step),
@@ -413,7 +413,8 @@ fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Resu
     hold(in_force, || format!("the lease ended at {until_then:?} or {from_then:?}: {set:?}"))
 }
 
-/// Marks an order as started if the report is about its start. A device that holds reports its start with the first value.
+/// Marks an order as started if the report is about its start. Returns whether it is. A device that holds its value between steps reports
+/// the start with the first value.
 fn started(device: &mut DeviceModel, heard: &Heard, now: Now, report: &ControlResponse) -> bool {
     let starts = |order: &Order| match device.spec.interpolation {
         Interpolation::Linear => order.start,
@@ -428,7 +429,7 @@ fn started(device: &mut DeviceModel, heard: &Heard, now: Now, report: &ControlRe
     begun && value.as_ref() == Some(&report.status_value)
 }
 
-/// Ends an order if the report is about its end.
+/// Ends an order if the report is about its end. Returns whether it is.
 fn ended(device: &mut DeviceModel, report: &ControlResponse) -> bool {
     let Some(order) = take(device, |order| order.id == report.request_id && order.started && order.is_done())
     else {
@@ -439,7 +440,7 @@ fn ended(device: &mut DeviceModel, report: &ControlResponse) -> bool {
     report.steps_done == all && value.as_ref() == Some(&report.status_value)
 }
 
-/// Whether the answer refuses for this reason.
+/// Whether a response is a refusal with this error code.
 pub(crate) fn is_refused(answer: &ControlResponse, code: &ErrorCode) -> bool {
     answer.error.as_ref().is_some_and(|error| error.code == *code)
 }

@@ -1,10 +1,15 @@
-//! Invariants of a robot under any operations: an independent, simpler model of its duties is compared with its actions. The tests of
-//! this crate and the fuzzer play lists of operations. It uses only the public interface of robots.
+//! Invariants of a robot under any operations: compares the robot's actions with an independent, simpler model of its duties. The tests
+//! of this crate and the fuzzer play lists of operations. The model uses only the public interface of robots.
 //!
-//! After every operation: no value outside the limits or off the granularity is set; nothing starts early or late; no command outlives
-//! its lease, and no lease ends early; no device holds more than its queue; every accepted request ends once, and sets nothing
-//! afterwards; every answer names its request; no session affects another session's commands, unless a permitted operator seizes the
-//! robot, and then all held commands end first; an inquiry is answered truthfully and changes only leases.
+//! The following holds after every operation:
+//! - no value outside the limits or off the granularity is set;
+//! - nothing starts early or late;
+//! - no command outlives its lease, and no lease ends early;
+//! - no device holds more commands than its queue permits;
+//! - every accepted request ends once, and sets nothing afterwards;
+//! - every response names its request;
+//! - no session affects another session's commands, unless a permitted operator seizes the robot, and then all held commands end first;
+//! - an inquiry is answered truthfully and changes only leases.
 
 mod answers;
 mod described;
@@ -25,21 +30,22 @@ pub use described::drive_all;
 use judge::Judge;
 pub use operation::{Operation, Pause, Question, Request, operations};
 
-/// A violated invariant.
+/// A violated invariant, described in one sentence.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Violation(String);
 
-/// After this many consecutive wake-ups, a robot that is not at rest is considered to never rest.
+/// Maximum number of consecutive wake-ups. A robot that needs more is considered to never come to rest.
 const WAKEUPS_MAX: usize = 100_000;
-/// Number of simultaneous links.
+/// Number of links that exist at the same time.
 const LINKS: usize = 4;
-/// The link of an operator with permission to seize the robot. It is always up.
+/// Link of an operator who may seize the robot. It is always up.
 const OPERATOR: LinkId = LinkId(1 << 32);
-/// Start time, in nanoseconds.
+/// Start time of a run, in nanoseconds.
 const BEGIN: i64 = 1_000_000_000_000;
 
-/// A device of each kind: held and linear positions, rates, a deceleration, a sensor, custom control.
+/// Description of a robot with a device of each kind: positions that hold or move linearly, rates, a deceleration, a sensor, and custom
+/// control.
 const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "arm", "name": "arm", "default_value": 10, "script_queue": 2, "available_control_types": {
      "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
@@ -85,12 +91,12 @@ pub fn ask(request: &ControlRequest) -> Result<(), Violation> {
     bench.judge.check_rest(&bench.robot)
 }
 
-/// Returns a violation unless the rule holds.
+/// Returns a violation with the text of `otherwise` unless the rule holds.
 fn hold(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), Violation> {
     if holds { Ok(()) } else { Err(Violation(otherwise())) }
 }
 
-/// A robot, its judge, and the links and requests of its peers.
+/// A robot with its judge, and the links and requests of its peers.
 struct Bench {
     robot: Robot,
     judge: Judge,
@@ -160,7 +166,7 @@ impl Bench {
         self.links[link as usize % LINKS]
     }
 
-    /// Advances from wake-up to wake-up.
+    /// Advances time to `end`, from wake-up to wake-up.
     fn wait_until(&mut self, end: Timestamp<urrcp::Robot>) -> Result<(), Violation> {
         for _ in 0..WAKEUPS_MAX {
             let Some(wakeup) = self.robot.next_wakeup().filter(|wakeup| *wakeup <= end) else {
@@ -180,7 +186,7 @@ impl Bench {
         self.judge.check_settled(self.now, &self.robot)
     }
 
-    /// Executes due events first, so that further outputs are caused only by the input.
+    /// Lets the robot handle an input. Executes due events first, so that only the input can cause further outputs.
     fn handle(&mut self, link: LinkId, input: Input) -> Result<Vec<Output>, Violation> {
         self.advance()?;
         let mut out = Vec::new();
@@ -206,7 +212,7 @@ impl Bench {
         hold(answered, || format!("an availability request was answered by {out:?}"))
     }
 
-    /// Checks that an unproven peer cannot seize the robot, and that the attempt renews nothing.
+    /// Checks that a peer without a proven identity cannot seize the robot, and that its attempt renews no lease.
     fn seize_in_vain(&mut self, link: u8, session: u8) -> Result<(), Violation> {
         let link = self.link(link);
         let request =
@@ -217,7 +223,7 @@ impl Bench {
         hold(refused, || format!("a stranger that seizes was answered by {out:?}"))
     }
 
-    /// Seizes the robot as a permitted operator.
+    /// Seizes the robot as an operator who may do so.
     fn seize(&mut self) -> Result<(), Violation> {
         let session = SessionId::new("an operator's").ok();
         let request = AvailabilityRequest { timestamp: None, session: session.clone(), seize: true };

@@ -1,4 +1,4 @@
-//! The duties of a device at any time, tracked without the device machine: its accepted orders, their progress, and their leases.
+//! Duties of a device over time, tracked without the device's state machine: its accepted orders, their progress, and their leases.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -8,19 +8,19 @@ use urrcp::{
     Server, SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
-/// A robot that is delayed over a start drops commands that would start later than this, as `docs/protocol.md` requires.
+/// Maximum delay of a start. A delayed robot drops commands that would start later, as `docs/protocol.md` requires.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 
 type Now = Timestamp<Robot>;
 
-/// The party of a lease: a link without a session, or a session on any of its links.
+/// The party of a lease: a link that has named no session, or a session on any of its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Party {
     Link(LinkId),
     Session(usize),
 }
 
-/// The parties of links, and the times of their last messages.
+/// The party of each link, and the time of each party's last message.
 #[derive(Debug, Default)]
 pub(crate) struct Heard {
     of_link: HashMap<LinkId, Party>,
@@ -29,7 +29,7 @@ pub(crate) struct Heard {
 }
 
 impl Heard {
-    /// Records a message, and returns its party.
+    /// Records a message, and returns the party that sent it.
     pub(crate) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         let party = match session {
             None => self.of_link.get(&link).copied().unwrap_or(Party::Link(link)),
@@ -39,7 +39,8 @@ impl Heard {
         party
     }
 
-    /// Assigns a link to the party of the first session that it names; later sessions are parties of their own.
+    /// Returns the party of a session on this link, and assigns the link to it. The first session that a link names is identified by the
+    /// link; later sessions become separate parties.
     fn session(&mut self, link: LinkId, session: &SessionId) -> Party {
         let fresh = if self.of_session.values().any(|party| *party == Party::Link(link)) {
             Party::Session(self.of_session.len())
@@ -51,7 +52,7 @@ impl Heard {
         party
     }
 
-    /// Returns all sessions that were ever named.
+    /// Returns all sessions that any message has named.
     pub(crate) fn sessions(&self) -> impl Iterator<Item = &SessionId> {
         self.of_session.keys()
     }
@@ -62,7 +63,7 @@ impl Heard {
     }
 }
 
-/// An accepted command without a reported end.
+/// An accepted command whose end the robot has not reported.
 #[derive(Debug)]
 pub(crate) struct Order {
     pub(crate) serial: usize,
@@ -74,13 +75,13 @@ pub(crate) struct Order {
     pub(crate) steps: Vec<Step>,
     pub(crate) is_script: bool,
     condition: Option<StopCondition>,
-    /// Latest end of the lease before the start.
+    /// Latest end of the lease before the start. `None`: no such limit.
     pending_until: Option<Now>,
-    /// Number of steps that were set.
+    /// Number of steps that have been set.
     pub(crate) done: usize,
-    /// Whether its start has come.
+    /// Whether the start of the command has come.
     pub(crate) began: bool,
-    /// Whether the robot has reported that it started.
+    /// Whether the robot has reported the start of the command.
     pub(crate) started: bool,
 }
 
@@ -122,7 +123,8 @@ impl Order {
         self.done == self.steps.len()
     }
 
-    /// Whether an empty script ends it: commands that begin at `from` or later, or all (`None`).
+    /// Whether an empty script ends the command. Such a script ends all commands that have not started and that start at `from` or later,
+    /// or all commands (`None`).
     pub(crate) fn falls(&self, from: Option<Now>) -> bool {
         from.is_none_or(|from| !self.began && self.start >= from)
     }
@@ -131,19 +133,19 @@ impl Order {
         if self.began { self.time_of(self.done) } else { Some(self.start) }
     }
 
-    /// Returns when the lease before the start ends.
+    /// Returns the end of the lease that applies before the start.
     pub(crate) fn pending_ends(&self, heard: &Heard) -> Option<Now> {
         let silent = heard.ends(self.party, self.accepted, self.condition.and_then(|lease| lease.pending));
         silent.into_iter().chain(self.pending_until).min()
     }
 
-    /// Returns when the lease ends that applies once this many steps are done.
+    /// Returns the end of the lease that applies once `done` steps are done.
     pub(crate) fn running_ends(&self, heard: &Heard, done: usize) -> Option<Now> {
         let own = done.checked_sub(1).and_then(|step| self.steps.get(step)?.stop_condition);
         heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
     }
 
-    /// Limits the silence for which it may wait for its start, and the end of its pending lease.
+    /// Limits the silence that the pending lease permits, and the end of the pending lease.
     pub(crate) fn limit(&mut self, pending: Option<Millis>, until: Option<Now>) {
         self.pending_until = until.or(self.pending_until);
         let Some(pending) = pending else { return };
@@ -152,18 +154,19 @@ impl Order {
         self.condition = Some(StopCondition { pending: Some(shortest), ..condition });
     }
 
-    /// Whether it may have begun: its start was at most `START_LATE_MAX` ago, and its lease was in force at the start.
+    /// Whether the command may have started: its start was at most `START_LATE_MAX` ago, and its lease was in force at the start.
     pub(crate) fn begins_by(&self, now: Now, heard: &Heard) -> bool {
         let in_force = self.pending_ends(heard).is_none_or(|end| end > self.start);
         self.start <= now && now - self.start <= START_LATE_MAX && in_force
     }
 
-    /// Whether its lease has ended while it still waited for its start.
+    /// Whether the command's lease ended at or before its start.
     fn is_over_before_its_start(&self, now: Now, heard: &Heard) -> bool {
         !self.began && self.must_end(heard).is_some_and(|end| end <= now && end <= self.start)
     }
 
-    /// Returns when it must be given up: when its lease has ended, or would have ended after the next event.
+    /// Returns when the robot must end the command: when its lease ends, or at the next event if the lease that follows it would have
+    /// ended by then.
     pub(crate) fn must_end(&self, heard: &Heard) -> Option<Now> {
         let current =
             if !self.began { self.pending_ends(heard) } else { self.running_ends(heard, self.done) };
@@ -174,18 +177,18 @@ impl Order {
     }
 }
 
-/// Returns the start of a request that is received now.
+/// Returns the start time of a request that is received at `now`.
 pub(crate) fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
-/// Returns the time from which a request cancels, if it is an empty script with a later start.
+/// Returns the time from which a request cancels commands, if it is an empty script with a later start.
 pub(crate) fn cancels_from(now: Now, request: &ControlRequest) -> Option<Now> {
     let empty = matches!(&request.command, Command::Script(script) if script.is_empty());
     Some(start_of(now, request)).filter(|from| empty && *from > now)
 }
 
-/// Rates that continue after their command has ended, still under its lease.
+/// Rates that continue after the end of their command. That command's lease still covers them.
 #[derive(Debug)]
 pub(crate) struct Guard {
     pub(crate) id: Option<RequestId>,
@@ -201,14 +204,14 @@ impl Guard {
     }
 }
 
-/// The last movement of a signal.
+/// The last movement of a signal, from its start to its target.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Way {
     pub(crate) from: f64,
     pub(crate) since: Now,
     pub(crate) to: f64,
     pub(crate) until: Now,
-    /// Whether its speed changes during the movement.
+    /// Whether the speed of the signal changes during the movement.
     pub(crate) is_slowing: bool,
 }
 
@@ -217,7 +220,7 @@ impl Way {
         Self { from: value, since: now, to: value, until: now, is_slowing: false }
     }
 
-    /// Returns the value, if the speed is constant.
+    /// Returns the signal's value. `None` while its speed changes.
     pub(crate) fn value(&self, now: Now) -> Option<f64> {
         if now >= self.until {
             return Some(self.to);
@@ -231,20 +234,20 @@ impl Way {
     }
 }
 
-/// One device, derived from its orders and movements.
+/// Model of one device, derived from its orders and movements.
 #[derive(Debug)]
 pub(crate) struct DeviceModel {
     pub(crate) spec: Device,
-    /// In the order of execution.
+    /// Accepted orders, in the order of their execution.
     pub(crate) queue: Vec<Order>,
     pub(crate) guards: Vec<Guard>,
-    /// Guards that a stop has just released; their reports follow.
+    /// Guards that a stop has just released. The robot's reports about them must follow.
     pub(crate) released: Vec<Guard>,
-    /// The last movement of each signal.
+    /// Last movement of each signal.
     pub(crate) ways: BTreeMap<ControlType, Way>,
-    /// Messages of any sender up to this time have been taken back.
+    /// Sending time up to which stops have cancelled the messages of all senders.
     pub(crate) taken_back: Option<Timestamp<Server>>,
-    /// Messages of any sender after this time have not been taken back.
+    /// Sending time after which stops have cancelled no sender's messages.
     pub(crate) taken_back_at_most: Option<Timestamp<Server>>,
 }
 
@@ -268,7 +271,7 @@ impl DeviceModel {
         self.queue.insert(place, order);
     }
 
-    /// Records a driven signal: it is no longer under the lease of the previous command.
+    /// Records a movement of a signal. The lease of the signal's previous command no longer covers it.
     pub(crate) fn drive(&mut self, control_type: ControlType, way: Way) {
         self.ways.insert(control_type, way);
         for guard in &mut self.guards {
@@ -277,7 +280,7 @@ impl DeviceModel {
         self.guards.retain(|guard| !guard.rates.is_empty());
     }
 
-    /// Records the last step of an order: the rates that it leaves on stay under its lease.
+    /// Records the last step of an order. The order's lease still covers the rates that continue.
     pub(crate) fn guard_what_goes_on(&mut self, at: usize) {
         let order = &self.queue[at];
         let last = order.steps.last().and_then(|step| step.stop_condition);
@@ -295,7 +298,7 @@ impl DeviceModel {
         }
     }
 
-    /// Returns the resting value of a rate; `None` if the signal keeps its value.
+    /// Returns a rate's value at rest. `None` if the signal keeps its value.
     pub(crate) fn rest(&self, rate: ControlType) -> Option<f64> {
         match rate {
             ControlType::Speed | ControlType::Acceleration => Some(0.0),
@@ -303,7 +306,7 @@ impl DeviceModel {
         }
     }
 
-    /// Returns the time of the device's earliest event.
+    /// Returns the time of the device's earliest event: a step, a start, or the end of a lease.
     pub(crate) fn earliest(&self, heard: &Heard) -> Option<Now> {
         let orders = self.queue.iter().flat_map(|order| [order.next_event(), order.must_end(heard)]);
         orders.chain(self.guards.iter().map(|guard| guard.must_end(heard))).flatten().min()
@@ -316,13 +319,15 @@ impl DeviceModel {
         running.map(|order| order.must_end(heard)).chain(guards).flatten().any(|end| end <= now)
     }
 
-    /// Returns the earliest start of the orders whose lease ended while they waited: orders with this start or a later one are cancelled.
+    /// Returns the earliest start of the orders whose lease ended before their start. Orders with this start or a later one are
+    /// cancelled.
     pub(crate) fn falls_from(&self, now: Now, heard: &Heard) -> Option<Now> {
         let over = self.queue.iter().filter(|order| order.is_over_before_its_start(now, heard));
         over.map(|order| order.start).min()
     }
 
-    /// Begins the orders of a holding device whose start has come and whose first value is due later.
+    /// Marks orders as started if their start has come and their first value is due later, for a device that holds its value between
+    /// steps.
     pub(crate) fn begin_untold(&mut self, now: Now, heard: &Heard) {
         let falls = self.falls_from(now, heard);
         let untold = self.spec.interpolation == Interpolation::Hold;
@@ -333,12 +338,12 @@ impl DeviceModel {
         }
     }
 
-    /// Whether its rest is visible: a speed is set to zero.
+    /// Whether the device's rest is visible in the outputs, because a speed is set to zero.
     pub(crate) fn must_rest(&self) -> bool {
         self.spec.primary_control_type() == Some(ControlType::Speed)
     }
 
-    /// Whether a request may set this: the device has its type, and the value is within its limits and on its grid.
+    /// Whether a request may set this value: the device has its control type, and the value is within its limits and on its grid.
     pub(crate) fn can_take(&self, setpoint: &Setpoint) -> bool {
         match self.spec.available_control_types.get(setpoint.control_type) {
             Some(ControlParameters::Motion(limits)) => {

@@ -1,6 +1,6 @@
 //! Operations on a robot, decoded from arbitrary bytes.
 //!
-//! Times are coarse, so that many events fall on the same instant, with offsets of a nanosecond around them.
+//! Times are multiples of a tick, so that many events occur at the same instant, with offsets of a few nanoseconds around them.
 
 use arbitrary::{Arbitrary, Unstructured};
 use urrcp::{
@@ -8,17 +8,17 @@ use urrcp::{
     SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
-/// Maximum number of operations per run: fewer than the requests that the robot remembers.
+/// Maximum number of operations per run. It is lower than the number of requests that the robot remembers.
 const OPERATIONS_MAX: usize = 128;
-/// Maximum number of steps of one script; more than the devices accept.
+/// Maximum number of steps of a script. The devices accept fewer.
 const STEPS_MAX: usize = 6;
-/// The unit of all coarse times.
+/// Tick of which all coarse times are multiples.
 const TICK: Span = Span::from_millis(50);
-/// Ids and names that occur in addition to those of the robot's devices.
+/// An id that no device of the robot has.
 const NO_DEVICE: &str = "leg";
 const IDS: u8 = 8;
 const SESSIONS: u8 = 3;
-/// Smaller numbers mean no session.
+/// Number below which a session number means no session.
 const SESSIONLESS: u8 = 240;
 
 /// One operation on a robot.
@@ -28,7 +28,7 @@ pub enum Operation {
     Request(Request),
     /// An earlier request arrives again, possibly on another link.
     Repeat {
-        /// Number of the earlier request.
+        /// Number of the earlier request among those that were sent.
         which: u8,
         /// Number of the link.
         link: u8,
@@ -47,14 +47,14 @@ pub enum Operation {
         /// Number of the link.
         link: u8,
     },
-    /// An availability request arrives that would seize the robot.
+    /// An availability request with `seize` arrives.
     Seize {
-        /// Number of a link without proof; `None`: the link of a permitted operator.
+        /// Number of a link without a proven identity. `None`: the link of an operator who may seize the robot.
         link: Option<u8>,
-        /// Number of the session, on a link without proof.
+        /// Number of the session, if `link` is a link without a proven identity.
         session: u8,
     },
-    /// A message arrives that only robots send.
+    /// A message arrives that a robot, but no server, may send.
     Stray {
         /// Number of the link.
         link: u8,
@@ -63,41 +63,41 @@ pub enum Operation {
     Noise {
         /// Number of the link.
         link: u8,
-        /// The device that can still be recognised in the line.
+        /// Device whose id can still be recognised in the line, by number. `None`: no id can be recognised.
         device: Option<u8>,
     },
-    /// A link breaks; what arrives on it later arrives on a new one.
+    /// A link breaks. Later messages of its peer arrive on a new link.
     Break {
         /// Number of the link that breaks.
         link: u8,
     },
-    /// Time passes, and the robot is woken whenever it asks to be.
+    /// Time passes, and the robot is woken at every time that it requests.
     Wait(Pause),
     /// Time passes, and the robot is woken only at the end, as if its process had been stopped.
     HeldUp(Pause),
 }
 
-/// A time without messages: to an instant of the coarse grid, or a few nanoseconds next to it.
+/// A time without messages, which ends at a tick or a few nanoseconds next to it.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Pause {
     ticks: u8,
     nudge: i8,
 }
 
-/// Parameters of an inquiry.
+/// Parameters of an inquiry, as numbers that `written` converts.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Question {
     pub(crate) link: u8,
     session: u8,
-    /// Earlier requests; the written inquiry adds one that was never sent.
+    /// Numbers of earlier requests about which to ask. The inquiry also asks about one that was never sent.
     requests: [u8; 3],
     device: u8,
     pending_ticks: Option<u8>,
-    /// Relative to now; some lie in the past.
+    /// Limit of the pending leases in ticks from now; negative values lie in the past.
     until_ticks: Option<i8>,
 }
 
-/// Parameters of a control request.
+/// Parameters of a control request, as numbers that `written` converts.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Request {
     pub(crate) link: u8,
@@ -122,7 +122,7 @@ enum Id {
 #[derive(Clone, Debug)]
 enum Start {
     AtOnce,
-    /// A timestamp without an offset: a stop takes back earlier messages.
+    /// The request has a timestamp but no offset. A stop with a timestamp cancels messages that were sent earlier.
     Sent {
         ticks_ago: u8,
     },
@@ -180,7 +180,8 @@ enum Value {
     Any(f64),
 }
 
-/// Chooses by one byte: each choice with its exclusive upper bound, and the last choice in all other cases.
+/// Implements `Arbitrary` so that one byte selects a choice: each choice has an exclusive upper bound of the byte, and the last choice
+/// has all other bytes.
 macro_rules! chosen {
     ($kind:ty, $bytes:ident, $($below:literal => $choice:expr,)* else $last:expr) => {
         impl<'a> Arbitrary<'a> for $kind {
@@ -195,7 +196,7 @@ macro_rules! chosen {
     };
 }
 
-// Accepted operations are more frequent than refused ones.
+// The bounds make accepted operations more frequent than refused ones.
 chosen!(Operation, bytes,
     110 => Self::Request(bytes.arbitrary()?),
     176 => Self::Wait(bytes.arbitrary()?),
@@ -227,7 +228,7 @@ chosen!(Value, bytes,
     250 => Self::Fine(bytes.arbitrary()?),
     else Self::Any(bytes.arbitrary()?));
 
-/// Decodes bytes as operations; any bytes are valid.
+/// Decodes bytes as operations. Any bytes are valid.
 #[must_use]
 pub fn operations(bytes: &[u8]) -> Vec<Operation> {
     let mut bytes = Unstructured::new(bytes);
@@ -240,16 +241,16 @@ pub fn operations(bytes: &[u8]) -> Vec<Operation> {
 }
 
 impl Pause {
-    /// Returns the instant at which it ends.
+    /// Returns the instant at which the pause ends.
     pub(crate) fn until(&self, now: Timestamp<Robot>) -> Timestamp<Robot> {
-        // Usually shorter than a script, sometimes longer than all leases.
+        // The pause is usually shorter than a script, and sometimes longer than all leases.
         let ticks = if self.ticks < 240 { self.ticks % 12 } else { self.ticks };
         now.max(on_grid(now, i64::from(ticks)) + nudged(self.nudge))
     }
 }
 
 impl Question {
-    /// Creates the inquiry: about requests that were sent, and about one that was not.
+    /// Creates the inquiry. It asks about requests that were sent, and about one that was not.
     pub(crate) fn written(
         &self,
         now: Timestamp<Robot>,
@@ -272,7 +273,8 @@ impl Question {
 }
 
 impl Request {
-    /// Creates the request, as of `now`, for one of these devices or for none. `fresh` gives it a unique id.
+    /// Creates the request at the time `now`, for one of `devices` or for a device that does not exist. `fresh` gives the request a
+    /// unique id.
     pub(crate) fn written(
         &self,
         now: Timestamp<Robot>,
@@ -307,7 +309,7 @@ impl Request {
     }
 }
 
-/// Returns the session of a number, usually none.
+/// Returns the session with this number; usually none.
 pub(crate) fn session(number: u8) -> Option<SessionId> {
     let named = number.checked_sub(SESSIONLESS)?;
     SessionId::new(format!("session-{}", named % SESSIONS)).ok()
@@ -384,12 +386,12 @@ impl Target {
     }
 }
 
-/// Returns the instant this many ticks from the tick at or before `now`.
+/// Returns the instant that is `ticks` ticks after the last tick at or before `now`.
 fn on_grid(now: Timestamp<Robot>, ticks: i64) -> Timestamp<Robot> {
     now - Span::from_nanos(now.as_nanos().rem_euclid(TICK.as_nanos())) + TICK * ticks
 }
 
-/// Returns usually zero, otherwise a nanosecond or two in either direction.
+/// Returns an offset that is usually zero, otherwise a nanosecond or two in either direction.
 fn nudged(nudge: i8) -> Span {
     Span::from_nanos(i64::from(nudge / 50))
 }

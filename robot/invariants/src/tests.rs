@@ -1,4 +1,4 @@
-//! The invariants over random operations, and over past findings of the fuzzer.
+//! Tests of the invariants, with random operations and with past findings of the fuzzer.
 
 use proptest::prelude::*;
 

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use rustix::fs::{Mode, OFlags, Stat};
 
-/// Maximum size of such a file: a key and two certificates are about three thousand bytes.
+/// Maximum size of a key file in bytes. A key and two certificates take about three thousand bytes.
 const BYTES_MAX: u64 = 64 * 1024;
 
-/// An error of a key file.
+/// An error in a key file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyFileError {
@@ -18,7 +18,7 @@ pub enum KeyFileError {
     Unreadable {
         /// Path of the file.
         path: PathBuf,
-        /// The error of the system.
+        /// The system's error.
         error: io::Error,
     },
     /// Other users can read the key.
@@ -26,21 +26,21 @@ pub enum KeyFileError {
     NotPrivate {
         /// Path of the file.
         path: PathBuf,
-        /// Its permissions.
+        /// Permission bits of the file.
         mode: u32,
     },
 }
 
-/// Reads a regular file with a key that other users cannot read.
+/// Reads a regular file that contains a key. Refuses a file that other users can read.
 pub fn read_private(path: &Path) -> Result<Vec<u8>, KeyFileError> {
     read_private_of(path, BYTES_MAX)
 }
 
-/// The same with at most `bytes_max` bytes.
+/// Like [`read_private`], for a file of at most `bytes_max` bytes.
 pub fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
     let (file, stat) = open_regular(path)?;
     let mode = stat.st_mode & 0o777;
-    // A file of root may be handed to a service by its group, as systemd does with credentials.
+    // The group of a file that belongs to root may be the service that uses it, as with systemd's credentials.
     let handed_over = stat.st_uid == 0 && !rustix::process::geteuid().is_root();
     if mode & if handed_over { 0o037 } else { 0o077 } != 0 {
         return Err(KeyFileError::NotPrivate { path: path.into(), mode });
@@ -48,7 +48,7 @@ pub fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileEr
     read(path, file, bytes_max)
 }
 
-/// Reads a regular file of at most `bytes_max` bytes. It may be public.
+/// Reads a regular file of at most `bytes_max` bytes. Other users may be able to read it.
 pub fn read_regular(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
     read(path, open_regular(path)?.0, bytes_max)
 }
@@ -64,7 +64,7 @@ fn read(path: &Path, file: File, bytes_max: u64) -> Result<Vec<u8>, KeyFileError
     Ok(bytes)
 }
 
-/// Opens only regular files: reading from a pipe would block.
+/// Opens a file only if it is a regular one: reading from a pipe would block.
 fn open_regular(path: &Path) -> Result<(File, Stat), KeyFileError> {
     let unreadable = |error: io::Error| KeyFileError::Unreadable { path: path.into(), error };
     let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK;
@@ -82,7 +82,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns the result for a file of this length and mode, with at most `bytes_max` bytes.
+    /// Returns the number of bytes read from a file with this length and mode, or the error, if at most `bytes_max` bytes are permitted.
     fn read_of(bytes: usize, mode: u32, bytes_max: u64) -> Result<usize, String> {
         let name = format!("downbeat-key-file-{}-{bytes}-{mode:o}", std::process::id());
         let path = std::env::temp_dir().join(name);

@@ -1,4 +1,4 @@
-//! Precise waiting on a thread: the scheduling that the system grants, the wait itself, and its delay on this host. Linux only.
+//! Precise waiting of a thread: the scheduling that the system grants, the wait itself, and the measured delay on this host. Linux only.
 
 mod precise_wait;
 mod scheduling;

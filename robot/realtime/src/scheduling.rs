@@ -1,7 +1,7 @@
-//! The scheduling that the system grants to the thread that wakes robots: real-time scheduling, locked memory, a short time slice.
+//! The scheduling that the system grants to the thread that wakes robots: real-time scheduling, locked memory, and a short time slice.
 //!
-//! Real-time scheduling and locked memory need permission; the short slice and the minimum timer slack need none. The result is reported
-//! in one sentence, with the settings that would permit the rest.
+//! Real-time scheduling and locked memory require permission; the short slice and the minimum timer slack do not. The result is reported
+//! in one sentence, with the settings that would permit the refused requests.
 
 use std::fmt;
 use std::num::NonZeroU64;
@@ -11,43 +11,44 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::CapabilitySet;
 use uapi::c;
 
-/// Above ordinary programs, and not above the interrupt threads on real-time kernels.
+/// Priority under SCHED_FIFO: above ordinary programs, but not above the interrupt threads of real-time kernels.
 const PRIORITY: u32 = 50;
-/// A woken thread with a short slice runs before those in the middle of a long one. The kernel does not accept a shorter slice.
+/// Time slice in nanoseconds. When a thread with a short slice wakes, it runs before threads that are in the middle of a long slice. The
+/// kernel accepts no shorter slice.
 const SLICE_NANOS: u64 = 100_000;
 
 /// Whether to request real-time scheduling (SCHED_FIFO) and locked memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Realtime {
-    /// Do not request it.
+    /// Request neither.
     #[default]
     Off,
-    /// Use what is permitted, and continue without the rest.
+    /// Request both, and continue without those that are not permitted.
     Auto,
-    /// Do not start without both.
+    /// Request both, and do not start unless both are granted.
     Required,
 }
 
-/// The scheduling that a thread was granted. Displays as one sentence, without a full stop.
+/// The scheduling that a thread was granted. `Display` prints it as one sentence without a full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Scheduling {
     realtime: Granted,
     locked: Granted,
 }
 
-/// The result of a request.
+/// The system's answer to a request for scheduling or locked memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Granted {
-    /// It was not requested.
+    /// No request was made.
     Unasked,
-    /// It was granted, as described.
+    /// The request was granted. Contains a description of what was granted.
     Yes(String),
-    /// It was refused, for this reason.
+    /// The request was refused, for the contained reason.
     No(String),
 }
 
 impl Scheduling {
-    /// Requests the scheduling for this thread, and locked memory for its process.
+    /// Requests this scheduling for the current thread, and locked memory for its process.
     #[must_use]
     pub fn of_this_thread(realtime: Realtime) -> Self {
         if let Err(error) = rustix::thread::set_current_timer_slack(NonZeroU64::new(1)) {
@@ -66,19 +67,19 @@ impl Scheduling {
         granted
     }
 
-    /// Whether the thread runs before all ordinary ones.
+    /// Whether the thread runs before all ordinary threads.
     #[must_use]
     pub const fn is_realtime(&self) -> bool {
         matches!(self.realtime, Granted::Yes(_))
     }
 
-    /// Whether any request was refused.
+    /// Whether the system refused any request.
     #[must_use]
     pub const fn lacks_something(&self) -> bool {
         matches!(self.realtime, Granted::No(_)) || matches!(self.locked, Granted::No(_))
     }
 
-    /// Returns the settings that would permit the refused requests; `None` if everything was granted.
+    /// Returns the settings that would permit the refused requests. `None` if no request was refused.
     fn remedy(&self) -> Option<String> {
         let (systemd, limits) = match (&self.realtime, &self.locked) {
             (Granted::No(_), Granted::No(_)) => {
@@ -124,7 +125,7 @@ impl Granted {
         }
     }
 
-    /// The process may have been started under real-time scheduling.
+    /// Returns the real-time scheduling under which the process was started, if any.
     fn as_found() -> Self {
         policy_found().map_or(Self::Unasked, Self::Yes)
     }
@@ -140,12 +141,12 @@ fn policy_found() -> Option<String> {
     Some(format!("{name}, priority {}", attributes.sched_priority))
 }
 
-/// Threads and programs that this thread starts do not inherit it.
+/// Requests SCHED_FIFO. Threads and programs that this thread starts do not inherit it.
 fn ask_first_in_first_out() -> Result<String, String> {
     if let Some(found) = policy_found() {
         return Ok(found);
     }
-    // With the capability no limit applies, so the full priority is tried first.
+    // With the capability `CAP_SYS_NICE`, no limit applies, so the full priority is requested first.
     let full = set_first_in_first_out(PRIORITY);
     let granted = full.or_else(|error| match within(raise_limit(Resource::Rtprio)) {
         Some(priority) => set_first_in_first_out(priority),
@@ -156,7 +157,7 @@ fn ask_first_in_first_out() -> Result<String, String> {
         .map_err(|error| std::io::Error::from(error).to_string())
 }
 
-/// Returns the highest priority that a limit permits, if that is below the full one.
+/// Returns the highest priority that a limit permits, if it is below [`PRIORITY`].
 fn within(limit: Rlimit) -> Option<u32> {
     let allowed = u32::try_from(limit.maximum?).ok();
     allowed.filter(|allowed| *allowed > 0 && *allowed < PRIORITY)
@@ -172,7 +173,7 @@ fn set_first_in_first_out(priority: u32) -> Result<(), uapi::Errno> {
     uapi::sched_setattr(0, &attributes, 0)
 }
 
-/// Kernels before 6.12 accept it without effect.
+/// Requests a time slice of [`SLICE_NANOS`]. Kernels before 6.12 accept the request, but it has no effect.
 fn shorten_slice() -> Result<(), uapi::Errno> {
     let mut attributes = uapi::sched_getattr(0, 0)?;
     if c::c_int::try_from(attributes.sched_policy) != Ok(c::SCHED_OTHER) {
@@ -183,7 +184,7 @@ fn shorten_slice() -> Result<(), uapi::Errno> {
     uapi::sched_setattr(0, &attributes, 0)
 }
 
-/// Pages are locked when they are first used, so that memory usage does not increase.
+/// Locks the memory of the process. Each page is locked when it is first used, so that memory usage does not increase.
 fn lock_memory() -> Result<String, String> {
     let limit = raise_limit(Resource::Memlock).maximum;
     let capable = rustix::thread::capabilities(None)
@@ -198,7 +199,7 @@ fn lock_memory() -> Result<String, String> {
         .map_err(|error| std::io::Error::from(error).to_string())
 }
 
-/// Raises a limit to its maximum and returns it.
+/// Raises a limit to its maximum, and returns the limit as it was.
 fn raise_limit(resource: Resource) -> Rlimit {
     let limit = getrlimit(resource);
     let _always_allowed = setrlimit(resource, Rlimit { current: limit.maximum, ..limit });
@@ -277,7 +278,7 @@ mod tests {
         assert!(!scheduling.lacks_something());
         if !scheduling.is_realtime() {
             assert_eq!(attributes.sched_policy, c::SCHED_OTHER.unsigned_abs());
-            // Kernels before 6.12 report no slice.
+            // Kernels before 6.12 report a slice of 0.
             assert!([0, SLICE_NANOS].contains(&attributes.sched_runtime), "{}", attributes.sched_runtime);
         }
     }

@@ -1,4 +1,4 @@
-//! Measures the wake-up delay of a thread that waits like the one that wakes robots.
+//! Measures the wake-up delay of a thread that waits like the thread that wakes robots.
 #![expect(clippy::disallowed_methods, reason = "compares an instant with the one that was asked for")]
 
 use std::io;
@@ -10,27 +10,27 @@ use crate::precise_wait::{PreciseWait, Woken};
 use crate::scheduling::{Realtime, Scheduling};
 
 const WAITS: usize = 100;
-/// Interval between deadlines, long enough that the thread sleeps in between.
+/// Interval between two deadlines, long enough that the thread sleeps in between.
 const INTERVAL: Duration = Duration::from_millis(6);
 
-/// Wake-up delays of a thread that waited as robots wait.
+/// Wake-up delays of a thread that waited like the thread that wakes robots.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WakeUp {
     /// The scheduling that the thread was granted.
     pub scheduling: Scheduling,
-    /// Median delay.
+    /// Median wake-up delay.
     pub median: Span,
-    /// 99th percentile of the delay.
+    /// 99th percentile of the wake-up delay.
     pub p99: Span,
-    /// Maximum delay.
+    /// Maximum wake-up delay.
     pub longest: Span,
 }
 
 impl WakeUp {
-    /// Waits a hundred times on a thread of its own; takes 0.6 s.
+    /// Measures a hundred wake-ups of a separate thread; takes 0.6 s.
     ///
     /// # Errors
-    /// If the system cannot create a thread.
+    /// The system cannot create a thread.
     pub fn measure(realtime: Realtime) -> io::Result<Self> {
         let thread = std::thread::Builder::new().name("wake-up".into());
         let measuring = thread.spawn(move || {
@@ -43,7 +43,7 @@ impl WakeUp {
 
     fn of(scheduling: Scheduling, mut late: Vec<Span>) -> Self {
         late.sort_unstable();
-        // Nearest rank: the p99 of 100 is the largest but one.
+        // By the nearest-rank method, the 99th percentile of 100 values is the second largest.
         let rank = |percent: usize| {
             let index = (late.len() * percent).div_ceil(100).saturating_sub(1);
             late.get(index).copied().unwrap_or(Span::ZERO)

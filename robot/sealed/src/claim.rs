@@ -1,4 +1,4 @@
-//! An operator's claim: a text that a pass proves.
+//! The statement about an operator that a pass proves.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,14 +8,15 @@ use urrcp::{Label, RobotId};
 
 use urrcp::{Proof, Roles};
 
-/// Unencoded characters of a name: the unreserved characters of RFC 3986. A name therefore cannot contain a space or end a line.
+/// All characters of a name that are percent-encoded. The unreserved characters of RFC 3986 are not. An encoded name therefore contains
+/// no space and no line end.
 const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
 pub(super) fn encoded(name: &str) -> String {
     utf8_percent_encode(name, ENCODED).to_string()
 }
 
-/// Decodes a name; `None` if it could have been encoded in another way.
+/// Decodes a percent-encoded name. `None` if the text is not the one form in which this name is encoded.
 pub(super) fn decoded(text: &str) -> Option<String> {
     let name = percent_decode_str(text).decode_utf8().ok()?.into_owned();
     (!name.is_empty() && encoded(&name) == text).then_some(name)
@@ -25,26 +26,26 @@ pub(super) fn robot_id(text: &str) -> Option<RobotId> {
     decoded(text)?.parse().ok()
 }
 
-/// An operator's name, its roles, and its expiry: the text `operator NAME ROLES EXPIRES SERIAL`.
+/// An operator's name, roles and expiry. As a text: `operator NAME ROLES EXPIRES SERIAL`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Claim {
     /// The operator's name.
     pub name: String,
     /// The operator's roles.
     pub roles: Roles,
-    /// Time after which it is invalid, in seconds since 1970 in UTC.
+    /// Time after which the claim is invalid, in seconds since 1970 in UTC.
     pub expires: i64,
-    /// Serial number of the operator's certificate, for revocation: hexadecimal digits and colons.
+    /// Serial number of the operator's certificate, used for revocation. It consists of hexadecimal digits and colons.
     pub serial: String,
 }
 
-/// A text that is not a claim.
+/// Error for a text that is not a claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected `operator NAME ROLES EXPIRES SERIAL`")]
 pub struct NoClaim;
 
 impl Claim {
-    /// Returns the proof for a peer; `None` if the name is too long for the protocol.
+    /// Returns the proof of identity that links use. `None` if the name is too long for the protocol.
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(format!("operator {}", self.name)).ok()?;
@@ -63,7 +64,7 @@ impl fmt::Display for Claim {
 impl FromStr for Claim {
     type Err = NoClaim;
 
-    /// Parses a claim in exactly the form that `Display` writes: any other form of the same claim is invalid.
+    /// Parses a claim in exactly the form that `Display` writes. Any other form of this claim is invalid.
     fn from_str(text: &str) -> Result<Self, NoClaim> {
         let words: Vec<&str> = text.split(' ').collect();
         let ["operator", name, roles, expires, serial] = words.as_slice() else { return Err(NoClaim) };

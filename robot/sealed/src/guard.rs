@@ -1,4 +1,4 @@
-//! The door of a robot that shares a secret: peers must prove a pass.
+//! The guard of a robot that shares a secret with its authority: peers must prove that they have a pass.
 
 use std::io;
 use std::sync::{Mutex, PoisonError};
@@ -13,24 +13,25 @@ use super::secret::{Pass, Secret};
 use super::stream::{Sealed, accept};
 use urrcp::Proof;
 
-/// A robot's secret, and the check of its peers: it admits operators with a valid pass for it.
+/// Checks a robot's peers by the robot's secret. Admits operators with a valid pass for this robot.
 #[derive(Debug)]
 pub struct Guard {
     robot: RobotId,
     secret: Secret,
     revoked: Option<RevokedSerials>,
-    /// The serial numbers from the last successful reading.
+    /// Serial numbers of revoked passes, as last read successfully.
     known: Mutex<Vec<String>>,
 }
 
 impl Guard {
-    /// Creates a door for a robot with this id.
+    /// Creates a guard for the robot with this id.
     #[must_use]
     pub fn new(robot: RobotId, secret: Secret, revoked: Option<RevokedSerials>) -> Self {
         Self { robot, secret, revoked, known: Mutex::default() }
     }
 
-    /// Whether this pass is revoked. If the list cannot be read, the last one applies, so that it does not admit revoked operators.
+    /// Whether the pass with this serial number is revoked. If the list cannot be read, the previous list applies, so that revoked
+    /// operators are still refused.
     fn is_revoked(&self, serial: &str) -> bool {
         let Some(revoked) = &self.revoked else { return false };
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
@@ -41,7 +42,7 @@ impl Guard {
         known.iter().any(|revoked| revoked == serial)
     }
 
-    /// Returns the pass that a claim requires.
+    /// Returns the pass with which the operator must prove its claim, or the reason for refusing the claim.
     fn judge(&self, hello: &Hello, now: i64) -> Result<Pass, Refused> {
         if hello.robot != self.robot {
             return Err(Refused::OtherRobot(self.robot.clone()));
@@ -55,7 +56,7 @@ impl Guard {
         Ok(self.secret.pass(&hello.claim))
     }
 
-    /// Admits an operator.
+    /// Accepts the connection of an operator, and returns the operator's proof.
     ///
     /// # Errors
     /// The peer does not prove its identity.

@@ -1,5 +1,5 @@
-//! The first three lines of a connection. Each side answers a random number of the other side, so messages from an earlier connection
-//! prove nothing on this one.
+//! The handshake: the first three lines of a connection. Each side answers a random number of the other side, so messages from an earlier
+//! connection prove nothing on this one.
 
 use hmac::Mac;
 use urrcp::RobotId;
@@ -9,14 +9,14 @@ use super::hex;
 use super::record::{Opening, Sealing};
 use super::secret::{Pass, code};
 
-/// Prefix of all lines except the last.
+/// Prefix of all lines of the handshake except the last.
 const VERSION: &str = "URRCP-HMAC 1 ";
-/// Maximum length of a line, including its end: a robot's id and an operator's name have at most 256 characters each, of up to twelve
-/// bytes when encoded.
+/// Maximum length of a line of the handshake in bytes, including its end. A robot's id and an operator's name have at most 256 characters
+/// each, and each character takes up to twelve bytes when encoded.
 pub(super) const LINE_BYTES_MAX: usize = 8 * 1024;
-/// Size of each side's random number.
+/// Size of each side's random number, in bytes.
 pub const NONCE_BYTES: usize = 16;
-/// A random number for one connection.
+/// A random number that one side uses for one connection.
 pub type Nonce = [u8; NONCE_BYTES];
 
 /// Returns a new random number.
@@ -29,21 +29,21 @@ pub fn fresh_nonce() -> std::io::Result<Nonce> {
     Ok(nonce)
 }
 
-/// Why a robot refuses a claim.
+/// Reason why a robot refuses a claim.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Refused {
-    /// It has expired.
+    /// The claim has expired.
     Expired,
-    /// It was revoked.
+    /// The claim was revoked.
     Revoked,
-    /// It is for another robot than this one.
+    /// The operator intended another robot. Contains the id of this robot.
     OtherRobot(RobotId),
-    /// It cannot be read.
+    /// The claim cannot be read.
     Unreadable,
 }
 
 impl Refused {
-    /// Returns the robot's line for this refusal.
+    /// Returns the line in which the robot reports this refusal.
     #[must_use]
     pub fn line(&self) -> String {
         let why = match self {
@@ -66,7 +66,7 @@ impl Refused {
     }
 }
 
-/// Why a sealed connection could not be established.
+/// Reason why a sealed connection could not be established.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotSealed {
     /// The received line does not belong to this handshake.
@@ -75,12 +75,12 @@ pub enum NotSealed {
     /// The robot refuses the operator's claim.
     #[error("{}", sentence(.0))]
     Refused(Refused),
-    /// The robot proves another secret than the pass's, or none.
+    /// The robot proves that it knows another secret than the one of the pass, or it proves nothing.
     #[error(
         "the robot does not have the secret of your pass: copy its secret to it, or use the latest passes that `downbeat keys` wrote"
     )]
     OtherSecret,
-    /// The robot's peer has not proven its claim.
+    /// The operator has not proven its claim.
     #[error("the peer did not prove its identity")]
     NotProven,
 }
@@ -94,19 +94,19 @@ fn sentence(refused: &Refused) -> String {
     }
 }
 
-/// The operator's first line.
+/// The operator's first line of the handshake.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hello {
-    /// The operator's random number.
+    /// Random number of the operator.
     pub nonce: Nonce,
-    /// The intended robot.
+    /// Id of the robot that the operator wants to reach.
     pub robot: RobotId,
-    /// The operator's claim.
+    /// Claim that the operator wants to prove.
     pub claim: Claim,
 }
 
 impl Hello {
-    /// Returns the line as it is sent.
+    /// Returns the line as it is sent, including its end.
     #[must_use]
     pub fn line(&self) -> String {
         let Self { nonce, robot, claim } = self;
@@ -116,7 +116,7 @@ impl Hello {
     /// Parses the line, including its end.
     ///
     /// # Errors
-    /// [`NotSealed::NotSpoken`] for a line of another protocol, and [`Refused::Unreadable`] for one without a valid claim.
+    /// [`NotSealed::NotSpoken`] for a line of another protocol, and [`Refused::Unreadable`] for a line without a valid claim.
     pub fn read(line: &str) -> Result<Self, NotSealed> {
         let rest = line.strip_prefix(VERSION).and_then(|rest| rest.strip_suffix('\n'));
         let rest = rest.ok_or(NotSealed::NotSpoken)?;
@@ -130,7 +130,7 @@ impl Hello {
         read().ok_or(NotSealed::Refused(Refused::Unreadable))
     }
 
-    /// Returns the robot's answer to it, which proves that it knows the secret.
+    /// Returns the robot's answer to this line. The answer proves that the robot knows the secret.
     #[must_use]
     pub fn answer(&self, pass: &Pass, nonce: &Nonce) -> String {
         let begun = format!("{VERSION}{}", hex::hex(nonce));
@@ -138,10 +138,10 @@ impl Hello {
         format!("{begun} {}\n", hex::hex(&proof.finalize().into_bytes()))
     }
 
-    /// Checks the robot's answer.
+    /// Checks the robot's answer to this line.
     ///
     /// # Errors
-    /// [`NotSealed`], also if the robot refuses the claim.
+    /// [`NotSealed`]; also if the robot refuses the claim.
     pub fn check_answer(&self, pass: &Pass, answer: &str) -> Result<(), NotSealed> {
         let rest = answer.strip_prefix(VERSION).and_then(|rest| rest.strip_suffix('\n'));
         let rest = rest.ok_or(NotSealed::NotSpoken)?;
@@ -161,19 +161,21 @@ fn operators_code(pass: &Pass, hello: &str, answer: &str) -> hmac::Hmac<sha2::Sh
     code(&pass.0, &[b"operator\n", hello.as_bytes(), answer.as_bytes()])
 }
 
-/// Returns the operator's second line, which proves that it has the pass. `hello` and `answer` include their line ends.
+/// Returns the operator's second line, which proves that the operator has the pass. `hello` and `answer` are the first two lines,
+/// including their ends.
 #[must_use]
 pub fn proof_of_operator(pass: &Pass, hello: &str, answer: &str) -> String {
     format!("{}\n", hex::hex(&operators_code(pass, hello, answer).finalize().into_bytes()))
 }
 
-/// Checks the operator's second line.
+/// Checks the operator's second line, which must prove that the operator has the pass.
 pub(super) fn check_operator(pass: &Pass, hello: &str, answer: &str, proof: &str) -> Result<(), NotSealed> {
     let proof = proof.strip_suffix('\n').and_then(hex::bytes::<32>).ok_or(NotSealed::NotProven)?;
     operators_code(pass, hello, answer).verify(&proof.into()).map_err(|_| NotSealed::NotProven)
 }
 
-/// The keys of a connection, one for each direction. They are derived from the whole handshake, so no two connections share one.
+/// The keys of a connection, one for each direction. They are derived from the whole handshake, so that no two connections have the same
+/// key.
 #[derive(Clone)]
 pub struct Keys {
     to_robot: [u8; 32],
@@ -181,7 +183,7 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// Derives the keys from the first two lines, including their ends.
+    /// Derives the keys from the first two lines of the handshake, including their ends.
     #[must_use]
     pub fn of(pass: &Pass, hello: &str, answer: &str) -> Self {
         let of = |direction: &[u8]| {
@@ -190,13 +192,13 @@ impl Keys {
         Self { to_robot: of(b"to robot\n"), to_operator: of(b"to operator\n") }
     }
 
-    /// Returns the operator's end.
+    /// Returns the operator's half of the connection: one part seals records to the robot, the other opens records from the robot.
     #[must_use]
     pub const fn of_operator(&self) -> (Sealing, Opening) {
         (Sealing::new(self.to_robot), Opening::new(self.to_operator))
     }
 
-    /// Returns the robot's end.
+    /// Returns the robot's half of the connection: one part seals records to the operator, the other opens records from the operator.
     #[must_use]
     pub const fn of_robot(&self) -> (Sealing, Opening) {
         (Sealing::new(self.to_operator), Opening::new(self.to_robot))

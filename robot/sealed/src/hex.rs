@@ -1,4 +1,4 @@
-//! Bytes as hexadecimal digits, only in lower case: each value has exactly one form.
+//! Bytes as hexadecimal digits, only in lower case, so that each value has exactly one form.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     })
 }
 
-/// Returns the bytes of exactly `2 * N` digits.
+/// Returns the bytes that exactly `2 * N` digits represent. `None` for any other text.
 pub(super) fn bytes<const N: usize>(text: &str) -> Option<[u8; N]> {
     let digit = |digit: u8| match digit {
         b'0'..=b'9' => Some(digit - b'0'),

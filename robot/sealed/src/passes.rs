@@ -1,4 +1,4 @@
-//! The passes of an operator: a file next to its identity file.
+//! The passes of an operator, which are in a file next to the operator's identity file.
 
 use std::path::{Path, PathBuf};
 
@@ -9,43 +9,43 @@ use super::secret::Pass;
 use super::{SecretError, hex};
 use downbeat_key_file::read_private_of;
 
-/// Maximum size of a file of passes: a pass takes about 200 bytes.
+/// Maximum size of a file of passes in bytes. A pass takes about 200 bytes.
 const BYTES_MAX: u64 = 16 * 1024 * 1024;
 
-/// A pass with its claim and its robot.
+/// A pass, with the claim that it proves and the robot that accepts it.
 #[derive(Clone, Debug)]
 pub struct Held {
-    /// The robot that accepts it.
+    /// Robot that accepts the pass.
     pub robot: RobotId,
-    /// The claim that it proves.
+    /// Claim that the pass proves.
     pub claim: Claim,
-    /// The pass itself.
+    /// Key with which the operator proves the claim.
     pub pass: Pass,
 }
 
-/// All passes of an operator, one for each robot with a secret.
+/// All passes of an operator: one for each robot that has a secret.
 #[derive(Clone, Debug, Default)]
 pub struct Passes {
     held: Vec<Held>,
 }
 
 impl Passes {
-    /// Wraps these passes.
+    /// Creates the passes of an operator from a list.
     #[must_use]
     pub const fn new(held: Vec<Held>) -> Self {
         Self { held }
     }
 
-    /// Returns the path of the passes for the operator with this identity file.
+    /// Returns the path of the file of passes that belongs to the operator's identity file.
     #[must_use]
     pub fn next_to(identity: &Path) -> PathBuf {
         identity.with_extension("passes")
     }
 
-    /// Reads a file of passes: each line contains a robot, a claim and a pass.
+    /// Reads a file of passes. Each line contains a robot's id, a claim and a pass.
     ///
     /// # Errors
-    /// The file cannot be read, other users can read it, or it is not such a file.
+    /// The file cannot be read, other users can read it, or it is not a file of passes.
     pub fn read(path: &Path) -> Result<Self, SecretError> {
         let none = || SecretError::NoPasses(path.into());
         let text = String::from_utf8(read_private_of(path, BYTES_MAX)?).map_err(|_| none())?;
@@ -54,7 +54,7 @@ impl Passes {
         held.map(Self::new).ok_or_else(none)
     }
 
-    /// Returns the content of their file.
+    /// Returns the content of the file of these passes.
     #[must_use]
     pub fn text(&self) -> String {
         let head = "# Passes for robots with a secret, written by `downbeat keys`: robot, claim, pass.\n";
@@ -70,7 +70,7 @@ impl Passes {
         &self.held
     }
 
-    /// Returns the pass for a robot.
+    /// Returns the pass for a robot, if the operator has one.
     #[must_use]
     pub fn of(&self, robot: &RobotId) -> Option<&Held> {
         self.held.iter().find(|held| held.robot == *robot)

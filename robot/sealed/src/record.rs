@@ -1,29 +1,29 @@
-//! Records: bytes with their code, in one direction of a connection. The code covers the number of the record, which is not sent, so a
-//! record that is repeated, omitted or reordered has a wrong code.
+//! Records: bytes of one direction of a connection, each with a code. The code covers the sequence number of the record, which is not
+//! sent. A record that is repeated, omitted or reordered therefore has a wrong code.
 
 use hmac::Mac;
 
 use super::secret::code;
 
-/// Maximum content of a record. A robot has to keep a whole record until it has verified its code.
+/// Maximum size of a record's content in bytes. A robot has to keep the whole record until it has verified the code.
 pub const RECORD_BYTES_MAX: usize = 16 * 1024;
-/// Number of transmitted bytes of a code: 128 bits, the minimum of RFC 2104 (section 5).
+/// Number of bytes of a code that are sent: 128 bits, the minimum of RFC 2104 (section 5).
 const TAG_BYTES: usize = 16;
-/// The length, and the code.
+/// Size of a record's header in bytes: the length of the content, and the code.
 const HEAD_BYTES: usize = 4 + TAG_BYTES;
 
-/// A record that differs from the one its sender wrote, or is out of place.
+/// A record differs from the one that its sender wrote, or arrived in the wrong order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadRecord {
-    /// It is empty, or exceeds the maximum length.
+    /// The record is empty or exceeds the maximum length. Contains its length.
     #[error("a record of {0} bytes, expected 1 to {RECORD_BYTES_MAX}")]
     Length(u32),
-    /// Its code is wrong.
+    /// The code of the record is wrong.
     #[error("a record was altered, repeated, omitted or reordered")]
     Code,
 }
 
-/// Writes records.
+/// Writes the records of one direction of a connection.
 #[derive(Debug)]
 pub struct Sealing {
     key: [u8; 32],
@@ -35,7 +35,7 @@ impl Sealing {
         Self { key, next: 0 }
     }
 
-    /// Appends bytes as records, as few as possible.
+    /// Appends `bytes` to `records` in as few records as possible.
     pub fn seal(&mut self, bytes: &[u8], records: &mut Vec<u8>) {
         for part in bytes.chunks(RECORD_BYTES_MAX) {
             let length = (u32::try_from(part.len()).unwrap_or(u32::MAX)).to_be_bytes();
@@ -48,7 +48,7 @@ impl Sealing {
     }
 }
 
-/// Reads records. After a bad record, no further ones are read.
+/// Reads the records of one direction of a connection. After a bad record, it reads no further ones.
 #[derive(Debug)]
 pub struct Opening {
     key: [u8; 32],
@@ -62,7 +62,7 @@ impl Opening {
         Self { key, next: 0, raw: Vec::new(), bad: None }
     }
 
-    /// Adds received bytes.
+    /// Adds bytes that were received.
     pub fn push(&mut self, bytes: &[u8]) {
         self.raw.extend_from_slice(bytes);
     }
@@ -73,10 +73,10 @@ impl Opening {
         !self.raw.is_empty()
     }
 
-    /// Appends the content of the next record; returns whether there was one.
+    /// Appends the content of the next record to `bytes`. Returns whether there was a complete record.
     ///
     /// # Errors
-    /// [`BadRecord`], and the same for every later call: later bytes cannot be trusted.
+    /// [`BadRecord`]. Every later call returns this error again, because later bytes cannot be trusted.
     pub fn open(&mut self, bytes: &mut Vec<u8>) -> Result<bool, BadRecord> {
         if let Some(bad) = self.bad {
             return Err(bad);
@@ -96,7 +96,7 @@ impl Opening {
         let Some((tag, carried)) = rest.get(..TAG_BYTES + size).map(|rest| rest.split_at(TAG_BYTES)) else {
             return Ok(false);
         };
-        // Takes the same time wherever the codes differ.
+        // The comparison takes the same time wherever the codes differ.
         let right = code(&self.key, &[&self.next.to_be_bytes(), length, carried]).verify_truncated_left(tag);
         right.map_err(|_| BadRecord::Code)?;
         self.next += 1;

@@ -1,13 +1,13 @@
-//! Passes that are invalid although they have not expired: the authority's list of their serial numbers.
+//! Passes that are invalid although they have not expired. The authority lists their serial numbers.
 
 use std::path::{Path, PathBuf};
 
 use downbeat_key_file::{KeyFileError, read_regular};
 
-/// Maximum size of a list: a number takes about 60 bytes.
+/// Maximum size of a list in bytes. A serial number takes about 60 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
 
-/// A file with the serial number of a revoked pass in each line; lines that begin with `#` are ignored. After the file is replaced, the
+/// A file that lists revoked passes, one serial number per line. Lines that start with `#` are ignored. After the file is replaced, the
 /// new list applies from the next connection.
 #[derive(Clone, Debug)]
 pub struct RevokedSerials {
@@ -15,17 +15,17 @@ pub struct RevokedSerials {
 }
 
 impl RevokedSerials {
-    /// Returns the list in this file.
+    /// Returns the list that is in this file.
     ///
     /// # Errors
-    /// The file cannot be read now, or is not such a list.
+    /// The file cannot be read now, or is not a list of serial numbers.
     pub fn in_file(path: &Path) -> Result<Self, KeyFileError> {
         let revoked = Self { path: path.into() };
         revoked.read()?;
         Ok(revoked)
     }
 
-    /// Reads the current numbers.
+    /// Reads the current serial numbers from the file.
     pub(super) fn read(&self) -> Result<Vec<String>, KeyFileError> {
         let unreadable = |error| KeyFileError::Unreadable { path: self.path.clone(), error };
         let text = read_regular(&self.path, BYTES_MAX)?;

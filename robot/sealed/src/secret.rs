@@ -11,14 +11,14 @@ use super::claim::Claim;
 use super::hex;
 use downbeat_key_file::{KeyFileError, read_private};
 
-/// Size of a secret, of a pass and of a whole code.
+/// Size in bytes of a secret, of a pass and of a complete code.
 const BYTES: usize = 32;
-/// Precedes the claim in the code that is a pass.
+/// Text that precedes the claim when a pass is computed, as a code over both.
 const OF_A_PASS: &[u8] = b"urrcp pass 1\n";
 
-/// Returns a code over several consecutive parts.
+/// Returns a code over the concatenation of several parts.
 pub(super) fn code(key: &[u8; BYTES], parts: &[&[u8]]) -> Hmac<Sha256> {
-    // RFC 2104 pads a shorter key with zeros to the block size of its hash.
+    // RFC 2104 pads a shorter key with zeros to the block size of the hash function.
     let mut block = [0; 64];
     block[..BYTES].copy_from_slice(key);
     let mut code = Hmac::<Sha256>::new(&block.into());
@@ -26,7 +26,7 @@ pub(super) fn code(key: &[u8; BYTES], parts: &[&[u8]]) -> Hmac<Sha256> {
     code
 }
 
-/// An error of a secret or of passes.
+/// An error in a secret or in passes.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SecretError {
@@ -59,7 +59,7 @@ impl Secret {
         Ok(Self(bytes))
     }
 
-    /// Wraps a known secret.
+    /// Creates a secret from known bytes.
     #[must_use]
     pub const fn of_bytes(bytes: [u8; BYTES]) -> Self {
         Self(bytes)
@@ -77,14 +77,14 @@ impl Secret {
         if lines.next().is_none() { Ok(Self(secret)) } else { Err(none()) }
     }
 
-    /// Returns the content of its file.
+    /// Returns the content of the file of this secret.
     #[must_use]
     pub fn text(&self, robot: &RobotId) -> String {
         let robot = super::claim::encoded(robot.as_str());
         format!("# The secret of robot {robot}. Copy it to this robot alone.\n{}\n", hex::hex(&self.0))
     }
 
-    /// Returns the pass with which an operator proves this claim to this robot.
+    /// Returns the pass with which an operator proves this claim to the robot that has this secret.
     #[must_use]
     pub fn pass(&self, claim: &Claim) -> Pass {
         let claim = claim.to_string();
@@ -98,12 +98,12 @@ impl fmt::Debug for Secret {
     }
 }
 
-/// A key with which an operator proves a claim to one robot.
+/// A key that an operator uses to prove a claim to one robot.
 #[derive(Clone)]
 pub struct Pass(pub(super) [u8; BYTES]);
 
 impl Pass {
-    /// Wraps a known pass.
+    /// Creates a pass from known bytes.
     #[must_use]
     pub const fn of_bytes(bytes: [u8; BYTES]) -> Self {
         Self(bytes)

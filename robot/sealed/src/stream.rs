@@ -13,19 +13,20 @@ use super::passes::Held;
 use super::record::{Opening, RECORD_BYTES_MAX, Sealing};
 use super::secret::Pass;
 
-/// Number of bytes per read.
+/// Number of bytes requested per read.
 const READ_BATCH: usize = 8 * 1024;
 
-/// A connection whose two sides have proven their identity. Written bytes may be buffered until they are flushed.
+/// A connection whose two sides have proven their identity, and that transfers records. Written bytes may be buffered until they are
+/// flushed.
 #[derive(Debug)]
 pub struct Sealed<S> {
     stream: S,
     sealing: Sealing,
     opening: Opening,
-    /// Opened bytes; `read` of them are consumed.
+    /// Bytes of opened records. The first `read` of them have been consumed.
     opened: Vec<u8>,
     read: usize,
-    /// Sealed bytes; `written` of them are sent.
+    /// Bytes of sealed records. The first `written` of them have been sent.
     sealed: Vec<u8>,
     written: usize,
 }
@@ -93,7 +94,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Sealed<S> {
         ready!(own.poll_written(context))?;
         let count = bytes.len().min(RECORD_BYTES_MAX);
         own.sealing.seal(&bytes[..count], &mut own.sealed);
-        // Bytes that the peer does not take at once are written by the next call, or by a flush.
+        // Bytes that the peer does not take now are written by the next call, or by a flush.
         if let Poll::Ready(Err(error)) = own.poll_written(context) {
             return Poll::Ready(Err(error));
         }
@@ -117,7 +118,7 @@ fn not_sealed(why: NotSealed) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, why)
 }
 
-/// Reads the next line with its end; later bytes stay in `came`. Fails at once if the line does not begin with `begin`.
+/// Reads the next line, including its end. Bytes after the line stay in `came`. Fails at once if the line does not start with `begin`.
 async fn line<S: AsyncRead + Unpin>(stream: &mut S, came: &mut Vec<u8>, begin: &[u8]) -> io::Result<String> {
     loop {
         let known = came.len().min(begin.len());
@@ -144,7 +145,7 @@ const BEGIN: &[u8] = b"URRCP-HMAC 1 ";
 /// Connects to a robot as an operator.
 ///
 /// # Errors
-/// The connection breaks, or [`NotSealed`] as the inner error: the robot refuses the claim, or does not prove that it knows the secret.
+/// The connection breaks. Or [`NotSealed`] as the inner error: the robot refuses the claim, or does not prove that it knows the secret.
 pub async fn connect<S>(mut stream: S, held: &Held) -> io::Result<Sealed<S>>
 where
     S: AsyncRead + AsyncWrite + Unpin,
@@ -161,7 +162,8 @@ where
     Ok(Sealed::new(stream, Keys::of(&held.pass, &said, &answer).of_operator(), &came))
 }
 
-/// Admits an operator, as a robot. `judge` returns the pass that the claim requires, or why it is refused.
+/// Accepts the connection of an operator, as a robot. `judge` returns the pass that proves the operator's claim, or the reason for
+/// refusing the claim.
 pub(super) async fn accept<S, J>(mut stream: S, judge: J) -> io::Result<(Sealed<S>, Hello)>
 where
     S: AsyncRead + AsyncWrite + Unpin,

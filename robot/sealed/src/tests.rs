@@ -1,4 +1,4 @@
-//! Both ends of a connection in one process, and attacks between them.
+//! Tests both ends of a connection in one process, and attacks between them.
 
 use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
@@ -24,7 +24,7 @@ fn guard(secret: &Secret) -> Guard {
     Guard::new("cf 1/ö".parse().unwrap(), secret.clone(), None)
 }
 
-/// Returns the operator that the robot has admitted, or its error; and the operator's result.
+/// Connects an operator to a robot. Returns the operator that the robot has admitted, or the robot's error; then the operator's result.
 fn meet(guard: &Guard, held: &Held) -> (Result<Proof, String>, Result<(), String>) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
@@ -79,7 +79,7 @@ fn who_does_not_prove_a_pass_that_counts_is_refused() {
     refused(&guard, &of_another, &NotSealed::Refused(Refused::OtherRobot(own)));
     let expired = Claim { expires: 1_700_000_000, ..claim(&[Role::Drive]) };
     refused(&guard, &held(&secret, "cf 1/ö", expired), &NotSealed::Refused(Refused::Expired));
-    // A claim that was extended beyond its pass.
+    // The claim was extended beyond the claim that its pass proves.
     let more = Held { claim: claim(&[Role::Drive, Role::Stop]), ..right.clone() };
     refused(&guard, &more, &NotSealed::OtherSecret);
     let longer = Held { claim: Claim { expires: LATER + 1, ..claim(&[Role::Drive]) }, ..right.clone() };
@@ -127,7 +127,7 @@ fn a_whole_connection_that_is_repeated_proves_nothing() {
         };
         let passed_on = async {
             let (mut recorded, mut bytes) = (Vec::new(), [0; 4096]);
-            // The first line, the proof, and the record.
+            // Records the first line, the proof, and the record.
             while recorded.iter().filter(|byte| **byte == b'\n').count() < 2 || !recorded.ends_with(b"move\n") {
                 tokio::select! {
                     n = between.read(&mut bytes) => {
@@ -299,7 +299,7 @@ fn a_connection_that_ends_within_a_record_has_not_ended_well() {
     }
 }
 
-/// A file of this test alone, removed in the end.
+/// A file that only one test uses; removed when it is dropped.
 struct Kept(std::path::PathBuf);
 
 impl Kept {

@@ -1,9 +1,9 @@
-//! Checks whether a Thrift robot is the one that the edge was configured for, by the robot's own description.
+//! Checks, by a Thrift robot's own description, whether it is the robot that the edge was configured for.
 
 use serde_json::Value;
 use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
 
-/// Compares the id, if the robot reports one, the driven devices with those that the robot lists, and their ranges.
+/// Compares a robot's description with its initialization block: its id, if it reports one, the driven devices, and their ranges.
 ///
 /// # Errors
 /// The mismatch. A description that cannot be read is not evidence against the robot.
@@ -35,7 +35,7 @@ pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Stri
     Ok(())
 }
 
-/// Returns the range of a driven device.
+/// Returns the minimum and maximum of a driven device.
 fn range(device: &Device) -> Option<(f64, f64)> {
     let mut driven =
         device.available_control_types.iter().filter(|(control_type, _)| is_driven(*control_type));
@@ -45,7 +45,7 @@ fn range(device: &Device) -> Option<(f64, f64)> {
     })
 }
 
-/// Whether a plain driver sets values of this control type by a number alone.
+/// Whether a driver that receives only numbers can set values of this control type.
 pub(super) fn is_driven(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Script | ControlType::Sensor)
 }

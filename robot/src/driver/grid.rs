@@ -1,10 +1,10 @@
-//! Values as a device can take them, in the decimal digits of its grid.
+//! Rounds values to the decimal grid that a device accepts.
 
 use urrcp::{Device, InitializationBlock};
 
 use super::Key;
 
-/// Returns the value of a signal on the grid of its device: movements and stops produce values between those of scripts. For example, 82
+/// Returns a signal's value, rounded to the device's grid: movements and stops produce values between those of scripts. For example, 82
 /// steps of 0.02 are 1.64, not 1.6400000000000001.
 pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key, value: f64) -> f64 {
     let device = block.device(device.as_str());

@@ -10,7 +10,7 @@ use rustix::io::Errno;
 
 use super::Mailbox;
 
-/// A descriptor that ends with the hardware: its socket, or the pipe from its process.
+/// A descriptor that reports the end of the connection to the hardware: its socket, or the pipe from its process.
 #[derive(Debug)]
 pub struct Lifeline {
     descriptor: OwnedFd,
@@ -18,8 +18,8 @@ pub struct Lifeline {
 }
 
 impl Lifeline {
-    /// Copies the descriptor without reading from it. `ended` is the message for people when it ends. `None` if the system has no free
-    /// descriptors.
+    /// Copies the descriptor without reading from it. `ended` is the message for people when the connection ends. Returns `None` if the
+    /// system has no free descriptors.
     pub fn of(descriptor: &impl AsFd, ended: impl Into<String>) -> Option<Self> {
         let copy = descriptor.as_fd().try_clone_to_owned();
         let copy = copy
@@ -28,15 +28,15 @@ impl Lifeline {
     }
 }
 
-/// Watches a lifeline on a thread of its own. Dropping it closes the descriptor.
+/// A thread that watches a lifeline. Dropping the watcher ends the thread and closes the descriptor.
 pub(super) struct Watcher {
     thread: Option<JoinHandle<()>>,
-    /// Closing it wakes the thread.
+    /// Write end of a pipe to the thread; closing it wakes the thread.
     over: Option<PipeWriter>,
 }
 
 impl Watcher {
-    /// Watches for the end of a connection, and reports it to the mailbox.
+    /// Starts a thread that reports the end of the connection to the mailbox.
     pub(super) fn begin(lifeline: Lifeline, mailbox: Arc<Mailbox>, connection: u64) -> std::io::Result<Self> {
         let (over, end) = pipe()?;
         let thread = std::thread::Builder::new().name("lifeline".into()).spawn(move || {
@@ -57,9 +57,10 @@ impl Drop for Watcher {
     }
 }
 
-/// Waits for the end of the descriptor; returns false if the watcher itself ends first.
+/// Waits for the end of the descriptor. Returns false if the watcher was dropped before.
 fn has_ended(descriptor: &OwnedFd, over: &PipeReader) -> bool {
-    // `poll` always reports ends and errors. `RDHUP` adds the peer that closes its half: it sends nothing more either.
+    // `poll` always reports ends and errors. `RDHUP` also reports a peer that has closed only its sending half: it sends nothing more
+    // either.
     let mut both = [PollFd::new(descriptor, PollFlags::RDHUP), PollFd::new(over, PollFlags::empty())];
     loop {
         match poll(&mut both, None) {

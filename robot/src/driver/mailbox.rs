@@ -1,6 +1,6 @@
-//! The pending values between the precise thread and a driver's own thread.
+//! Pending values on their way from the precise thread to a driver's thread.
 //!
-//! At most one value per signal of each device waits, and one movement that begins after it: newer ones replace them. Adding a value
+//! For each signal of a device, at most one value waits, and one movement that starts after it; newer ones replace them. Adding a value
 //! never waits for the driver.
 #![expect(clippy::disallowed_methods, reason = "waits until the next sample or ping is due")]
 
@@ -22,23 +22,23 @@ use crate::tolerance::Tolerance;
 
 pub(crate) type Key = (DeviceId, ControlType);
 
-/// A moving signal, and the clock that it follows.
+/// A moving signal, and the clock of its times.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Movement {
     pub(crate) signal: Signal,
     pub(crate) clock: HostClock,
 }
 
-/// A value, and the time when it was due.
+/// A value of a device, and the time when it is due.
 #[derive(Clone, Debug)]
 pub(crate) struct Value {
     pub(crate) setpoint: Setpoint,
-    /// `None`: the value belongs to a stop, and is never too late.
+    /// Due time of the value. `None`: the value belongs to a stop and is never too late.
     pub(crate) due: Option<Instant>,
 }
 
 impl Value {
-    /// Returns by how much it is late, if that is more than `late_max`.
+    /// Returns the value's delay if it exceeds `late_max`.
     pub(crate) fn stale(&self, now: Instant, late_max: Duration) -> Option<Duration> {
         let late = now.saturating_duration_since(self.due?);
         (late > late_max).then_some(late)
@@ -51,7 +51,7 @@ pub(crate) enum Order {
     Set(Key, Value),
     Follow(Key, Movement),
     Read(ReadingId, DeviceId),
-    /// Report when all earlier orders for the device have been executed.
+    /// Report to the machine once all earlier orders for the device have been executed.
     Confirm(Ticket, DeviceId),
     Plan(PlanOrder),
 }
@@ -59,7 +59,7 @@ pub(crate) enum Order {
 /// An order for a driver that times scripts by itself.
 #[derive(Clone, Debug)]
 pub(crate) enum PlanOrder {
-    /// Take these steps, with the clock of their times.
+    /// Take these steps of a script. The clock is the one to which their times refer.
     Take(PlanPart<Robot>, HostClock),
     Cancel(PlanCancel),
 }
@@ -73,53 +73,53 @@ impl PlanOrder {
     }
 }
 
-/// A signal, its next value, and the movement that begins at that value.
+/// A signal, its next value, and the movement that starts at that value.
 pub(crate) type Drive = (Key, Option<Value>, Option<Movement>);
 
-/// Properties of a connection's driver that the mailbox depends on.
+/// Properties of a connected driver on which the mailbox depends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DriverTraits {
-    /// Whether the hardware has a value once the driver's call has returned.
+    /// Whether the hardware has taken a value once the driver's call has returned.
     pub(crate) acknowledges: bool,
-    /// Whether the driver receives all values of one instant in one call.
+    /// Whether the driver receives in one call all values that are due at the same instant.
     pub(crate) takes_frames: bool,
-    /// Interval between pings in the second before a start.
+    /// Interval between two pings in the last second before a start.
     pub(crate) ping_period: Duration,
-    /// Maximum time without a sign of life from the hardware near a start, if its driver declares one.
+    /// Maximum time near a start without a sign of life from the hardware. `None` if the driver does not declare it.
     pub(crate) silence_max: Option<Duration>,
 }
 
-/// The next action of a driver's thread.
+/// The next work of a driver's thread.
 #[derive(Debug)]
 pub(crate) enum Work {
-    /// Set these values, then follow these movements. Several only for a driver that takes frames.
+    /// Set these values, then follow these movements. More than one entry only for a driver that takes frames.
     Drive(Vec<Drive>),
     Read(ReadingId, DeviceId),
-    /// Take or end a script.
+    /// Take a script, or end one.
     Plan(PlanOrder),
-    /// Forward the driver's reports about scripts that it times by itself.
+    /// Forward these reports of the driver about scripts that it times by itself.
     Words(Vec<PlanReport>),
-    /// Report that the hardware has taken the orders that these tickets ask about.
+    /// Report that the hardware has taken the orders about which these tickets ask.
     Confirm(Vec<Ticket>),
     /// Ask the hardware for a sign of life.
     Ping,
-    /// The connection has ended, for this reason.
+    /// The connection has ended; contains the reason.
     HungUp(String),
-    /// The hardware has reported a fault.
+    /// The hardware has reported this fault.
     Fault(String),
-    /// No work until the requested time.
+    /// No work is due before the requested time.
     Nothing,
     /// No work remains, and none will follow.
     Closed,
 }
 
-/// Maximum number of driver reports about scripts that wait to be forwarded.
+/// Maximum number of the driver's reports about scripts that wait to be forwarded.
 const WORDS_MAX: usize = 10_000;
 /// Maximum number of sensors whose unsolicited readings are kept.
 const PUSHED_MAX: usize = 10_000;
-/// A reading is postponed until no movement is near, but at most for this long.
+/// Maximum time for which a reading is postponed while a movement is near.
 const READ_WAIT_MAX: Duration = Duration::from_millis(200);
-/// Delay before checking again whether a ping would delay a movement.
+/// Delay after which the mailbox checks again whether a ping would delay a movement.
 const PING_RETRY: Duration = Duration::from_millis(2);
 
 /// Evidence of life from a successful call to the hardware.
@@ -127,41 +127,42 @@ const PING_RETRY: Duration = Duration::from_millis(2);
 pub(crate) enum Sign {
     /// The hardware answered.
     Answered,
-    /// The hardware showed a sign of life this long ago, as its driver reports.
+    /// The hardware showed a sign of life this long before the answer, as its driver reports.
     Seen(Duration),
-    /// None: the system below the driver may have taken the call.
+    /// No evidence: the call may have reached only the system below the driver.
     Unknown,
 }
 
 #[derive(Debug, Default)]
 struct State {
-    /// Connection number; 0 while disconnected.
+    /// Number of the current connection; 0 while disconnected.
     connection: u64,
     values: HashMap<Key, Waiting>,
-    /// The keys of `values`, longest waiting first.
+    /// Keys of `values`, the one that has waited longest first.
     order: VecDeque<Key>,
     readings: VecDeque<(ReadingId, DeviceId, Instant)>,
-    /// With their order numbers, oldest first.
+    /// Waiting script orders with their order numbers, oldest first.
     plans: VecDeque<(u64, PlanOrder)>,
     words: Vec<PlanReport>,
-    /// Whether reports were forwarded last: a driver with many reports does not delay other work.
+    /// Whether the driver's thread received reports to forward as its last work. If so, other work is next, so that many reports do not
+    /// delay it.
     words_were_last: bool,
-    /// Order counter.
+    /// Number of orders so far.
     orders: u64,
-    /// The work that the driver received last, until it asks for more.
+    /// Devices and order numbers of the work that the driver's thread received last. Empty once the thread asks for more work.
     in_hand: Vec<(DeviceId, u64)>,
     confirms: Vec<Confirm>,
-    /// `Some` while connected.
+    /// Properties of the connected driver; `None` while disconnected.
     manners: Option<DriverTraits>,
-    /// Unsolicited sensor readings, and their times.
+    /// Last unsolicited reading of each sensor, and its time.
     pushed: HashMap<DeviceId, (f64, Instant)>,
     fault: Option<String>,
     demand: Demand,
-    /// `Some` while connected.
+    /// Signs of life of the connection; `None` while disconnected.
     pulse: Option<Pulse>,
-    /// Why the connection ended while no request was pending.
+    /// Reason why the connection ended while no request was pending.
     hung_up: Option<String>,
-    /// The first attempt to connect has ended.
+    /// Whether the first attempt to connect has ended.
     tried: bool,
     closed: bool,
 }
@@ -171,38 +172,38 @@ struct State {
 struct Waiting {
     set: Option<Value>,
     follow: Option<Movement>,
-    /// The number of the oldest order that this entry includes.
+    /// Number of the oldest order that this entry includes.
     since: u64,
 }
 
-/// A question whether the hardware has taken the orders for a device up to this number.
+/// A question whether the hardware has taken all orders for a device up to the number `up_to`.
 #[derive(Debug)]
 struct Confirm {
     ticket: Ticket,
     device: DeviceId,
     up_to: u64,
-    /// Whether the hardware has answered since they were executed.
+    /// Whether the hardware has answered since these orders were executed.
     answered: bool,
 }
 
-/// Orders that wait for a driver.
+/// Orders that wait for a driver's thread.
 #[derive(Debug, Default)]
 pub(crate) struct Mailbox {
     state: Mutex<State>,
     changed: Condvar,
     tolerance: Tolerance,
-    /// Fixed time of its clock, in a test.
+    /// Fixed time that the mailbox uses instead of a clock in a test.
     #[cfg(test)]
     stopped_at: Option<Instant>,
 }
 
 impl Mailbox {
-    /// Returns a mailbox with these limits of lateness.
+    /// Returns a mailbox that applies these maximum delays.
     pub(crate) fn tolerating(tolerance: Tolerance) -> Self {
         Self { tolerance, ..Self::default() }
     }
 
-    /// Returns a mailbox that reads no clock, except while it waits.
+    /// Returns a mailbox that uses `instant` as the current time, except while it waits.
     #[cfg(test)]
     pub(crate) fn stopped_at(instant: Instant) -> Self {
         Self { stopped_at: Some(instant), ..Self::default() }
@@ -225,7 +226,7 @@ impl Mailbox {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds orders that were given under a connection; orders of an earlier connection are discarded.
+    /// Adds orders that the machine gave under this connection number. Orders of an earlier connection are discarded.
     pub(crate) fn post(&self, connection: u64, orders: impl Iterator<Item = Order>, demand: Demand) {
         let now = self.now();
         let mut state = self.lock();
@@ -253,7 +254,7 @@ impl Mailbox {
         self.lock().closed
     }
 
-    /// Records a new connection; only its orders are accepted.
+    /// Records a new connection. From now, only orders with its number are accepted.
     pub(crate) fn connected(&self, connection: u64, manners: DriverTraits) {
         let now = self.now();
         let mut state = self.lock();
@@ -291,7 +292,8 @@ impl Mailbox {
         self.changed.notify_all();
     }
 
-    /// Waits until the first attempt to connect has ended, with or without success. Returns whether it has.
+    /// Waits until the first attempt to connect has ended, with or without success, but at most until `until`. Returns whether the
+    /// attempt has ended.
     pub(crate) fn await_tried(&self, until: Instant) -> bool {
         let mut state = self.lock();
         while !state.tried && !state.closed {
@@ -317,7 +319,7 @@ impl Mailbox {
         state
     }
 
-    /// Records that the connection has ended by itself.
+    /// Records that the connection with this number has ended by itself, and the reason.
     pub(crate) fn hung_up(&self, connection: u64, reason: String) {
         let mut state = self.lock();
         if state.connection == connection {
@@ -352,7 +354,7 @@ impl Mailbox {
         self.changed.notify_all();
     }
 
-    /// Takes the driver's reports about scripts since the last call.
+    /// Removes and returns the driver's reports about scripts since the last call.
     pub(super) fn words(&self) -> Vec<PlanReport> {
         std::mem::take(&mut self.lock().words)
     }
@@ -367,7 +369,7 @@ impl Mailbox {
         }
     }
 
-    /// Returns a sensor's unsolicited reading, if it is not older than this.
+    /// Returns a sensor's last unsolicited reading, if it is not older than `within`.
     pub(super) fn pushed(&self, sensor: &DeviceId, within: Duration) -> Option<f64> {
         let now = self.now();
         let (reading, at) = *self.lock().pushed.get(sensor)?;
@@ -391,21 +393,21 @@ impl Mailbox {
         }
     }
 
-    /// Records that a reading begins or has ended.
+    /// Records that the reading of a sensor starts (true) or has ended (false).
     pub(crate) fn reading(&self, under_way: bool) {
         if let Some(pulse) = &mut self.lock().pulse {
             pulse.reading(under_way);
         }
     }
 
-    /// Returns how long the hardware has not answered, if that is too long for the held commands.
+    /// Returns for how long the hardware has not answered, if that is too long for the pending commands.
     pub(crate) fn silence(&self) -> Option<Duration> {
         let now = self.now();
         let state = self.lock();
         state.pulse.as_ref()?.silence(now, self.tolerance.silence)
     }
 
-    /// Returns the next work: values first, then signs of life, then readings if no movement is near.
+    /// Returns the next work for the driver's thread: values first, then signs of life, then readings if no movement is near.
     pub(crate) fn next(&self, until: Instant) -> Work {
         let mut state = self.lock();
         state.in_hand.clear();
@@ -427,7 +429,7 @@ impl Mailbox {
     ) -> (MutexGuard<'a, State>, Work) {
         loop {
             let now = self.now();
-            // Reports from before a fault or an end are still true.
+            // Reports from before a fault or the end of a connection are still valid.
             if !state.words.is_empty() && !std::mem::replace(&mut state.words_were_last, true) {
                 let words = std::mem::take(&mut state.words);
                 return (state, Work::Words(words));
@@ -475,7 +477,7 @@ impl Mailbox {
                 return (state, Work::Nothing);
             };
             let left = if state.readings.is_empty() { left } else { left.min(QUIET) };
-            // If a movement is near, the ping is tried again after it.
+            // If a movement is near, the ping is attempted again after the movement.
             let ping = ping.map(|(ping, _)| ping.saturating_duration_since(now).max(PING_RETRY));
             let left = ping.map_or(left, |ping| left.min(ping));
             state = self.wait(state, left);
@@ -491,16 +493,16 @@ impl State {
                 let waiting = self.waiting(key);
                 (waiting.set, waiting.follow) = (Some(value), None);
             }
-            // A value that is due at the same instant is still set first.
+            // A value that is due at the instant at which the movement starts is still set first.
             Order::Follow(key, movement) => self.waiting(key).follow = Some(movement),
-            // A reading that finds no room is not answered: its requester's time limit expires.
+            // If the queue of readings is full, a reading is not answered: its requester's time limit expires.
             Order::Read(id, sensor) if self.readings.len() < READINGS_MAX => {
                 self.readings.push_back((id, sensor, now));
             }
             Order::Read(..) => {}
             Order::Plan(plan) => {
                 if let PlanOrder::Cancel(PlanCancel { plan, .. }) = &plan {
-                    // Drops the parts of the script that the driver has not received yet.
+                    // Drops those parts of the script that the driver has not received yet.
                     let of =
                         |order: &PlanOrder| matches!(order, PlanOrder::Take(part, _) if part.plan == *plan);
                     self.plans.retain(|(_, order)| !of(order));
@@ -514,7 +516,7 @@ impl State {
         }
     }
 
-    /// Whether all orders that a question asks about have been executed.
+    /// Whether all orders that the question covers have been executed.
     fn is_done(&self, confirm: &Confirm) -> bool {
         let waits = |(device, _): &Key, since: u64| *device == confirm.device && since <= confirm.up_to;
         let in_hand =
@@ -525,14 +527,14 @@ impl State {
         !in_hand && !waits_for_plan && !self.values.iter().any(|(key, waiting)| waits(key, waiting.since))
     }
 
-    /// Records an answer of the hardware.
+    /// Records that the hardware has answered.
     fn answered(&mut self) {
         let mut confirms = std::mem::take(&mut self.confirms);
         confirms.iter_mut().for_each(|confirm| confirm.answered |= self.is_done(confirm));
         self.confirms = confirms;
     }
 
-    /// Takes the questions whose answer is yes.
+    /// Removes and returns the tickets of the questions whose answer is yes.
     fn confirmed(&mut self) -> Vec<Ticket> {
         if self.confirms.is_empty() {
             return Vec::new();
@@ -555,7 +557,7 @@ impl State {
         }
     }
 
-    /// Takes the next script order, unless an earlier value waits.
+    /// Removes and returns the next script order, unless a value that was ordered earlier waits.
     fn take_plan(&mut self) -> Option<PlanOrder> {
         let since = self.plans.front()?.0;
         let value = self.order.front().and_then(|key| self.values.get(key));

@@ -1,8 +1,8 @@
-//! Driving hardware from an edge: the driver trait, the drivers that come with Downbeat, and the thread around each driver.
+//! Drives hardware from an edge: the driver trait, the drivers that are part of Downbeat, and the thread around each driver.
 //!
-//! The robot's machine decides on the precise thread what is set and when; a driver is slow. Each driver therefore has its own thread
-//! (`worker`) behind a short list of pending values (`mailbox`). A newer value of a signal replaces an older one: a slow device skips
-//! values, and no other robot waits for it.
+//! The robot's machine runs on the precise thread and decides which values are set and when, but drivers are slow. Each driver therefore
+//! has its own thread (`worker`) behind a short list of pending values (`mailbox`). A newer value of a signal replaces an older one: a
+//! slow device skips values, and no other robot waits for it.
 
 #[cfg(feature = "thrift")]
 mod described;
@@ -56,32 +56,33 @@ use crate::signal::Signal;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriverError {
-    /// The hardware is not connected, or no longer: it is connected again before any other call.
+    /// The hardware is not connected, or no longer connected. The driver is connected again before any other call.
     #[error("{0}")]
     Away(String),
-    /// The hardware is connected and refuses. A refused reading or script fails alone. After a refused value, everything ends and the
-    /// driver is connected again, as after [`DriverError::Away`], since the device is not where the robot reported it would be.
+    /// The hardware is connected and refuses the call. A refused reading or script fails alone. After a refused value, the device is not
+    /// where the robot reported it would be. All commands of the robot therefore end, and the driver is connected again, as after
+    /// [`DriverError::Away`].
     #[error("{0}")]
     Refused(String),
 }
 
-/// A linear movement, for drivers that move by themselves.
+/// A linear movement, for drivers whose hardware moves linearly by itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Ramp {
     /// Position, speed or acceleration.
     pub control_type: ControlType,
-    /// Target, in the device's unit.
+    /// Target value, in the device's unit.
     pub to: f64,
-    /// Remaining time.
+    /// Time from the call until the target is reached.
     pub duration: Duration,
 }
 
 /// Drives the hardware of one robot.
 ///
-/// All calls come from one thread and may block for about a second: a call that may hang needs a time limit of its own. After an error,
-/// except of a reading or a script, only [`Driver::connect`] is called, with growing pauses, until it succeeds. When its edge ends, a
-/// driver is dropped after its devices were brought to rest and a last [`Driver::ping`].
+/// All calls come from one thread and may block for about a second: a call that may hang needs a time limit of its own. After an error of
+/// any call except a reading or a script, only [`Driver::connect`] is called, with growing pauses, until it succeeds. When the edge ends,
+/// its devices are brought to rest; after a last [`Driver::ping`], the driver is dropped.
 ///
 /// ```
 /// use downbeat_robot::driver::{Driver, DriverError};
@@ -110,80 +111,85 @@ pub trait Driver: Send {
     /// Connects to the hardware, or starts it, and makes sure that it answers.
     ///
     /// # Errors
-    /// Why the hardware is not available.
+    /// The reason why the hardware is not available.
     fn connect(&mut self) -> Result<(), DriverError>;
 
     /// Sets one signal of one device now: a value of a request, a step of a script, or a sample between two steps of a device that moves
-    /// linearly. The value lies within the limits that the device declares. Returns once the hardware has it, or at least the system
-    /// below the driver.
+    /// linearly. The value lies within the limits that the device declares. Returns once the hardware, or at least the system below the
+    /// driver, has taken the value.
     ///
     /// # Errors
-    /// Why it was not set.
+    /// The reason why the value was not set.
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError>;
 
     /// Returns the current reading of a sensor, in its unit. Never called for a robot without sensors.
     ///
     /// # Errors
-    /// Why there is no reading.
+    /// The reason why there is no reading.
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError>;
 
-    /// Checks whether the hardware is available and could be moved: only the hardware's own answer proves that. Called twice a second
-    /// while nothing is held, 20 times while something is, 40 times in the second before a start, less often if calls take long. Near a
-    /// start, hardware that has not answered for 150 ms, and for twice the duration of its calls, is not ready.
+    /// Checks whether the hardware is available and able to move: only the hardware's own answer proves that.
+    ///
+    /// Called twice a second while the robot holds no command, and 20 times a second while it holds one. In the last second before a
+    /// start, it is called 40 times a second. If calls take long, they are less frequent. Near a start, hardware is not ready if it has
+    /// not answered for 150 ms and for twice the duration of its calls.
     ///
     /// # Errors
-    /// Why it is not available.
+    /// The reason why the hardware is not available.
     fn ping(&mut self) -> Result<(), DriverError>;
 
     /// Returns the time between the hardware's last sign of life and the last [`Driver::ping`], for a driver whose hardware sends states
-    /// or heartbeats unasked. `None`, the default: the answer to the ping was that sign. Hardware that shows no sign of life for longer
-    /// than [`Rates::silence_max`] is away.
+    /// or heartbeats unasked. `None`, the default: the answer to the ping was the sign of life. Hardware that shows no sign of life for
+    /// longer than [`Rates::silence_max`] is away.
     fn last_sign(&self) -> Option<Duration> {
         None
     }
 
-    /// Returns a descriptor that ends with the hardware: its socket, or the pipe from its process. Called after each [`Driver::connect`].
-    /// The end is then detected at once, even while no request is pending. Without a lifeline, the next ping detects it.
+    /// Returns a descriptor that reports the end of the connection to the hardware: its socket, or the pipe from its process. Called
+    /// after each [`Driver::connect`]. Such an end is then detected at once, even while no request is pending. Without a lifeline, the
+    /// next ping detects it.
     fn lifeline(&self) -> Option<Lifeline> {
         None
     }
 
-    /// Whether the hardware itself has a value once [`Driver::set`] returns; called after each [`Driver::connect`]. If not, which is the
-    /// default, the end of a command is reported once the hardware has answered a later call.
+    /// Whether the hardware itself has taken a value once [`Driver::set`] returns. Called after each [`Driver::connect`]. With `false`,
+    /// the default, the end of a command is reported only once the hardware has answered a later call.
     fn set_is_acknowledged(&self) -> bool {
         false
     }
 
-    /// Sets the values of several signals that are due at one instant. Only called if [`Driver::takes_frames`]; other drivers receive one
-    /// value after another.
+    /// Sets the values of several signals that are due at the same instant. Only called if [`Driver::takes_frames`] returns true; other
+    /// drivers receive one value after another.
     ///
     /// # Errors
-    /// Why not all of them were set.
+    /// The reason why not all values were set.
     fn set_frame(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), DriverError> {
         values.iter().try_for_each(|(device, setpoint)| self.set(device, setpoint))
     }
 
-    /// Whether the driver receives all values that are due at one instant in one call; called after each [`Driver::connect`].
+    /// Whether the driver receives in one call all values that are due at the same instant. Called after each [`Driver::connect`].
     fn takes_frames(&self) -> bool {
         false
     }
 
-    /// Returns each device's latency from a value to its first visible motion, if the driver declares it; called after each
-    /// [`Driver::connect`]. It is displayed, not compensated.
+    /// Returns each device's latency from a value to its first visible motion, as far as the driver declares it. Called after each
+    /// [`Driver::connect`]. The latency is displayed, not compensated.
     fn latency(&self) -> BTreeMap<DeviceId, Duration> {
         BTreeMap::new()
     }
 
-    /// Returns the devices whose scripts the driver receives ahead of their time and times by itself; called after each
-    /// [`Driver::connect`]. For these devices [`Driver::plan`] is called, and [`Driver::set`] only for the way to rest.
+    /// Returns the devices whose scripts the driver receives ahead of time and times by itself. Called after each [`Driver::connect`].
+    /// For these devices, scripts are passed to [`Driver::plan`]; [`Driver::set`] is only called for movements to rest.
     fn lookahead(&self) -> BTreeMap<DeviceId, Lookahead> {
         BTreeMap::new()
     }
 
-    /// Takes a script, or its continuation, and returns at once; a single value is a script of one step. The driver reports its progress
-    /// by [`Pushes::plan`]: that it began, steps if the driver knows of them, and that it is done. Without these reports, the script
-    /// fails. An event that the hardware does not show is reported as assumed; a script with an assumed end fails as well. The script
-    /// must not begin after `begin_by`. If the connection ends, its scripts end: after [`Driver::connect`] none of them may continue.
+    /// Takes a script, or its continuation, and returns at once. A single value is a script of one step. The script must not start after
+    /// `begin_by`.
+    ///
+    /// The driver reports the script's progress by [`Pushes::plan`]: its start, its steps if the driver knows of them, and its end.
+    /// Without these reports, the script fails. The driver reports an event that the hardware does not show as assumed; a script with an
+    /// assumed end fails as well. If the connection ends, its scripts end: after [`Driver::connect`], none of them may continue.
     ///
     /// # Errors
     /// [`DriverError::Refused`] with the reason: only this script ends.
@@ -192,89 +198,90 @@ pub trait Driver: Send {
         Err(DriverError::Refused("this driver does not time scripts".to_owned()))
     }
 
-    /// Ends a waiting or running script. Returns once the hardware no longer follows it: after that, none of its values may be set.
+    /// Ends a waiting or running script. Returns once the hardware no longer follows the script: after that, none of its values may be
+    /// set.
     ///
     /// # Errors
-    /// Why it may still be running. The driver is then connected again.
+    /// The reason why the script may still be running. The driver is then connected again.
     fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), DriverError> {
         let _ = cancel;
         Err(DriverError::Refused("this driver does not time scripts".to_owned()))
     }
 
-    /// Returns the preferred call rates; called after each [`Driver::connect`].
+    /// Returns the driver's preferred call rates. Called after each [`Driver::connect`].
     fn rates(&self) -> Rates {
         Rates::default()
     }
 
-    /// Takes the handle for unsolicited reports. Called once, before the first [`Driver::connect`].
+    /// Takes the handle by which the driver makes unsolicited reports. Called once, before the first [`Driver::connect`].
     fn take_pushes(&mut self, pushes: Pushes) {
         let _ = pushes;
     }
 
-    /// Begins a linear movement and returns at once. A value or a further ramp replaces it. Only called if [`Driver::takes_ramps`]; other
-    /// drivers receive samples.
+    /// Starts a linear movement and returns at once. A later value or ramp for the same signal replaces the movement. Only called if
+    /// [`Driver::takes_ramps`] returns true; other drivers receive samples.
     ///
     /// # Errors
-    /// Why it did not begin.
+    /// The reason why the movement did not start.
     fn ramp(&mut self, device: &DeviceId, ramp: Ramp) -> Result<(), DriverError> {
         let _ = (device, ramp);
         Err(DriverError::Refused("this driver does not support ramps".to_owned()))
     }
 
-    /// Whether the hardware moves linearly by itself; called after each [`Driver::connect`].
+    /// Whether the hardware moves linearly by itself. Called after each [`Driver::connect`].
     fn takes_ramps(&self) -> bool {
         false
     }
 }
 
-/// Options for the use of a driver.
+/// Call rates and motion limits for a driver, as its user configures them.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DriverOptions {
-    /// Samples of a movement per second, for a driver that takes no ramps; `None`: as the driver declares, or [`SAMPLES_PER_SECOND`].
+    /// Samples of a movement per second, for a driver that takes no ramps. `None`: the driver's declared rate, or [`SAMPLES_PER_SECOND`].
     pub samples_per_second: Option<f64>,
-    /// The same per device; takes precedence.
+    /// Samples of a movement per second by device. Takes precedence over `samples_per_second`.
     pub samples_of: BTreeMap<DeviceId, f64>,
-    /// Pings per second in the second before a start, half as many while something is held; `None`: as the driver declares, or
-    /// [`PINGS_PER_SECOND`].
+    /// Pings per second in the last second before a start; half as many at other times while the robot holds a command. `None`: the
+    /// driver's declared rate, or [`PINGS_PER_SECOND`].
     pub pings_per_second: Option<f64>,
-    /// Maximum readings per second of each sensor; requests in between are answered with the last reading. `None`: as the driver
-    /// declares, or one per request.
+    /// Maximum readings of each sensor per second. Requests in between are answered with the last reading. `None`: the driver's declared
+    /// rate, or one reading per request.
     pub readings_per_second: Option<f64>,
-    /// Limits of the movements to rest and home, if they are tighter than those that the robot declares.
+    /// Limits of movements to rest and to the default state by device, if they are lower than the robot declares.
     pub limits: BTreeMap<DeviceId, MotionLimits>,
 }
 
 impl DriverOptions {
-    /// Sets the limits of the movements to rest and home.
+    /// Sets the limits of movements to rest and to the default state.
     #[must_use]
     pub fn with_limits(mut self, limits: BTreeMap<DeviceId, MotionLimits>) -> Self {
         self.limits = limits;
         self
     }
 
-    /// Sets the samples per second.
+    /// Sets the number of samples per second.
     #[must_use]
     pub const fn with_samples_per_second(mut self, samples_per_second: f64) -> Self {
         self.samples_per_second = Some(samples_per_second);
         self
     }
 
-    /// Sets the samples per second of one device.
+    /// Sets the number of samples per second of one device.
     #[must_use]
     pub fn with_samples_of(mut self, device: DeviceId, samples_per_second: f64) -> Self {
         self.samples_of.insert(device, samples_per_second);
         self
     }
 
-    /// Sets the pings per second.
+    /// Sets the number of pings per second.
     #[must_use]
     pub const fn with_pings_per_second(mut self, pings_per_second: f64) -> Self {
         self.pings_per_second = Some(pings_per_second);
         self
     }
 
-    /// Sets the maximum readings per second of each sensor.
+    /// Sets the maximum number of readings of each sensor per second.
     #[must_use]
     pub const fn with_readings_per_second(mut self, readings_per_second: f64) -> Self {
         self.readings_per_second = Some(readings_per_second);
@@ -282,22 +289,22 @@ impl DriverOptions {
     }
 }
 
-/// A request of a machine to its hardware, in the robot's own time, which is the host's.
+/// A request of a machine to its hardware. Times refer to the robot's clock, which is the host's clock.
 #[derive(Clone, Debug)]
 pub(crate) enum Wanted {
-    /// A value of a script with its due time, or a value of a stop.
+    /// Set a value: one of a script, with its due time, or one of a stop, without.
     Set(Key, Setpoint, Option<Timestamp<Robot>>),
     Follow(Key, Signal),
     Read(ReadingId, DeviceId),
-    /// Report when all earlier requests for the device have been executed.
+    /// Report once all earlier requests for the device have been executed.
     Confirm(Ticket, DeviceId),
-    /// Steps of a script that the driver times by itself.
+    /// Take these steps of a script that the driver times by itself.
     Plan(PlanPart<Robot>),
     Cancel(PlanCancel),
 }
 
 impl Wanted {
-    /// Converts the request to an order on the given clock.
+    /// Converts the request to an order whose times refer to `clock`.
     pub(crate) fn on_clock(self, clock: HostClock) -> mailbox::Order {
         match self {
             Self::Set(key, setpoint, due) => {

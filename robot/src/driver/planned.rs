@@ -1,4 +1,4 @@
-//! Scripts that a connection's driver times by itself: handing them over, ending them, and forwarding the driver's reports.
+//! Scripts that a driver times by itself: hands them to the driver, ends them, and forwards the driver's reports.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -12,26 +12,26 @@ use super::{DriverError, PlanReport};
 use crate::clock::{HostClock, HostTime};
 use crate::plans::{PlanCancel, PlanEvent, PlanId, PlanPart};
 
-/// A report of a driver's thread about a script that the driver times.
+/// A report from a driver's thread about a script that the driver times.
 #[derive(Debug)]
 pub(crate) enum PlanNews {
-    /// An event that the driver reports, and its time.
+    /// An event of a script and its time, as the driver reports them.
     Word { plan: PlanId, at: Timestamp<HostTime>, event: PlanEvent },
-    /// The driver did not take the part that begins with this step.
+    /// The driver did not take the part of a script that starts with the step `first`.
     Refused { plan: PlanId, first: usize, error: ControlError },
-    /// The driver has ended the script on request.
+    /// The driver has ended the script because it was ordered to.
     Cancelled(PlanId),
 }
 
-/// If the system clock is off by more than this, it was set.
+/// Threshold in clock difference: above it, the system clock must have been set.
 const CLOCK_SET: Span = Span::from_micros(100);
 
-/// The scripts that the driver has.
+/// The scripts that a driver has received and that are not over.
 #[derive(Debug, Default)]
 pub(super) struct Given {
     plans: BTreeMap<PlanId, Have>,
     last: PlanId,
-    /// Last lead of the driver's clock.
+    /// Time by which the driver's clock is ahead of the host's clock. Updated only if a measurement differs by more than [`CLOCK_SET`].
     ahead: Span,
 }
 
@@ -39,7 +39,7 @@ pub(super) struct Given {
 struct Have {
     device: DeviceId,
     start: Instant,
-    /// Lead of the driver's clock when the script was handed over.
+    /// Time by which the driver's clock was ahead of the host's clock when the script was handed over.
     ahead: Span,
 }
 
@@ -48,8 +48,8 @@ impl Given {
         self.plans.clear();
     }
 
-    /// Returns how far the driver's clock is ahead of the plans' clock. Scripts that start together get the same start: small errors in
-    /// reading the clocks make no difference between them.
+    /// Returns how far the driver's clock is ahead of the host's clock. Small errors in reading the clocks do not change the result, so
+    /// that scripts that start together get the same start.
     fn ahead(&mut self, measured: Span) -> Span {
         if (measured - self.ahead).abs() > CLOCK_SET {
             self.ahead = measured;
@@ -57,7 +57,7 @@ impl Given {
         self.ahead
     }
 
-    /// Whether a device follows a script, and therefore no longer an earlier movement.
+    /// Whether the device follows a script at `now`, and therefore no longer follows an earlier movement.
     pub(super) fn is_followed_by(&self, device: &DeviceId, now: Instant) -> bool {
         self.plans.values().any(|have| have.device == *device && have.start <= now)
     }
@@ -71,7 +71,7 @@ impl Worker {
         }
     }
 
-    /// Hands over a part of a script. A part that is too late is refused: the machine ends it.
+    /// Hands a part of a script to the driver. If the part is too late, it is refused, and the machine ends the script.
     fn hand_over(&mut self, mut part: PlanPart<Robot>, clock: HostClock) -> Result<(), Lost> {
         let (plan, first) = (part.plan, part.first);
         let now: Timestamp<Robot> = clock.now().assume_clock();
@@ -92,7 +92,7 @@ impl Worker {
         let part = part.on_clock(ahead);
         self.touch();
         self.given.last = self.given.last.max(plan);
-        // Before the call: the driver may report at once that the script has begun.
+        // The script is recorded before the call, because the driver may report at once that it has started.
         self.given.plans.insert(plan, Have { device: device.clone(), start, ahead });
         match self.call(Sign::Unknown, |driver| driver.plan(&part)) {
             Ok(()) => Ok(()),
@@ -112,7 +112,7 @@ impl Worker {
         self.tell(News::Plan(PlanNews::Refused { plan, first, error }));
     }
 
-    /// Cancels a script. A script that the driver does not have, or has ended by itself, is already over.
+    /// Cancels a script. If the driver does not have the script, or has ended it by itself, the script is already over.
     fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), Lost> {
         if self.given.plans.contains_key(&cancel.plan) {
             self.call(Sign::Unknown, |driver| driver.cancel(cancel)).map_err(|error| match error {
@@ -129,7 +129,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Forwards the driver's reports about scripts. A driver may still report on a script that is over.
+    /// Forwards the driver's reports about scripts. A late report about a script that is already over is permitted.
     pub(super) fn pass_on(&mut self, words: Vec<PlanReport>) -> Result<(), Lost> {
         for PlanReport { plan, at, event } in words {
             let Some(have) = self.given.plans.get(&plan) else {

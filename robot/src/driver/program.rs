@@ -2,19 +2,19 @@
 //!
 //! | line | answer |
 //! |---|---|
-//! | `hello` | `ok`, or `ok ramps` where it moves linearly by itself |
+//! | `hello` | `ok`, or `ok ramps` if the hardware moves linearly by itself |
 //! | `set DEVICE CONTROL_TYPE VALUE...` | `ok` |
 //! | `ramp DEVICE CONTROL_TYPE VALUE MILLISECONDS` | `ok` |
 //! | `read SENSOR` | the reading, a number |
 //! | `ping` | `ok`, or `ok MILLISECONDS` since the hardware last showed a sign of life |
 //!
-//! A program that answers `hello` with `ok 2` speaks version 2. It then receives `init JSON` with the robot's description, answers `ok
-//! JSON` with its capabilities, and may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it receives
+//! A program that answers `hello` with `ok 2` speaks version 2. It then receives `init JSON` with the robot's description, and answers
+//! `ok JSON` with its capabilities. It may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it receives
 //! `frame JSON` instead of `set`.
 //!
-//! If it times scripts by itself, it receives `plan JSON`, `more JSON` and `cancel JSON`, and reports `started PLAN NS`, `step PLAN INDEX
-//! NS`, `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`. After NS, `assumed` marks events that the hardware has not
-//! shown.
+//! A program that times scripts by itself receives `plan JSON`, `more JSON` and `cancel JSON`. It reports `started PLAN NS`, `step PLAN
+//! INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`. NS is a time in nanoseconds; the word `assumed` after it
+//! marks events that the hardware has not shown.
 //!
 //! Any line may be answered with `error REASON`. The program's standard error goes to the edge's standard error.
 
@@ -34,12 +34,12 @@ use super::{
 use crate::clock::SystemClock;
 use crate::plans::{Lookahead, PlanCancel, PlanPart, PlanStep};
 
-/// Time limits of a program.
+/// Time limits for the answers of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timeouts {
-    /// For the answer to the first line, and for starting the hardware in version 2: interpreters start slowly.
+    /// Time limit for the answer to the first line and, in version 2, for starting the hardware. Interpreters start slowly.
     pub start: Duration,
-    /// For the answer to any other line.
+    /// Time limit for the answer to any other line.
     pub answer: Duration,
 }
 
@@ -49,30 +49,32 @@ impl Default for Timeouts {
     }
 }
 
-/// Capabilities of a program of version 2.
+/// Capabilities that a program of version 2 declares.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Declared {
-    /// Whether it moves linearly by itself.
+    /// Whether the hardware moves linearly by itself.
     ramps: bool,
-    /// Whether it takes all values of one instant at once.
+    /// Whether the program receives at once all values that are due at the same instant.
     frames: bool,
-    /// Latency from a value to visible motion, in milliseconds, by device.
+    /// Latency from a value to the first visible motion, in milliseconds, by device.
     latency_ms: BTreeMap<DeviceId, f64>,
-    /// Set if it times scripts by itself and wants them whole.
+    /// Look-ahead of a program that times scripts by itself and wants to receive them whole. `None`: it does not.
     lookahead: Option<Of<Whole>>,
-    /// Set if it times scripts by itself and wants their steps this many milliseconds ahead.
+    /// How far ahead a program that times scripts by itself wants to receive the steps of scripts, in milliseconds. `None`: it does not
+    /// request this.
     lookahead_ms: Option<Of<f64>>,
-    /// Samples of a movement per second.
+    /// Preferred number of samples of a movement per second.
     samples_per_second: Option<Of<f64>>,
     pings_per_second: Option<f64>,
-    /// Maximum time without a sign of life from the hardware, in milliseconds, if `ping` is answered with the age of the last one.
+    /// Maximum time without a sign of life from the hardware, in milliseconds. Set by a program whose answer to `ping` contains the age
+    /// of the last one.
     hardware_silence_ms: Option<f64>,
-    /// Maximum readings of a sensor per second.
+    /// Maximum number of readings of a sensor per second.
     readings_per_second: Option<Of<f64>>,
 }
 
-/// A value for all devices, or one per device id.
+/// One value for all devices, or one value per device id.
 #[derive(Debug, Deserialize)]
 #[serde(untagged, expecting = "expected a value for all devices, or an object with one for each device")]
 enum Of<T> {
@@ -87,7 +89,7 @@ enum Whole {
 }
 
 impl<T: Copy> Of<T> {
-    /// Returns the values by device; a value for all applies to each device of `all`.
+    /// Returns the values by device. A value for all devices is assigned to each device in `all`.
     fn each<'a>(&self, all: impl Iterator<Item = &'a DeviceId>) -> BTreeMap<DeviceId, T> {
         match self {
             Self::All(of_all) => all.map(|device| (device.clone(), *of_all)).collect(),
@@ -96,11 +98,11 @@ impl<T: Copy> Of<T> {
     }
 }
 
-/// Range of how far ahead a program may want the steps of scripts, in milliseconds.
+/// Minimum and maximum lead time with which a program may request the steps of scripts, in milliseconds.
 const LOOKAHEAD_MS: (f64, f64) = (20.0, 60_000.0);
-/// Range of the declared silence of hardware, in milliseconds.
+/// Minimum and maximum of the declared `hardware_silence_ms`, in milliseconds.
 const HARDWARE_SILENCE_MS: (f64, f64) = (50.0, 60_000.0);
-/// Silences of the edge after which a program does not begin a script, and ends a running one.
+/// Silence of the edge in milliseconds after which a program does not start a script, and silence after which it ends a running one.
 const EDGE_SILENCE_MS: (u32, u32) = (400, 3_000);
 
 /// A program that drives a robot's devices.
@@ -113,7 +115,8 @@ pub struct Program {
     ear: Option<UnsolicitedInput>,
     /// Time between the hardware's last sign of life and the last ping, if the program reports it.
     last_sign: Option<Duration>,
-    /// Silences of the edge after which it does not begin a script, and ends a running one, in milliseconds.
+    /// Silence of the edge in milliseconds after which the program does not start a script, and silence after which it ends a running
+    /// one.
     edge_silence_ms: (u32, u32),
 }
 
@@ -145,28 +148,28 @@ impl Program {
         })
     }
 
-    /// Sets the time limits.
+    /// Sets the time limits of the program's answers.
     #[must_use]
     pub const fn within(mut self, timeouts: Timeouts) -> Self {
         self.timeouts = timeouts;
         self
     }
 
-    /// Permits the edge to be silent for an hour.
+    /// Sets both limits of the edge's silence to an hour.
     #[cfg(test)]
     pub(super) const fn borne_in_silence(mut self) -> Self {
         self.edge_silence_ms = (3_600_000, 3_600_000);
         self
     }
 
-    /// Sends a line and returns the answer. If there is no answer, the program is ended.
+    /// Sends a line to the program and returns its answer. Ends the program if it does not answer within `wait`.
     fn ask(&mut self, line: &str, wait: Duration) -> Result<String, DriverError> {
         let away = || DriverError::Away("the program is not running".to_owned());
         let answer = self.running.as_mut().ok_or_else(away)?.ask(line, wait);
         self.answered(answer)
     }
 
-    /// Like `ask`, for the lines at the start: nothing has moved yet, so an edge that ends does not wait for the answer.
+    /// Like `ask`, for the first lines to a program. Since nothing has moved yet, an edge that shuts down does not wait for the answer.
     fn ask_at_start(&mut self, line: &str) -> Result<String, DriverError> {
         let away = || DriverError::Away("the program is not running".to_owned());
         let running = self.running.as_mut().ok_or_else(away)?;
@@ -193,7 +196,7 @@ impl Program {
         }
     }
 
-    /// Ends a program that is out of step: no further answer could be trusted.
+    /// Ends a program whose answer does not belong to the line it received, because no further answer could be trusted.
     fn misunderstood(&mut self, line: &str, answer: &str) -> DriverError {
         self.running = None;
         let command = &self.command;
@@ -226,7 +229,7 @@ impl Program {
 }
 
 impl Declared {
-    /// Returns how far ahead it receives each device's scripts.
+    /// Returns how far ahead the program receives each device's scripts.
     fn lookahead(&self, block: &InitializationBlock) -> BTreeMap<DeviceId, Lookahead> {
         let whole = self.lookahead.iter().flat_map(|of| of.each(driven(block)));
         let whole = whole.map(|(device, Whole::Script)| (device, Lookahead::Script));
@@ -246,7 +249,7 @@ impl Declared {
         }
     }
 
-    /// Whether its look-ahead and rates name existing devices and contain valid numbers.
+    /// Checks that the program's look-aheads and rates name existing devices and contain valid numbers.
     fn check_numbers(&self, block: &InitializationBlock) -> Result<(), String> {
         let rates = self.rates(block);
         let ms = self.lookahead_ms.iter().flat_map(|of| of.each(driven(block)));
@@ -301,7 +304,7 @@ impl Declared {
     }
 }
 
-/// Returns the devices that can be moved.
+/// Returns the ids of the devices that can be moved.
 fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
     let moves = |device: &&urrcp::Device| {
         let mut types = device.available_control_types.iter().map(|(control_type, _)| control_type);
@@ -310,10 +313,10 @@ fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
     block.devices.iter().filter(moves).map(|device| &device.id)
 }
 
-/// Parses a duration as a program writes it.
+/// Parses a program's duration, a number of milliseconds.
 fn milliseconds(text: &str) -> Option<Duration> {
     let milliseconds: f64 = text.parse().ok().filter(|milliseconds: &f64| milliseconds.is_finite())?;
-    // Timestamps of another clock may lie slightly in the future.
+    // A program that takes timestamps from another clock may report a slightly negative duration.
     Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0).ok()
 }
 
@@ -495,14 +498,14 @@ mod tests {
     use crate::PlanId;
     use crate::plans::Then;
 
-    /// A program that logs the lines that it receives, and answers them as the test specifies.
+    /// A program for a test that logs the lines that it receives and answers them as the test specifies.
     struct Logged {
         program: Program,
         log: PathBuf,
     }
 
     impl Logged {
-        /// `answers` contains branches of a shell `case`; any other line is answered with `ok`.
+        /// Creates the program. `answers` contains branches of a shell `case`; any other line is answered with `ok`.
         fn new(test: &str, answers: &str) -> Self {
             let log = std::env::temp_dir().join(format!("downbeat-program-{}-{test}", std::process::id()));
             let shown = log.display();
@@ -520,7 +523,7 @@ mod tests {
             std::fs::read_to_string(&self.log).unwrap().lines().map(str::to_owned).collect()
         }
 
-        /// Returns the JSON after the first word of a line.
+        /// Returns the JSON in a logged line, which starts with `word`.
         fn json(&self, line: usize, word: &str) -> serde_json::Value {
             serde_json::from_str(self.lines()[line].strip_prefix(word).unwrap()).unwrap()
         }

@@ -1,55 +1,55 @@
 //! Signs of life: when the hardware is pinged, and how long it may be silent.
 //!
-//! While nothing is held, the hardware is pinged occasionally. Once the machine holds something, and more often as a start approaches, it
-//! is pinged often, so that a start relies on a fresh sign of life. Pings take at most half of its time. None is sent right before a
-//! movement, because the movement would have to wait.
+//! While the machine holds no command, the hardware is pinged occasionally. Once the machine holds a command, the hardware is pinged
+//! often, and still more often as a start approaches. A start thus relies on a recent sign of life. Pings take at most half of the
+//! hardware's time. No ping is sent right before a movement, because the movement would have to wait.
 
 use std::time::{Duration, Instant};
 
 use crate::hardware::START_NEAR;
 
-/// Minimum ping interval while nothing is held.
+/// Minimum ping interval while the machine holds no command.
 const IDLE: Duration = Duration::from_millis(500);
-/// Ping interval while something is held or runs, as a multiple of the interval near a start.
+/// Ping interval while a command is held or runs, as a multiple of the interval near a start.
 const HELD: u32 = 2;
-/// No ping is begun within this time before a movement, or a shorter time if answers are fast.
+/// Maximum time before a movement in which no ping is sent; shorter if the hardware answers fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);
-/// Delays after which a ping is sent regardless: near a start, and otherwise.
+/// Time without an answer after which a ping is sent even if a movement is near: first near a start, then at other times.
 const OVERDUE: (Duration, Duration) = (Duration::from_millis(60), Duration::from_secs(2));
 
 /// State of the machine that determines how often its hardware is pinged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Demand {
-    /// Whether something is held or runs.
+    /// Whether a command is held or runs.
     pub(crate) held: bool,
     pub(crate) start: Option<Instant>,
-    /// Time of the machine's next action.
+    /// Time of the next action of the robot's state machine.
     pub(crate) next_due: Option<Instant>,
-    /// Whether the report of an end waits for an answer of the hardware.
+    /// Whether the report about a command's end waits for an answer of the hardware.
     pub(crate) confirmation: bool,
 }
 
-/// Signs of life of one connection.
+/// Signs of life of the hardware during one connection.
 #[derive(Debug)]
 pub(super) struct Pulse {
-    /// Ping interval near a start.
+    /// Interval between two pings near a start.
     near: Duration,
     /// Time of the driver's last answer.
     answered: Instant,
     /// Time of the hardware's last sign of life.
     seen: Instant,
-    /// Whether the driver reports the hardware's signs of life: other answers are then no signs of life.
+    /// Whether the driver reports the hardware's signs of life. If so, the driver's other answers are no signs of life.
     reports_signs: bool,
-    /// Maximum time without a sign of life, if the driver reports these signs and declares it.
+    /// Maximum time without a sign of life, if the driver reports these signs and declares it; otherwise zero.
     signs_max: Duration,
-    /// Duration of the longest recent call.
+    /// Duration of the longest recent call to the driver.
     took: Duration,
     demand: Demand,
     held_since: Option<Instant>,
-    /// Whether a sensor is being read, which has no time limit.
+    /// Whether a sensor is being read. A reading has no time limit here.
     reading: bool,
-    /// Since when its thread is busy; `None` if it is idle.
+    /// Time since which the driver's thread has been busy; `None` if it is idle.
     busy_since: Option<Instant>,
 }
 
@@ -70,12 +70,12 @@ impl Pulse {
         }
     }
 
-    /// Records that its thread begins an action that the hardware has to answer, or is idle again.
+    /// Records that the driver's thread has started an action that the hardware has to answer (`Some`), or is idle again (`None`).
     pub(super) const fn busy(&mut self, since: Option<Instant>) {
         self.busy_since = since;
     }
 
-    /// Returns true if this changes the time of the next ping.
+    /// Records a new demand. Returns true if it changes the time of the next ping.
     pub(super) fn demand(&mut self, now: Instant, demand: Demand) -> bool {
         let before = std::mem::replace(&mut self.demand, demand);
         self.held_since = demand.held.then(|| self.held_since.unwrap_or(now));
@@ -88,7 +88,7 @@ impl Pulse {
         self.signs_max = silence_max.unwrap_or_default();
     }
 
-    /// Records an answer of the driver.
+    /// Records that the driver has answered.
     pub(super) fn answered(&mut self, now: Instant) {
         self.answered = now;
         if !self.reports_signs {
@@ -96,14 +96,14 @@ impl Pulse {
         }
     }
 
-    /// Records an answer of the driver, which reports a sign of life this long ago.
+    /// Records that the driver has answered, and that it reported a sign of life of the hardware `ago` before its answer.
     pub(super) fn seen(&mut self, now: Instant, ago: Duration) {
         self.reports_signs = true;
         self.answered = now;
         self.seen = now.checked_sub(ago).unwrap_or(self.seen);
     }
 
-    /// Records the duration of a call; a single long one is forgotten after some dozens of short ones.
+    /// Records the duration of a call. A single long call is forgotten after some dozens of short ones.
     pub(super) fn called(&mut self, took: Duration) {
         self.took = took.max(self.took - self.took / 16);
     }
@@ -155,10 +155,10 @@ impl Pulse {
         (self.took * 4).clamp(QUIET_LEAST, QUIET)
     }
 
-    /// Returns how long the driver has not answered, or the hardware has shown no sign of life, while something is held. `None` up to
-    /// `silence_max`, or longer if calls are slow.
+    /// Returns for how long the driver has not answered, or the hardware has shown no sign of life, while a command is held. Returns
+    /// `None` up to `silence_max`, or up to a longer time if calls are slow.
     ///
-    /// Time in which this machine was delayed and sent no ping is not silence, unless a start is due: a start relies on a fresh sign of
+    /// Time in which this machine was delayed and sent no ping is not silence, unless a start is due: a start relies on a recent sign of
     /// life.
     pub(super) fn silence(&self, now: Instant, silence_max: Duration) -> Option<Duration> {
         let held_since = self.held_since.filter(|_| !self.reading)?;

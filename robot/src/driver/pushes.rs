@@ -1,4 +1,4 @@
-//! Unsolicited reports of hardware.
+//! Unsolicited reports from hardware.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ pub(crate) struct PlanReport {
     pub(super) event: PlanEvent,
 }
 
-/// A handle by which a driver reports readings, faults and script events unasked, from any thread.
+/// A handle that a driver uses to report readings, faults and script events unasked, from any thread.
 #[derive(Clone, Debug)]
 pub struct Pushes(Arc<Mailbox>);
 
@@ -25,25 +25,25 @@ impl Pushes {
         Self(mailbox)
     }
 
-    /// Whether the driver must shut down.
+    /// Whether the driver must shut down, because its mailbox is closed.
     pub(super) fn is_over(&self) -> bool {
         self.0.is_closed()
     }
 
-    /// Reports the current reading of a sensor, in its unit. A request within the sensor's `max_delay`, or within a second if it has
-    /// none, is answered with this reading. Ignored while the hardware is not connected.
+    /// Reports the current reading of a sensor, in the sensor's unit. The robot answers requests with this reading for the sensor's
+    /// `max_delay`, or for one second if it declares none. Ignored while the hardware is not connected.
     pub fn reading(&self, sensor: &DeviceId, reading: f64) {
         self.0.read_by_itself(sensor, reading);
     }
 
-    /// Reports an event of a script that the driver times by itself. Times are those of the clock by which the script was handed over: if
-    /// that clock is set, they continue as before. Ignored while the hardware is not connected.
+    /// Reports an event of a script that the driver times by itself. `at` is a time on the clock by which the script was handed over. If
+    /// that clock is set meanwhile, times must continue as before. Ignored while the hardware is not connected.
     pub fn plan(&self, plan: PlanId, at: Timestamp<SystemClock>, event: PlanEvent) {
         self.0.told_of_plan(PlanReport { plan, at, event });
     }
 
-    /// Reports a fault of the hardware: everything that runs or waits ends, and the driver is connected again. Ignored while the hardware
-    /// is not connected.
+    /// Reports a fault of the hardware. All running and waiting commands end, and the driver is connected again. Ignored while the
+    /// hardware is not connected.
     pub fn fault(&self, reason: impl Into<String>) {
         self.0.failed_by_itself(reason.into());
     }

@@ -1,4 +1,4 @@
-//! How often a driver is called, as the driver declares and as its user configures it.
+//! How often a driver is called: the rates that the driver declares and those that its user configures.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -7,29 +7,30 @@ use urrcp::DeviceId;
 
 use super::DriverOptions;
 
-/// Default samples per second: the rate at which hobby servos take values.
+/// Default number of samples per second: the rate at which hobby servos accept values.
 pub const SAMPLES_PER_SECOND: f64 = 50.0;
-/// Default maximum of pings per second, in the second before a start.
+/// Default maximum number of pings per second, in the last second before a start.
 pub const PINGS_PER_SECOND: f64 = 40.0;
 
-/// Range of samples per second of one device.
+/// Minimum and maximum number of samples per second of one device.
 pub const SAMPLES_BOUNDS: (f64, f64) = (0.1, 1_000.0);
-/// Range of pings per second: with fewer, a start would rely on an old sign of life; more only cost time.
+/// Minimum and maximum number of pings per second. With fewer pings, a start would rely on an old sign of life; more pings only cost
+/// time.
 pub const PINGS_BOUNDS: (f64, f64) = (10.0, 200.0);
-/// Range of readings per second of one sensor.
+/// Minimum and maximum number of readings per second of one sensor.
 pub const READINGS_BOUNDS: (f64, f64) = (0.01, 1_000.0);
 
-/// The call rates that a driver prefers. The [`DriverOptions`] take precedence.
+/// The call rates that a driver prefers. Rates in the [`DriverOptions`] take precedence.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Rates {
-    /// Samples of a movement per second, by device; [`SAMPLES_PER_SECOND`] for others.
+    /// Samples of a movement per second by device. [`SAMPLES_PER_SECOND`] applies to devices without an entry.
     pub samples_per_second: BTreeMap<DeviceId, f64>,
-    /// Maximum pings per second; `None`: [`PINGS_PER_SECOND`].
+    /// Maximum number of pings per second. `None`: [`PINGS_PER_SECOND`].
     pub pings_per_second: Option<f64>,
-    /// Maximum readings per second, by sensor; no limit for others.
+    /// Maximum number of readings per second by sensor. Sensors without an entry have no limit.
     pub readings_per_second: BTreeMap<DeviceId, f64>,
-    /// Maximum time without a sign of life from the hardware, for a driver that reports these signs: [`Driver::last_sign`].
+    /// Maximum time without a sign of life from the hardware, for a driver that reports these signs by [`Driver::last_sign`].
     ///
     /// [`Driver::last_sign`]: super::Driver::last_sign
     pub silence_max: Option<Duration>,
@@ -46,13 +47,13 @@ impl Rates {
         period(rate.unwrap_or(SAMPLES_PER_SECOND), SAMPLES_BOUNDS)
     }
 
-    /// Returns the interval between two pings in the second before a start.
+    /// Returns the interval between two pings in the last second before a start.
     pub(super) fn ping_period(&self, options: &DriverOptions) -> Duration {
         let rate = options.pings_per_second.or(self.pings_per_second);
         period(rate.unwrap_or(PINGS_PER_SECOND), PINGS_BOUNDS)
     }
 
-    /// Returns how long a sensor's reading answers further requests.
+    /// Returns how long a sensor's reading answers further requests. `None`: each request reads the sensor again.
     pub(super) fn reading_period(&self, options: &DriverOptions, sensor: &DeviceId) -> Option<Duration> {
         let rate = options.readings_per_second.or_else(|| self.readings_per_second.get(sensor).copied());
         rate.map(|rate| period(rate, READINGS_BOUNDS))

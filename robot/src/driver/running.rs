@@ -1,4 +1,4 @@
-//! A running program: lines to it, answers from it, and its unsolicited reports.
+//! A running program: sends lines to it, and receives its answers and unsolicited reports.
 
 use std::collections::HashSet;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
@@ -18,9 +18,9 @@ use super::Pushes;
 use crate::clock::SystemClock;
 use crate::plans::{PlanEvent, PlanId};
 
-/// Longest answer, in bytes.
+/// Maximum length of an answer, in bytes.
 const ANSWER_BYTES_MAX: u64 = 16_384;
-/// Maximum time until the program ends once its input has ended.
+/// Maximum time that a program may take to end once its input is closed.
 const END_WAIT: Duration = Duration::from_secs(1);
 
 const PLAN_WORDS: &str = "`started PLAN NS`, `step PLAN INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` or `cancelled PLAN NS`, \
@@ -46,12 +46,12 @@ fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, 
         ("failed", reason) => (next, PlanEvent::Failed(reason.unwrap_or("no reason given").to_owned())),
         _ => return None,
     };
-    // Limited to the years 1970 to 2255, so that no time overflows later arithmetic.
+    // Only times from 1970 to 2255 are valid, so that no time overflows later arithmetic.
     let at = at.parse().ok().filter(|at| (0..=9_000_000_000_000_000_000).contains(at))?;
     Some((plan, Timestamp::from_nanos(at), event))
 }
 
-/// Receives a program's unsolicited reports.
+/// Receiver of a program's unsolicited reports.
 #[derive(Clone, Debug)]
 pub(super) struct UnsolicitedInput {
     pub(super) pushes: Pushes,
@@ -59,7 +59,7 @@ pub(super) struct UnsolicitedInput {
 }
 
 impl UnsolicitedInput {
-    /// Takes the line, if it is not an answer.
+    /// Handles the line if it is an unsolicited report. Returns whether it was one.
     fn hears(&self, line: &str) -> bool {
         match line.split_once(' ') {
             Some(("fault", reason)) => self.pushes.fault(reason.trim()),
@@ -90,12 +90,12 @@ impl UnsolicitedInput {
 pub(super) struct Running {
     child: Child,
     input: Option<ChildStdin>,
-    /// A copy of its output, only to be watched.
+    /// A copy of the descriptor of the program's output, only used to detect the end.
     pub(super) output: OwnedFd,
     answers: Receiver<String>,
     /// Whether the program may send unsolicited reports.
     tells: Arc<AtomicBool>,
-    /// How long its output may stay open after its input has ended, if the program has ended.
+    /// Maximum time for which the output of a program that has ended may stay open after its input has closed.
     ends_within: Duration,
 }
 
@@ -103,31 +103,31 @@ impl Running {
     pub(super) fn start(command: &str, ear: Option<UnsolicitedInput>) -> std::io::Result<Self> {
         let mut shell = Command::new("sh");
         shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped());
-        // A process group of its own: Ctrl-C is for the edge, which then brings its devices to rest.
+        // The program gets its own process group: Ctrl-C reaches only the edge, which then brings its devices to rest.
         let mut child = shell.process_group(0).spawn()?;
         let no_pipe = || std::io::Error::other("no pipe");
         let output = child.stdout.take().ok_or_else(no_pipe)?;
         let input = child.stdin.take().ok_or_else(no_pipe)?;
-        // A description may be longer than the pipe buffer, and a program need not read it.
+        // The pipe does not block: a description may exceed the pipe's buffer, and a program need not read it.
         fcntl_setfl(&input, fcntl_getfl(&input)? | OFlags::NONBLOCK)?;
         let watched = output.as_fd().try_clone_to_owned()?;
-        // Each line has one answer; a program that writes more is soon out of step.
+        // Each line has one answer. If a program writes more, its answers soon no longer match the lines.
         let (sender, answers) = sync_channel(1);
         let tells = Arc::new(AtomicBool::new(false));
         let ear = ear.map(|ear| (ear, Arc::clone(&tells)));
-        // Ends with the program's output, or when the receiver is gone.
+        // This thread ends with the program's output, or when the receiver is dropped.
         std::thread::Builder::new()
             .name("program".into())
             .spawn(move || hear(BufReader::new(output), ear.as_ref(), &sender))?;
         Ok(Self { child, input: Some(input), output: watched, answers, tells, ends_within: ENDS_WITHIN })
     }
 
-    /// Permits unsolicited reports from this point.
+    /// Permits unsolicited reports from now on.
     pub(super) fn may_tell(&self) {
         self.tells.store(true, Ordering::SeqCst);
     }
 
-    /// Sends a line and returns the answer.
+    /// Sends a line and returns the program's answer.
     pub(super) fn ask(&mut self, line: &str, wait: Duration) -> Result<String, String> {
         self.ask_unless(line, wait, &|| false)
     }
@@ -140,7 +140,7 @@ impl Running {
         is_over: &dyn Fn() -> bool,
     ) -> Result<String, String> {
         let Some(input) = &mut self.input else { return Err("has ended".to_owned()) };
-        // One write for the whole line: a program may read in pieces.
+        // The whole line is written at once. A program may still read it in pieces.
         let verb = line.split(' ').next().unwrap_or(line);
         let shown = if line.len() > SHOWN_MAX { verb } else { line };
         match write_within(input, format!("{line}\n").as_bytes(), wait, is_over) {
@@ -168,7 +168,7 @@ impl Running {
     }
 
     fn why_it_reads_no_more(&self) -> String {
-        // Earlier answers are skipped.
+        // Skips answers that the program has already sent.
         let last =
             std::iter::repeat_with(|| self.answers.recv_timeout(self.ends_within)).take(LAST_WORDS_MAX);
         let ended = last.filter_map(Result::err).next() == Some(RecvTimeoutError::Disconnected);
@@ -176,22 +176,22 @@ impl Running {
     }
 }
 
-/// Interval at which a wait checks whether the answer is still needed.
+/// Interval at which a waiting `ask_unless` checks whether the answer is still needed.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// A program that ends closes its input and its output shortly after each other, within this time.
+/// Maximum time between the moments at which a program that ends closes its input and its output.
 const ENDS_WITHIN: Duration = Duration::from_millis(200);
 /// Maximum number of unread answers.
 const LAST_WORDS_MAX: usize = 8;
 
-/// For longer lines, an error message contains only the first word.
+/// Maximum length of a line that an error message shows whole; of longer lines, it shows only the first word.
 const SHOWN_MAX: usize = 200;
 
 fn seconds(wait: Duration) -> String {
     format!("{} s", wait.as_secs_f64())
 }
 
-/// Returns false if the program has not read for `wait`, or once `is_over` returns true.
+/// Writes the bytes. Returns false if the program has not read for `wait`, or once `is_over` returns true.
 fn write_within(
     input: &mut ChildStdin,
     mut bytes: &[u8],
@@ -222,7 +222,7 @@ fn write_within(
     Ok(true)
 }
 
-/// Forwards each line, as an answer or as an unsolicited report.
+/// Forwards each line of the program's output, as an answer or as an unsolicited report.
 fn hear(
     mut output: impl BufRead,
     ear: Option<&(UnsolicitedInput, Arc<AtomicBool>)>,
@@ -244,10 +244,11 @@ fn hear(
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // Otherwise the next program would be charged with reports of this one.
+        // Otherwise reports of this program could be attributed to the next one.
         self.tells.store(false, Ordering::SeqCst);
         self.input = None;
-        // Its output ends with it. Its remaining output is not needed, and too much of it does not count as an end.
+        // The output ends with the program. Its remaining lines are not needed; if there are too many, the program does not count as
+        // ended.
         let last = (0..16).find_map(|_| self.answers.recv_timeout(END_WAIT).err());
         let ended = last == Some(RecvTimeoutError::Disconnected);
         if !ended
@@ -303,13 +304,13 @@ mod tests {
         check("done 7 9223372036854775807", None);
     }
 
-    /// Returns the error for a program that no longer reads, in place of an answer.
+    /// Returns the error that `ask` reports for a program that no longer reads.
     fn said_of(command: &str, ends_within: Duration) -> String {
         let mut running = Running::start(command, None).unwrap();
         running.ends_within = ends_within;
         let wait = Duration::from_secs(60);
         assert_eq!(running.ask("hello", wait), Ok("ok".to_owned()));
-        // Until its input is closed it may still take a line, without ever answering it.
+        // Until its input is closed, the program may still take a line without ever answering it.
         (0..1_000)
             .find_map(|_| {
                 running.ask("ping", Duration::from_millis(20)).err().filter(|why| !why.contains("ping"))
@@ -321,12 +322,12 @@ mod tests {
     fn a_program_that_ended_is_told_from_one_that_closed_its_input() {
         let stays = "read line; echo ok; exec <&-; sleep 60";
         assert_eq!(said_of(stays, ENDS_WITHIN), "has closed its input");
-        // Regardless of how long a slow machine takes to end it.
+        // The result does not depend on how long a slow machine takes to end the program.
         let ends = "read line; echo ok; exec <&-; sleep 0.1";
         assert_eq!(said_of(ends, Duration::from_secs(50)), "has ended");
     }
 
-    /// Returns an ear for the sensor `eye`, on a mailbox with a connection.
+    /// Returns the input for unsolicited reports of the sensor `eye`, with its mailbox, which has a connection.
     fn ear() -> (UnsolicitedInput, Arc<crate::driver::Mailbox>) {
         let mailbox = Arc::new(crate::driver::Mailbox::default());
         let ping_period = Duration::from_millis(25);

@@ -1,4 +1,4 @@
-//! A driver without hardware: accepts everything and logs it.
+//! A driver without hardware: it accepts and logs all values.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,8 @@ use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 use super::{Driver, DriverError};
 
-/// Simulated hardware. A device reads the last value that was set; a sensor that cannot be set reads the middle of its range.
+/// Simulated hardware. The reading of a device is the last value that was set; the reading of a sensor that cannot be set is the middle
+/// of its range.
 #[derive(Clone, Debug)]
 pub struct SimulatedDriver {
     readings: HashMap<DeviceId, f64>,

@@ -1,4 +1,4 @@
-//! The choice of a driver, as written on the command line and in the fleet file.
+//! The choice of a driver, in the form used on the command line and in the fleet file.
 
 use std::str::FromStr;
 
@@ -8,27 +8,27 @@ use urrcp::InitializationBlock;
 use super::ThriftRobot;
 use super::{Driver, DriverError, Program, SimulatedDriver, Timeouts};
 
-/// A driver and its target.
+/// A kind of driver, and the hardware or program that it addresses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DriverSpec {
-    /// `sim`: no hardware.
+    /// `sim`: simulated, without hardware.
     Simulated,
-    /// `thrift://host:port`: a robot that speaks the early Thrift form.
+    /// `thrift://host:port`: a robot that speaks the early Thrift form of URRCP.
     Thrift {
-        /// Host name or address.
+        /// Host name or IP address of the robot.
         host: String,
-        /// Port.
+        /// TCP port of the robot.
         port: u16,
     },
     /// `program:COMMAND`: a program that receives lines on its standard input.
     Program {
-        /// A command line of the shell.
+        /// Command line that a shell executes.
         command: String,
     },
 }
 
-/// A text that does not name a driver.
+/// Error for a text that does not name a driver.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a driver, expected sim, thrift://host:port or program:COMMAND")]
 pub struct DriverSpecError(String);
@@ -60,15 +60,15 @@ impl DriverSpec {
     /// Creates the driver for a robot, without connecting.
     ///
     /// # Errors
-    /// [`DriverError::Refused`] if this driver cannot drive such a robot, or is not part of this build.
+    /// [`DriverError::Refused`] if this driver cannot drive a robot with this description, or is not part of this build.
     pub fn driver(&self, block: &InitializationBlock) -> Result<Box<dyn Driver>, DriverError> {
         self.driver_within(block, Timeouts::default())
     }
 
-    /// Creates the driver for a robot, with these time limits for a program.
+    /// Creates the driver for a robot; `timeouts` are the time limits for a driver that is an external program.
     ///
     /// # Errors
-    /// As [`DriverSpec::driver`].
+    /// Those of [`DriverSpec::driver`].
     pub fn driver_within(
         &self,
         block: &InitializationBlock,

@@ -1,4 +1,4 @@
-//! Drivers on their threads: the calls that reach the hardware, their order, and the effects of failures.
+//! Tests drivers on their threads: which calls reach the hardware, in which order, and which effects failures have.
 
 mod edge;
 mod orders;
@@ -31,7 +31,7 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 8}}},
   {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9, "max_delay": 60000}}}]}"#;
 
-/// Slows down within its acceleration.
+/// A robot whose lift slows down within its declared acceleration.
 const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "lift", "name": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
@@ -39,7 +39,7 @@ const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices"
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8,
                 "control_types": ["position"]}}}]}"#;
 
-/// Like `LIFT`, but takes longer to come to rest than an edge waits. Its wheel needs half a second.
+/// A robot like `LIFT` whose lift takes longer to come to rest than an edge waits. Its wheel takes half a second.
 const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "lift", "name": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
@@ -52,7 +52,7 @@ const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 1000,
                 "control_types": ["speed"]}}}]}"#;
 
-/// Returns a script that starts this many milliseconds from now; `None`: at its receipt, which is never too late.
+/// Returns a script that starts `lead` milliseconds from now. `None`: it starts at its receipt, which is never too late.
 fn request(
     device: &str,
     id: &str,
@@ -93,18 +93,19 @@ fn empty_plan<C>(device: &DeviceId) -> PlanPart<C> {
 #[derive(Default)]
 struct Bench {
     broken: AtomicBool,
-    /// Whether it refuses values.
+    /// Whether the hardware refuses values.
     refuses: AtomicBool,
     panics: AtomicBool,
     takes_ramps: bool,
-    /// While this is set, `set` does not return.
+    /// Whether `set` must not return yet.
     busy: AtomicBool,
     line: Option<std::os::unix::net::UnixStream>,
-    /// Whether it times the scripts of the arm by itself.
+    /// Whether the hardware times the scripts of the arm by itself.
     times_scripts: bool,
 }
 
-/// The test's handle of the hardware. When the test ends or fails, it releases a hanging call, because the host waits for that call.
+/// The test's handle of the hardware. When the test ends or fails, dropping the handle releases a hanging call, because the host waits
+/// for that call.
 struct Shared(Arc<Bench>);
 
 impl std::ops::Deref for Shared {
@@ -147,7 +148,7 @@ impl Driver for Fake {
         if self.bench.refuses.load(Ordering::SeqCst) {
             return Err(DriverError::Refused("too hot".to_owned()));
         }
-        // Read before the test receives the value: if the test then sets `busy`, the next call hangs, and never this one.
+        // Read before the test receives the value: if the test then sets `busy`, the next call hangs, but never this one.
         let hangs = self.bench.busy.load(Ordering::SeqCst);
         self.act(format!("{device} {}", setpoint.value))?;
         while hangs && self.bench.busy.load(Ordering::SeqCst) {
@@ -178,7 +179,7 @@ impl Driver for Fake {
         arm.into_iter().collect()
     }
 
-    /// Begins on time, and is done on time.
+    /// Reports that the script starts on time, and that it is done on time.
     #[expect(clippy::disallowed_methods, reason = "hardware takes its time")]
     fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
         if self.bench.refuses.load(Ordering::SeqCst) {
@@ -188,7 +189,7 @@ impl Driver for Fake {
         self.act(format!("{} plan {}", part.device, values.join(" ")))?;
         let (plan, pushes) = (part.plan, self.pushes.clone().unwrap());
         let (start, end) = (part.start, part.steps.last().unwrap().at);
-        // Ends after its reports.
+        // This thread ends after its reports.
         std::thread::spawn(move || {
             for (at, event) in [(start, PlanEvent::Began), (end, PlanEvent::Done)] {
                 let left = at.assume_clock() - HostClock::anchored().now();
@@ -212,7 +213,7 @@ impl Driver for Fake {
     }
 }
 
-/// A robot on a host, with its hardware and a link.
+/// A robot on a host, with its hardware and a link to it.
 struct Rig {
     bench: Shared,
     done: Receiver<String>,
@@ -233,7 +234,7 @@ impl Rig {
         Self::tolerating(Tolerance::AN_HOUR, host, block, bench, options)
     }
 
-    /// With limits of lateness, instead of unlimited lateness.
+    /// Creates a rig with these maximum delays. Other rigs practically permit any delay.
     fn tolerating(
         tolerance: Tolerance,
         host: HostOptions,
@@ -252,12 +253,12 @@ impl Rig {
         Self { bench, done: seen, host, link }
     }
 
-    /// Sends a script that starts when it is received.
+    /// Sends a script that starts at its receipt.
     fn script(&self, device: &str, id: &str, steps: &[(f64, f64)], control_type: ControlType) {
         self.link.send(request(device, id, None, steps, control_type));
     }
 
-    /// Sends a script that starts this many milliseconds from now. It has to be received by then.
+    /// Sends a script that starts `lead` milliseconds from now. The robot must receive it before then.
     fn script_in(&self, device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) {
         self.link.send(request(device, id, Some(lead), steps, control_type));
     }
@@ -285,7 +286,7 @@ impl Rig {
         }
     }
 
-    /// Waits until the hardware receives a value of this device beyond a bound. Returns all values that it received meanwhile.
+    /// Waits until the hardware receives a value of `device` above `bound`. Returns all values of the device received up to then.
     fn until_beyond(&self, device: &str, bound: f64) -> Vec<f64> {
         let mut values = Vec::new();
         while values.last().is_none_or(|value| *value <= bound) {
@@ -295,7 +296,7 @@ impl Rig {
         values
     }
 
-    /// Waits until the robot has done this many steps, whether or not the hardware has them.
+    /// Waits until the robot has done `count` steps, whether or not the hardware has received them.
     async fn until_steps(&self, count: u64) {
         let figures = self.host.figures();
         let stepped = async {
@@ -311,7 +312,7 @@ impl Rig {
         self.stop_and_tell().0
     }
 
-    /// Also returns why it may not be at rest.
+    /// Like `stop`, and also returns why the robot may not be at rest.
     fn stop_and_tell(self) -> (Vec<String>, Option<String>) {
         let Self { host, done, link, bench: _bench } = self;
         drop(link);
@@ -320,12 +321,12 @@ impl Rig {
     }
 }
 
-/// Returns the value of this device that the hardware received, if this call is one.
+/// Returns the value that a call to the hardware sets on `device`. `None` if it is another call.
 fn value_of(device: &str, done: &str) -> Option<f64> {
     done.strip_prefix(device)?.strip_prefix(' ')?.parse().ok()
 }
 
-/// Of a driver that receives one value at a time.
+/// Traits of a driver that receives one value at a time.
 const MANNERS: mailbox::DriverTraits = mailbox::DriverTraits {
     acknowledges: false,
     takes_frames: false,

@@ -1,6 +1,7 @@
 //! Robots that speak the early Thrift form of URRCP: binary protocol, buffered transport, one connection at a time.
 //!
-//! The service has six calls with at most two arguments of plain types, so they are written out here instead of using generated code.
+//! The service has only six calls, with at most two arguments of plain types. This module therefore implements them by hand instead of
+//! using generated code.
 
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
@@ -19,18 +20,18 @@ use urrcp::{DeviceId, InitializationBlock, Setpoint};
 use super::described::is_driven;
 use super::{Driver, DriverError, Lifeline, described};
 
-/// [`ThriftRobot::wait_max`] for robots on a network.
+/// Value of [`ThriftRobot::wait_max`] for robots on a network.
 const WAIT_MAX: Duration = Duration::from_secs(1);
-/// Maximum length of a text from a robot, in bytes: that of a URRCP line.
+/// Maximum length of a text from a robot, in bytes: the maximum length of a URRCP line.
 const TEXT_BYTES_MAX: usize = urrcp::LINE_BYTES_MAX;
 
-/// A robot of the Thrift form.
+/// Driver for a robot that speaks the Thrift form of URRCP.
 pub struct ThriftRobot {
     host: String,
     port: u16,
     block: InitializationBlock,
     connection: Option<Connection>,
-    /// Time limit for the robot to accept a connection, to take a call, and to answer one. `None`: no limit.
+    /// Time limit for connecting to the robot, for sending it a call, and for its answer. `None`: no limit.
     wait_max: Option<Duration>,
 }
 
@@ -66,7 +67,7 @@ impl ThriftRobot {
         called.map_err(|error| match error {
             thrift::Error::Application(error) => DriverError::Refused(told(&error)),
             error => {
-                // A late answer would be taken for the answer to the next call.
+                // Otherwise a late answer would be taken for the answer to the next call.
                 self.connection = None;
                 DriverError::Away(if has_ended(&error) {
                     self.ended()
@@ -96,7 +97,7 @@ impl Driver for ThriftRobot {
         self.connection = None;
         self.connection = Some(Connection::open(&self.host, self.port, self.wait_max)?);
         self.ping()?;
-        // It may be another robot than before, or than its init file describes.
+        // The robot may be another one than before, or differ from its init file.
         let schema = self.call(Connection::schema)?;
         described::fits(&schema, &self.block)
             .map_err(|why| DriverError::Away(format!("{}:{} is another robot: {why}", self.host, self.port)))
@@ -108,7 +109,7 @@ impl Driver for ThriftRobot {
 
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
         match self.call(|connection| connection.sensor_double(sensor.as_str())) {
-            // Some robots have sensors that answer with text; a number in it is accepted.
+            // Some robots answer with text for a sensor. If the text contains a number, the number is the reading.
             Err(DriverError::Refused(reason)) => {
                 let Ok(text) = self.call(|connection| connection.sensor_text(sensor.as_str())) else {
                     return Err(DriverError::Refused(reason));
@@ -133,7 +134,7 @@ impl Driver for ThriftRobot {
     }
 }
 
-/// A call may notice the end of a connection before the lifeline does.
+/// Whether the connection has ended. A call may notice this before the lifeline does.
 fn has_ended(error: &thrift::Error) -> bool {
     let thrift::Error::Transport(error) = error else { return false };
     matches!(error.kind, TransportErrorKind::EndOfFile | TransportErrorKind::NotOpen)
@@ -142,7 +143,7 @@ fn has_ended(error: &thrift::Error) -> bool {
 /// Requests a Thrift robot's description, a JSON text.
 ///
 /// # Errors
-/// Why the description is missing.
+/// The reason why the description is missing.
 pub fn describe(host: &str, port: u16) -> Result<String, DriverError> {
     describe_within(host, port, Some(WAIT_MAX))
 }
@@ -171,9 +172,9 @@ fn stream(host: &str, port: u16, wait_max: Option<Duration>) -> io::Result<TcpSt
 type Input = TBinaryInputProtocol<TBufferedReadTransport<ReadHalf<TTcpChannel>>>;
 type Output = TBinaryOutputProtocol<TBufferedWriteTransport<WriteHalf<TTcpChannel>>>;
 
-/// A connection, with the six calls.
+/// A connection to a Thrift robot, with the six calls of the service.
 struct Connection {
-    /// Only to be watched.
+    /// The connection's socket, used only to detect its end.
     stream: TcpStream,
     input: Input,
     output: Output,
@@ -190,7 +191,7 @@ impl Connection {
         let away = |why: &dyn fmt::Display| {
             DriverError::Away(format!("no connection to thrift://{host}:{port}: {why}"))
         };
-        // In words of the error kind: the library says "not open", and the system adds a number.
+        // Names the error kind: otherwise the library would report "not open", and the system would add a number.
         let told = |error: std::io::Error| match error.raw_os_error() {
             Some(_) => away(&error.kind()),
             None => away(&error),
@@ -302,7 +303,7 @@ impl Connection {
     }
 }
 
-/// An answer to another call: the connection is out of step and cannot be used any longer.
+/// Returns the error for an answer that belongs to another call: answers no longer match calls, so the connection is unusable.
 fn foreign(error: &thrift::Error) -> thrift::Error {
     std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()).into()
 }
@@ -323,11 +324,11 @@ mod tests {
       {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
     const SCHEMA: &str = r#"{"id": "r", "devices": {"arm": {"min_value": 0, "max_value": 9}}}"#;
 
-    /// Time limit of a test. It is not a socket timeout: if a process was suspended, Linux interrupts a read with such a timeout, and the
-    /// driver takes that for the end of the connection.
+    /// Time limit of a test. It is not a socket timeout: if a process was suspended, Linux interrupts a read with such a timeout. The
+    /// driver would take this for the end of the connection.
     const PATIENCE: Duration = Duration::from_secs(60);
 
-    /// An answer of a test's robot.
+    /// An answer of a robot in a test.
     enum Reply {
         Bool(bool),
         Double(f64),
@@ -335,14 +336,15 @@ mod tests {
         /// An answer without a result.
         Empty,
         Error(ApplicationErrorKind),
-        /// The answer to another call.
+        /// An answer that belongs to another call.
         Foreign,
-        /// No answer, to a call that needs none.
+        /// No answer, for a call that needs none.
         Nothing,
         HangsUp,
     }
 
-    /// A robot that accepts one connection, answers each call by its name and arguments, and returns the calls in the end.
+    /// Starts a robot that accepts one connection and answers each call as `reply` specifies for its name and arguments. The thread
+    /// returns the received calls.
     fn robot(reply: impl Fn(&str) -> Reply + Send + 'static) -> (ThriftRobot, JoinHandle<Vec<String>>) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();

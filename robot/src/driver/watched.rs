@@ -1,4 +1,4 @@
-//! Hardware events for people at the edge's terminal.
+//! Hardware events that an edge shows in its terminal.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,23 +17,24 @@ pub enum HardwareEvent {
         /// Latency from a value to visible motion, by device, as the driver declares it.
         latency: BTreeMap<DeviceId, Duration>,
     },
-    /// The hardware is away, or refused a value, for this reason. The edge connects again; each failed attempt repeats this event.
+    /// The hardware is away or refused a value, for the contained reason. The edge connects again; each failed attempt repeats this
+    /// event.
     Lost(String),
-    /// The hardware did not take a script, for this reason.
+    /// The hardware did not take a script, for the contained reason.
     Refused(String),
-    /// A sensor gave no reading, for this reason.
+    /// A sensor gave no reading, for the contained reason.
     Unread(String),
     /// A value reached the driver so late that it was not set.
     Late {
-        /// The target device.
+        /// Device for which the value was intended.
         device: DeviceId,
-        /// Its delay.
+        /// Delay of the value.
         late: Duration,
     },
 }
 
 impl HardwareEvent {
-    /// Returns the event for people at the terminal, if there is one.
+    /// Converts a report of a driver's thread to an event for the terminal. `None` if people need not see it.
     pub(crate) fn of(news: &News) -> Option<Self> {
         match news {
             News::There { latency, .. } => Some(Self::There { latency: latency.clone() }),

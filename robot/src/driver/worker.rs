@@ -19,41 +19,41 @@ use crate::plans::Lookahead;
 use crate::signal::{is_rate, rest_of};
 use crate::tolerance::Tolerance;
 
-/// Pause between two attempts to connect, at first and at most; it doubles.
+/// Pause between two attempts to connect: first the initial one, which doubles after each attempt, then the maximum.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
-/// How long an unsolicited reading answers requests, if the sensor has no `max_delay`.
+/// Time for which an unsolicited reading answers requests, if the sensor has no `max_delay`.
 const PUSHED_COUNTS: Duration = Duration::from_secs(1);
-/// Polling interval of the mailbox when idle.
+/// Interval at which an idle thread polls the mailbox.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
-/// Maximum number of values of a refused frame that an error names.
+/// Maximum number of values that an error about a refused frame names.
 const UNTAKEN_SHOWN: usize = 8;
-/// Maximum time for the devices to come to rest when the edge ends. After it, speeds go to zero at once, and positions stay.
+/// Maximum time for the devices to come to rest when the edge ends. After that, speeds are set to zero at once, and positions stay.
 const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 
 /// A report of a driver's thread to the machine.
 #[derive(Debug)]
 pub(crate) enum News {
-    /// The hardware is connected; `connection` counts its connections.
+    /// The hardware is connected. `connection` is the number of this connection, counted from the start of the edge.
     There {
         connection: u64,
-        /// As the driver declares it.
+        /// Latency from a value to visible motion, by device, as the driver declares it.
         latency: BTreeMap<DeviceId, Duration>,
-        /// The devices whose scripts the driver times by itself.
+        /// Devices whose scripts the driver times by itself, with how far ahead it receives them.
         lookahead: BTreeMap<DeviceId, Lookahead>,
     },
-    /// The hardware is not connected, or no longer, for this reason.
+    /// The hardware is not connected, or no longer connected; contains the reason.
     Away { reason: String },
-    /// A value was too late and was not set.
+    /// A value was not set because it was too late by `late`.
     Stale { device: urrcp::DeviceId, late: Duration },
     /// A report about a script that the driver times by itself.
     Plan(PlanNews),
     /// The hardware has taken the orders that these tickets ask about.
     Confirmed(Vec<Ticket>),
-    /// A sensor was read.
+    /// A sensor was read. `reading` is the sensor's reading, or the reason for its absence.
     Reading { id: ReadingId, reading: Result<f64, String> },
 }
 
-/// Why no further calls are made until the hardware is connected again.
+/// Reason why no further calls are made until the hardware is connected again.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Lost {
     #[error("the hardware is not available: {0}")]
@@ -71,7 +71,7 @@ impl From<DriverError> for Lost {
 }
 
 impl Lost {
-    /// Returns the error for values that devices did not take.
+    /// Returns the error for values that the hardware did not take.
     fn untaken(error: DriverError, values: &[(DeviceId, Setpoint)]) -> Self {
         match error {
             DriverError::Away(reason) => Self::Away(reason),
@@ -93,26 +93,26 @@ pub(crate) struct Worker {
     mailbox: Arc<Mailbox>,
     tell: Box<dyn Fn(News) + Send>,
     options: DriverOptions,
-    /// As the driver declares them.
+    /// Preferred call rates, as the driver declares them.
     rates: Rates,
     moving: BTreeMap<Key, Moving>,
-    /// Ramps that the hardware executes by itself.
+    /// Ramps that the hardware is executing by itself.
     handed_over: BTreeMap<Key, Movement>,
     touched: Touched,
-    /// Whether the hardware received a value, such as a speed, that must come to rest after a reconnection. Positions stay.
+    /// Whether the hardware received a value, such as a speed, that must come to rest after a reconnection. Positions stay as they are.
     owes_rest: bool,
-    /// Next sampling time of each sample period.
+    /// Time of the next sample for each sample period.
     beats: BTreeMap<Duration, Instant>,
     pub(super) given: Given,
-    /// Last readings of the sensors that must not be read more often.
+    /// Last reading and its time, for sensors with a maximum number of readings per second.
     readings: BTreeMap<DeviceId, (f64, Instant)>,
 }
 
-/// Whether the driver has received a movement.
+/// Whether the driver has received a movement, and whether since the last reconnection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Touched {
     Never,
-    /// Not since the last reconnection.
+    /// The driver received a movement, but none since the last reconnection.
     Before,
     Now,
 }
@@ -120,7 +120,7 @@ enum Touched {
 struct Moving {
     movement: Movement,
     sent: Option<f64>,
-    /// Sample period.
+    /// Interval between two samples of the movement.
     period: Duration,
 }
 
@@ -150,10 +150,10 @@ impl Worker {
         }
     }
 
-    /// Runs until the mailbox is closed and empty, or closed while the hardware is not connected.
+    /// Runs until the mailbox is closed and empty, or until it is closed while the hardware is not connected.
     ///
     /// # Errors
-    /// Why moved devices may not be at rest.
+    /// The reason why moved devices may not be at rest.
     pub(crate) fn run(mut self) -> Result<(), String> {
         let mut pause = PAUSE.0;
         let mut connection = 0;
@@ -177,7 +177,7 @@ impl Worker {
                     (self.tell)(News::There { connection, latency, lookahead });
                     self.mailbox.tried();
                     let since = Instant::now();
-                    // Dropped before the driver connects again: hardware may accept only one connection at a time.
+                    // The watcher is dropped before the driver connects again: hardware may accept only one connection at a time.
                     let watcher = self.watch(connection);
                     let served = self.serve();
                     drop(watcher);
@@ -201,7 +201,7 @@ impl Worker {
             self.handed_over.clear();
             self.given.clear();
             self.readings.clear();
-            // Close the mailbox first, then report: no earlier order reaches the next connection.
+            // The mailbox is closed to orders before the report is sent, so that no earlier order reaches the next connection.
             self.mailbox.disconnected();
             tracing::warn!(robot = %self.block.id, "{reason}");
             away = reason.to_string();
@@ -216,7 +216,8 @@ impl Worker {
         }
     }
 
-    /// Executes work until the hardware fails or the mailbox is closed. In the latter case, returns which movement was cut short.
+    /// Executes work until the hardware fails or the mailbox is closed. If the mailbox is closed, returns the movement that was cut
+    /// short, if any, as an error.
     fn serve(&mut self) -> Result<Result<(), String>, Lost> {
         let mut closing: Option<Instant> = None;
         loop {
@@ -245,7 +246,7 @@ impl Worker {
         }
     }
 
-    /// Returns the next time to check, while a device is moving to rest.
+    /// Returns the time of the next check while a device moves to rest.
     fn next_until_rest(&self) -> Option<Instant> {
         let sample = self.next_sample();
         let left = self.handed_over.values().map(Movement::left).max().filter(|left| !left.is_zero());
@@ -253,7 +254,7 @@ impl Worker {
         sample.into_iter().chain(look).min()
     }
 
-    /// Returns the next sampling time.
+    /// Returns the time of the next sample of any movement.
     fn next_sample(&self) -> Option<Instant> {
         let at = |moving: &Moving| self.beats.get(&moving.period).copied();
         self.moving.values().filter_map(at).min()
@@ -271,7 +272,7 @@ impl Worker {
         self.mailbox.tolerance()
     }
 
-    /// Whether a stop sets this signal to a value at rest, as it does with a speed. A position stays.
+    /// Whether a stop sets this signal to a value at rest, as with speeds. Positions stay as they are.
     fn comes_to_rest(&self, device: &DeviceId, control_type: ControlType) -> bool {
         let spec = self.block.device(device.as_str());
         spec.is_some_and(|spec| rest_of(spec, control_type, None).is_some())
@@ -295,7 +296,7 @@ impl Worker {
             .ok()
     }
 
-    /// Calls the driver and records the duration.
+    /// Calls the driver, and records the call's duration and sign of life.
     pub(super) fn call<T>(
         &mut self,
         sign: Sign,
@@ -309,7 +310,8 @@ impl Worker {
         called
     }
 
-    /// Reports stale values instead of setting them, and skips the movements that follow them: the machine ends both.
+    /// Sets the values and starts the movements. A value that is too late is reported instead of set, and its movement is skipped; the
+    /// machine ends both.
     fn drive(&mut self, drives: Vec<Drive>) -> Result<(), Lost> {
         let late_max = self.tolerance().step.to_duration();
         let mut values = Vec::new();
@@ -329,14 +331,14 @@ impl Worker {
         }
         self.set(&values)?;
         movements.into_iter().try_for_each(|(key, movement)| self.follow(key, movement))?;
-        // Send at once: a confirmation that follows must not confirm an intention of this process alone.
+        // Sends the first sample at once: a confirmation that follows must not confirm a value that only this process knows.
         if self.moving.values().any(|moving| moving.sent.is_none()) {
             self.sample(Instant::now())?;
         }
         Ok(())
     }
 
-    /// Sets the values, in one call if the driver takes several values at a time.
+    /// Sets the values, in one call if the driver takes frames.
     fn set(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), Lost> {
         if values.is_empty() {
             return Ok(());
@@ -376,7 +378,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Sends the current value of each movement if it differs from the last one sent, and ends the movement on its target.
+    /// Sends the current value of each movement if it differs from the last value sent. A movement that has reached its target ends.
     fn sample(&mut self, now: Instant) -> Result<(), Lost> {
         let mut values = Vec::new();
         let unsent = self.moving.values().filter(|moving| moving.sent.is_none()).map(|moving| moving.period);
@@ -399,7 +401,7 @@ impl Worker {
             now < moving.movement.signal.rests_at()
         });
         self.set(&values)?;
-        // On a fixed beat; beats that a slow device missed are skipped.
+        // Samples follow a fixed beat. Beats that a slow device missed are skipped.
         let now = Instant::now();
         for period in due {
             if let Some(at) = self.beats.get_mut(&period).filter(|at| **at <= now) {
@@ -410,7 +412,7 @@ impl Worker {
     }
 
     /// Ends the remaining movements. Rates are set to their target, which is rest. A position that is still moving stays at its last
-    /// sample, since the rest of its way would be one jump.
+    /// sample, because the rest of its path would be one jump.
     fn end_movements(&mut self) -> Result<Result<(), String>, Lost> {
         let sampled =
             std::mem::take(&mut self.moving).into_iter().map(|(key, moving)| (key, moving.movement));
@@ -428,7 +430,7 @@ impl Worker {
                 ));
             }
         }
-        // Unconfirmed calls have been taken once a later one is answered.
+        // Once a later call is answered, earlier unconfirmed calls have been taken.
         if self.touched == Touched::Now {
             self.driver.ping()?;
         }
@@ -468,7 +470,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Returns how long an unsolicited reading answers requests.
+    /// Returns for how long an unsolicited reading of this sensor answers requests.
     pub(super) fn reading_counts_for(&self, sensor: &DeviceId) -> Duration {
         let sensor = self.block.device(sensor.as_str());
         let parameters = sensor.and_then(|device| device.available_control_types.sensor());
@@ -494,7 +496,7 @@ impl Worker {
 }
 
 impl Drop for Worker {
-    /// A driver that panics is permanently away.
+    /// If the driver panics, reports it as permanently away.
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.mailbox.disconnected();
@@ -511,7 +513,7 @@ impl Movement {
         self.clock.now().assume_clock()
     }
 
-    /// Returns the remaining time.
+    /// Returns the remaining time of the movement.
     fn left(&self) -> Duration {
         (self.signal.rests_at() - self.now()).to_duration()
     }

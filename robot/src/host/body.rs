@@ -1,4 +1,4 @@
-//! A robot on the precise thread: hardware around it, or a simulated world.
+//! A robot on the precise thread, surrounded by hardware or by a simulated world.
 
 use std::sync::Arc;
 
@@ -13,11 +13,11 @@ use crate::robot::{Input, Robot};
 use crate::set_log::LogEntry;
 use crate::simulated::SimulatedRobot;
 
-/// The environment of a robot's machine.
+/// A robot's machine with its surroundings.
 pub(super) enum Body {
-    /// Hardware behind a driver.
+    /// A machine with hardware behind a driver.
     Edge(Box<Edge>),
-    /// A simulated world with a clock, delays and faults of its own. Its true time is the host's.
+    /// A machine in a simulated world, which has its own clock, delays and faults. The world's true time is the host's time.
     Simulated(Box<SimulatedRobot>),
 }
 
@@ -29,7 +29,7 @@ impl Body {
         }
     }
 
-    /// Returns the machine.
+    /// Returns the robot's machine.
     pub(super) const fn machine(&self) -> &Robot {
         match self {
             Self::Edge(edge) => edge.machine(),
@@ -77,7 +77,7 @@ impl Body {
         }
     }
 
-    /// Whether the robot itself has work by then, not counting messages on a simulated network.
+    /// Whether the robot itself has work due at or before `by`. Messages on a simulated network do not count.
     pub(super) fn moves_by(&self, by: Timestamp<HostTime>) -> bool {
         match self {
             Self::Edge(edge) => edge.next_wakeup().is_some_and(|at| at <= by),
@@ -101,21 +101,21 @@ impl Body {
         }
     }
 
-    /// Passes on the hardware requests.
+    /// Puts the hardware requests into the driver's mailbox, if there is one.
     pub(super) fn post(&mut self, clock: &HostClock) {
         if let Self::Edge(edge) = self {
             edge.post(clock);
         }
     }
 
-    /// Handles a report of a driver's thread.
+    /// Handles a report from a driver's thread.
     pub(super) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
         if let Self::Edge(edge) = self {
             edge.hear(now, news);
         }
     }
 
-    /// Brings hardware to rest, because the host ends. A simulated robot stays where it is.
+    /// Brings hardware to rest because the host ends. A simulated robot stays where it is.
     pub(super) fn shut_down(&mut self, now: Timestamp<HostTime>) {
         if let Self::Edge(edge) = self {
             edge.shut_down(now);

@@ -23,7 +23,7 @@ use crate::robot::Input;
 use downbeat_realtime::{PreciseWait, Woken};
 use downbeat_realtime::{Realtime, Scheduling};
 
-/// Maximum delay with which a sleep may end.
+/// Maximum delay with which a sleep of the precise thread may end.
 const MOVES_SOON: Span = Span::from_millis(3);
 
 /// An order for the precise thread.
@@ -33,35 +33,35 @@ pub(super) enum Order {
         link: LinkId,
         outbox: Outbox,
     },
-    /// The permit, if any, is released once the robot has taken the input.
+    /// An input for a robot. The permit, if any, is released once the robot has taken the input.
     Input {
         robot: usize,
         link: LinkId,
         input: Input,
         permit: Option<OwnedSemaphorePermit>,
     },
-    /// Checks whether the session of the robot is over. Once the permit is released, [`HostHandle::owner`] shows the result.
+    /// Makes a robot check whether its session is over. Once the permit is released, [`HostHandle::owner`] shows the result.
     Look {
         robot: usize,
         permit: oneshot::Sender<()>,
     },
-    /// A report of a driver's thread.
+    /// A report from the thread of a robot's driver.
     Hardware {
         robot: usize,
         news: News,
     },
-    /// Checks whether the thread runs.
+    /// Asks for a sign that the precise thread runs.
     Beat {
         answer: oneshot::Sender<()>,
     },
-    /// The host ends.
+    /// Ends the precise thread, because the host ends.
     Stop,
 }
 
-/// The precise thread, the channel for its robots, and the scheduling that it was granted.
+/// The precise thread, the channel that sends it its robots, and the scheduling that it was granted.
 pub(super) type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Scheduling);
 
-/// Starts the precise thread before the robots exist, so that nothing moves if the required scheduling is not granted. It ends with
+/// Starts the precise thread before it has robots, so that nothing moves if the required scheduling is not granted. The thread ends with
 /// [`Order::Stop`], when every handle is dropped, or when it receives no robots.
 pub(super) fn prepared_thread(
     realtime: Realtime,
@@ -86,16 +86,16 @@ pub(super) fn prepared_thread(
     Ok((thread, ready, scheduling))
 }
 
-/// The receivers of the precise thread's reports.
+/// Receivers of the precise thread's reports.
 pub(super) struct Told {
     pub(super) log: Option<Log>,
-    /// Per robot.
+    /// Senders of the owner's changes, one per robot.
     pub(super) owners: Vec<watch::Sender<Option<Claimant>>>,
     pub(super) refusals: Arc<Refusals>,
     pub(super) figures: Arc<Figures>,
 }
 
-/// A change of a connection.
+/// A change in the number of a robot's connections.
 #[derive(Clone, Copy, Debug)]
 enum Change {
     Opened,
@@ -113,7 +113,7 @@ struct Executor {
     told: Told,
     /// Number of connections per robot.
     connections: Vec<u64>,
-    /// Number of owner changes of each robot at the last report.
+    /// Number of owner changes of each robot that have been reported.
     owner_changes: Vec<u64>,
     out: Vec<Outgoing>,
     due: Vec<usize>,
@@ -158,8 +158,8 @@ impl Executor {
         }
     }
 
-    /// Whether a robot moves at `at`, the next instant at which an event is due, or so soon after it that the thread should wait
-    /// precisely. Otherwise only simulated networks deliver.
+    /// Whether a robot moves at `at`, the next instant with a due event, or so soon after `at` that the thread should wait precisely. If
+    /// false, only simulated networks deliver messages.
     fn moves_soon(&self, at: Timestamp<HostTime>) -> bool {
         let by = at + MOVES_SOON;
         let mut due = self.wakeups.iter().take_while(|(at, _)| *at <= by);
@@ -169,7 +169,7 @@ impl Executor {
     fn obey(&mut self, order: Order) {
         match order {
             Order::Open { robot, link, outbox } => {
-                // Nothing is scheduled on an idle host, so its clock may follow the system clock again.
+                // An idle host has no scheduled events, so its clock may follow the system clock again.
                 if self.robots.len() <= 64 && self.robots.iter().all(Body::is_idle) {
                     self.clock = HostClock::anchored();
                 }
@@ -200,7 +200,7 @@ impl Executor {
         }
     }
 
-    /// Forgets a link that is gone, or that must not be used any longer.
+    /// Removes a link that is closed or must no longer be used.
     fn forget(&mut self, link: LinkId) -> Option<Outbox> {
         let (robot, outbox) = self.peers.remove(&link)?;
         self.connected(robot, Change::Closed);
@@ -216,7 +216,7 @@ impl Executor {
         self.told.figures.robots()[robot].has_connections(*connections);
     }
 
-    /// Brings hardware to rest. The drivers' threads end afterwards, because their channels are dropped here.
+    /// Brings hardware to rest. Afterwards the drivers' threads end, because their channels are dropped here.
     fn shut_down(mut self) {
         for robot in 0..self.robots.len() {
             self.robots[robot].shut_down(self.clock.now());
@@ -224,7 +224,8 @@ impl Executor {
         }
     }
 
-    /// Moves every due robot first, and then sends the messages of each: no robot's start waits for another's report.
+    /// Moves every due robot first, and then sends the messages of all of them, so that no robot's start waits for another robot's
+    /// report.
     fn advance_due(&mut self) {
         let now = self.clock.now();
         if let Some((at, _)) = self.wakeups.first() {
@@ -237,7 +238,8 @@ impl Executor {
             self.robots[*robot].advance_movements(now);
             self.robots[*robot].post(&self.clock);
         }
-        // Messages wake other threads, here and in the scheduler. Another process may need this core to move its robots.
+        // Sending messages wakes other threads, in this process and in the scheduler. Another process may need this core to move its
+        // robots.
         if due.iter().any(|robot| self.robots[*robot].has_log()) {
             let next = self.wakeups.iter().find(|(at, _)| *at > now);
             self.waits.let_others_move(next.map(|(at, _)| self.clock.instant_of(*at)));
@@ -245,7 +247,7 @@ impl Executor {
         for robot in due.drain(..) {
             self.advance(robot);
         }
-        // Returns the emptied vector to reuse its allocation.
+        // Keeps the emptied vector to reuse its allocation.
         self.due = due;
     }
 
@@ -270,7 +272,7 @@ impl Executor {
         self.send_out();
     }
 
-    /// Runs before an answer that claims the robot is sent: messages after it may be treated as its owner's.
+    /// Reports an owner change. Runs before the response that grants the claim is sent: messages after it may be treated as the owner's.
     fn tell_owner(&mut self, robot: usize) {
         let (changes, claimant) = self.robots[robot].machine().last_claimant();
         if self.owner_changes[robot] != changes {
@@ -305,7 +307,7 @@ impl Executor {
     }
 }
 
-/// Whether a message is a refusal because the robot is busy.
+/// Whether the message refuses a request because the robot is busy.
 fn is_busy(message: &Message) -> bool {
     let error = match message {
         Message::ControlResponse(response) => &response.error,
@@ -363,7 +365,8 @@ mod tests {
         }
     }
 
-    /// Returns the scheduling that hosts started by this thread were granted, and whether they run.
+    /// Starts hosts from this thread, with each kind of scheduling request. Returns, for each, the request, the granted scheduling, and
+    /// whether the host runs.
     fn granted() -> Vec<(Realtime, Scheduling, bool)> {
         let start = |realtime| {
             let options = HostOptions::default().with_realtime(realtime);
@@ -376,7 +379,7 @@ mod tests {
         [Realtime::Off, Realtime::Auto, Realtime::Required].map(start).to_vec()
     }
 
-    /// The same without the permission to request real-time scheduling, unless a limit gives it.
+    /// Like `granted`, without the permission to request real-time scheduling, unless a resource limit permits it.
     fn granted_less() -> Vec<(Realtime, Scheduling, bool)> {
         let thread = std::thread::spawn(|| {
             let found = rustix::thread::capabilities(None).unwrap();

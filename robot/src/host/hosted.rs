@@ -1,4 +1,4 @@
-//! A robot for a host: with hardware behind a driver, or in a simulated world.
+//! A robot for a host: either with hardware behind a driver, or in a simulated world.
 
 use std::io;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use crate::robot::Robot;
 use crate::simulated::SimulatedRobot;
 use crate::tolerance::Tolerance;
 
-/// A driver's thread; its error is the reason why moved devices may not be at rest.
+/// A driver's thread. It returns an error with the reason why moved devices may not be at rest.
 pub(super) type DriverThread = JoinHandle<Result<(), String>>;
 
-/// A robot for a host: with hardware behind a driver, by [`Hosted::driven`], or made from a simulated robot by `into`.
+/// A robot for a host. [`Hosted::driven`] creates one with hardware behind a driver; `into` converts a simulated robot.
 pub struct Hosted(Surroundings);
 
 type Watch = Box<dyn Fn(&HardwareEvent) + Send>;
@@ -41,17 +41,18 @@ impl From<SimulatedRobot> for Hosted {
 }
 
 impl Hosted {
-    /// Creates a robot that drives hardware. Its clock is the host's, which should follow NTP. It reports its actions and answers
-    /// inquiries, regardless of the description.
+    /// Creates a robot that drives hardware. Its clock is the host's clock, which should follow NTP. The robot reports its actions and
+    /// answers inquiries, even if `block` states otherwise.
     #[must_use]
     pub fn driven(mut block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions) -> Self {
-        // The machine reports, regardless of the hardware's abilities.
+        // The robot's machine makes the reports, whatever the hardware can do.
         block.reports = true;
         let (watch, tolerance) = (Box::new(|_: &_| {}), Tolerance::default());
         Self(Surroundings::Hardware { block, driver, options, watch, tolerance })
     }
 
-    /// Calls `watch` with the hardware's events, on the driver's thread. A robot in a simulated world has none.
+    /// Sets a function that the driver's thread calls with each event of the hardware. It is never called for a robot in a simulated
+    /// world.
     #[must_use]
     pub fn watched(mut self, watch: impl Fn(&HardwareEvent) + Send + 'static) -> Self {
         if let Surroundings::Hardware { watch: watched, .. } = &mut self.0 {
@@ -60,7 +61,7 @@ impl Hosted {
         self
     }
 
-    /// Sets the limits of lateness.
+    /// Sets the maximum delays of the robot.
     #[cfg(test)]
     pub(crate) fn tolerating(mut self, limits: Tolerance) -> Self {
         match &mut self.0 {
@@ -81,7 +82,7 @@ impl Hosted {
         }
     }
 
-    /// Starts the driver's thread, if there is a driver. It ends once its mailbox is closed.
+    /// Starts the driver's thread, if there is a driver. The thread ends once its mailbox is closed.
     pub(super) fn attach(
         self,
         index: usize,
@@ -96,7 +97,7 @@ impl Hosted {
         let limits = options.limits.clone();
         let mailbox = Arc::new(Mailbox::tolerating(tolerance));
         let orders = orders.clone();
-        // At most the open readings and one report per connection are pending; a host that has stopped receives none.
+        // At most the pending readings and one report per connection wait; a host that has stopped receives none.
         let tell = move |news| {
             HardwareEvent::of(&news).iter().for_each(&watch);
             drop(orders.send(Order::Hardware { robot: index, news }));

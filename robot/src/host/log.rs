@@ -1,4 +1,4 @@
-//! The log of the values that are set, written on a thread of its own: the precise thread does not wait for a disk.
+//! Log of the values that are set. A separate thread writes it, so that the precise thread does not wait for a disk.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -15,23 +15,23 @@ use crate::set_log::LogEntry;
 
 type Batch = (usize, Vec<LogEntry>);
 
-/// The precise thread's end of the log. The writer ends when it is dropped.
+/// The precise thread's end of the channel to the log's writer. Dropping it ends the writer.
 pub(super) struct Log(std_mpsc::Sender<Batch>);
 
 impl Log {
-    /// Adds the values that were set at a robot, by its index. They are discarded if the writer is gone.
+    /// Adds the values that were set at the robot with this index. They are discarded if the writer has ended.
     pub(super) fn add(&self, robot: usize, entries: Vec<LogEntry>) {
         let _writer_gone = self.0.send((robot, entries));
     }
 }
 
-/// The writing thread, and why it ended before the robots if it did.
+/// The thread that writes the log, and a receiver for the error if the thread fails before the robots end.
 pub(super) struct Writer {
     pub(super) thread: JoinHandle<()>,
     pub(super) lost: oneshot::Receiver<HostError>,
 }
 
-/// Creates the file, and starts the thread that writes it.
+/// Creates the log file, and starts the thread that writes it.
 pub(super) fn start(path: PathBuf, robots: Arc<[RobotId]>) -> Result<(Log, Writer), HostError> {
     let lost = |path, error| HostError::Log { path, error };
     let file = File::create(&path).map_err(|error| lost(path.clone(), error))?;
@@ -54,8 +54,8 @@ struct LogLine<'a> {
     entry: &'a LogEntry,
 }
 
-/// Writes the log entries, outside the precise thread. Whenever no entry waits, all entries are flushed to the file, so that a killed
-/// process loses little. Ends when the precise thread has ended, or when writing fails.
+/// Writes log entries until the precise thread has ended, or until writing fails. Whenever no entry waits, all entries are flushed to the
+/// file, so that a killed process loses little.
 fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<Batch>) -> io::Result<()> {
     let mut file = io::BufWriter::new(file);
     while let Ok(first) = entries.recv() {

@@ -1,4 +1,5 @@
-//! A robot's messages that a peer has not taken yet. They are bounded by bytes, so that a peer that asks and does not read costs little.
+//! A robot's messages that a peer has not taken yet. Their total size is bounded, so that a peer that sends requests and reads no
+//! responses costs little.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -9,28 +10,29 @@ use urrcp::{Message, StatusValue};
 use super::LinkEvent;
 use crate::peer::Peer;
 
-/// Maximum number of messages that may wait for any peer.
+/// Maximum number of messages that may wait for one peer.
 pub(super) const MESSAGES_MAX: usize = 65_536;
-/// Maximum number of bytes that may wait for a peer without the robot's session, in their size on the wire.
+/// Maximum size of the messages that may wait for a peer that does not own the robot, in bytes on the wire.
 pub(super) const BYTES_MAX: usize = 1024 * 1024;
-/// The same for a peer with the robot's session.
+/// Maximum size of the messages that may wait for the peer that owns the robot, in bytes on the wire.
 pub(super) const OWNER_BYTES_MAX: usize = 64 * 1024 * 1024;
 
-/// The robot's end. Events are boxed, because a channel reserves room for 32 of them, and a robot has many peers.
+/// The robot's end of the channel to a peer. Events are boxed, because a channel reserves memory for 32 of them, and a robot has many
+/// peers.
 pub(super) struct Outbox {
     events: mpsc::Sender<Box<LinkEvent>>,
     unread: Arc<AtomicUsize>,
     peer: Peer,
 }
 
-/// The peer's end.
+/// The peer's end of the channel from a robot.
 #[derive(Debug)]
 pub(super) struct Inbox {
     events: mpsc::Receiver<Box<LinkEvent>>,
     unread: Arc<AtomicUsize>,
 }
 
-/// Both ends for one peer.
+/// Creates both ends of a channel from a robot to a peer.
 pub(super) fn outbox(peer: Peer) -> (Outbox, Inbox) {
     let (events, incoming) = mpsc::channel(MESSAGES_MAX);
     let unread = Arc::new(AtomicUsize::new(0));
@@ -42,8 +44,8 @@ impl Outbox {
         &self.peer
     }
 
-    /// Sends a message; returns false if so much waits already that the peer must be disconnected. The first waiting message is always
-    /// accepted, however long it is.
+    /// Sends a message. Returns false if the waiting messages exceed the limit, and the peer must be disconnected. If no message waits, a
+    /// message is accepted however long it is.
     pub(super) fn say(&self, message: Message, is_owner: impl FnOnce() -> bool) -> bool {
         let unread = self.unread.load(Ordering::Relaxed);
         let too_much = unread > BYTES_MAX && (unread > OWNER_BYTES_MAX || !is_owner());
@@ -80,7 +82,7 @@ impl Inbox {
     }
 }
 
-/// Estimates the bytes of a message on the wire, without writing it.
+/// Estimates the size of a message in bytes on the wire, without encoding it.
 pub(super) fn weight(message: &Message) -> usize {
     const BASE: usize = 256;
     let lists = match message {

@@ -1,4 +1,4 @@
-//! Robots on the real clock: which events must occur, and in which order. The benchmark measures how precisely.
+//! Tests robots on the real clock: which events must occur, and in which order. The benchmark measures how precisely they occur.
 
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": STEPS}}}"#;
 
-/// Returns robots of one arm, for which nothing is too late, however slow the machine is.
+/// Returns simulated robots of one arm each, for which nothing is too late, however slow the machine is.
 pub(crate) fn arms(count: usize, settings: &Settings) -> Vec<SimulatedRobot> {
     arms_with_steps(count, 4, settings)
 }
@@ -32,10 +32,10 @@ pub(crate) fn arms_with_steps(count: usize, steps: u32, settings: &Settings) -> 
     (0..count).map(robot).collect()
 }
 
-/// A request with this lead is received before its start, however busy the machine is.
+/// Lead of a request in milliseconds that is long enough for its receipt before the start, however busy the machine is.
 pub(crate) const LEAD_MS: f64 = 3_000.0;
 
-/// Returns the script 45, 0, 45, a little faster than in the paper, `lead_ms` from now.
+/// Returns a script 45, 0, 45 that starts `lead_ms` from now. It is a little faster than the one in the paper.
 pub(crate) fn paper(lead_ms: f64) -> Message {
     let step = |millis, value| Step {
         offset: Millis::new(millis).unwrap(),
@@ -55,7 +55,7 @@ pub(crate) fn paper(lead_ms: f64) -> Message {
     })
 }
 
-/// A log file of this test alone, removed in the end.
+/// A log file that only one test uses; removed when it is dropped.
 pub(crate) struct LogFile(pub(crate) PathBuf);
 
 impl LogFile {
@@ -233,7 +233,7 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
         assert_eq!(response.status, status);
     }
     assert_eq!(host.refusals().count(Reason::Busy), 1);
-    // A question or a command of another session is not answered either.
+    // Inquiries and commands of another session are not answered either.
     let session = urrcp::SessionId::new("show").ok();
     other.send(Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() }));
     let Some(LinkEvent::Message(Message::InquiryResponse(answer))) = other.recv().await else { panic!() };
@@ -243,7 +243,7 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
     assert_eq!(host.refusals().count(Reason::Busy), 3);
 }
 
-/// Returns the proof of an operator who may drive.
+/// Returns the proof of an operator with the roles `observe` and `drive`.
 fn proof(name: &str) -> urrcp::Proof {
     urrcp::Proof {
         name: urrcp::Label::new(name).unwrap(),

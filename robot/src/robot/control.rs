@@ -1,4 +1,4 @@
-//! Handling of control requests, in the order of `docs/protocol.md`, section Refusing.
+//! Handling of control requests, in the order of the section "Refusing" of `docs/protocol.md`.
 
 use urrcp::{
     Command, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType, ErrorCode, SessionId,
@@ -11,17 +11,17 @@ use crate::ids::CommandId;
 use crate::ids::LinkId;
 use urrcp::Role;
 
-/// The party to which the robot belongs.
+/// The owner of the robot, as seen by the sender of a request.
 pub(super) enum Owner {
     Nobody,
-    /// The session that asks.
+    /// The sender's own session.
     Asker,
-    /// Another session, with the refusal that reports this.
+    /// Another session. Contains the refusal that reports this to the sender.
     Another(ControlError),
 }
 
 impl Robot {
-    /// Handles a control request. `computed` is the hash of the command, if it was already computed.
+    /// Handles a control request. `computed` is the hash of the command, if it has already been computed.
     pub(super) fn control(
         &mut self,
         now: Now,
@@ -37,7 +37,7 @@ impl Robot {
             && !self.stops_others(link, &request)
             && let Err(error) = self.claim(now, link, request.session.as_ref())
         {
-            // Not remembered: the same request may be accepted once the robot is free.
+            // The response is not remembered: the same request may be accepted once the robot is free.
             return tell(link, ControlResponse::refusal(now, &request, error), out);
         }
         let Some(&index) = self.index_of.get(&request.device_id) else {
@@ -52,7 +52,7 @@ impl Robot {
             Err(error) => return self.refuse(now, link, &request, error, out),
         };
         if let Some(missing) = self.hardware.away() {
-            // Not remembered either: once the hardware is back, the same request may be accepted.
+            // The response is not remembered: the same request may be accepted once the hardware is back.
             return tell(link, ControlResponse::refusal(now, &request, missing), out);
         }
         match &request.command {
@@ -77,22 +77,22 @@ impl Robot {
         }
     }
 
-    /// Whether a request leaves the robot as it is. A device that cannot give a reading moves to its default state instead.
+    /// Whether a request only reads a sensor. A device that cannot give a reading moves to its default state instead.
     fn only_reads(&self, request: &ControlRequest) -> bool {
         let device = self.index_of.get(&request.device_id).map(|index| &self.devices[*index].spec);
         matches!(request.command, Command::ReadSensor)
             && device.is_some_and(|spec| spec.available_control_types.sensor().is_some())
     }
 
-    /// Whether its sender may stop the robot regardless of the owner. A stop that names a session affects only that session's commands:
-    /// the mission from which the robot was seized does not stop the one that has it now.
+    /// Whether the sender of a request may stop the robot even if it belongs to another session. A stop that names a session affects only
+    /// that session's commands: the mission that lost the robot by a seizure must not stop the mission that has it now.
     fn stops_others(&self, link: LinkId, request: &ControlRequest) -> bool {
         let may = || self.parties.proof(link).is_some_and(|proof| proof.roles.has(Role::Stop));
         request.is_stop() && request.session.is_none() && may()
     }
 
-    /// Claims the robot for a session, if it is free. Without a session nothing is claimed, and a robot that another session has claimed
-    /// stays out of reach.
+    /// Claims the robot for a session, if it is free. Without a session, nothing is claimed, and a robot that another session has claimed
+    /// remains unavailable.
     pub(super) fn claim(
         &mut self,
         now: Now,
@@ -102,7 +102,7 @@ impl Robot {
         match self.owner(now, link, session) {
             Owner::Another(busy) => return Err(busy),
             Owner::Asker => {}
-            // An ended claim stays ended, whatever others hold later.
+            // A claim that has ended stays ended, whatever commands other parties hold later.
             Owner::Nobody => {
                 self.parties.release();
                 if session.is_some() {
@@ -117,7 +117,7 @@ impl Robot {
         Ok(())
     }
 
-    /// Returns the owner of the robot, as seen by this session. The name of another session is a secret: with it anyone could stop the
+    /// Returns the owner of the robot, as seen by this session. The id of another session is secret: with it, anyone could stop the
     /// robot, renew leases and divert reports.
     pub(super) fn owner(&self, now: Now, link: LinkId, session: Option<&SessionId>) -> Owner {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
@@ -205,7 +205,7 @@ impl Robot {
             request_id: request.request_id.clone(),
             ..ControlResponse::new(now, request.device_id.clone(), Status::Provide)
         };
-        // Not remembered: a repeated request reads again.
+        // The response is not remembered: a repeated request reads the sensor again.
         tell(link, answer, out);
     }
 
@@ -250,18 +250,18 @@ impl Robot {
     }
 }
 
-/// Returns the start of a request that is received now.
+/// Returns the start time of a request that is received at `now`.
 fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
-/// Returns the robot's own hash of the command, if the request carries one to compare.
+/// Returns the robot's own hash of the command if the request contains a hash to compare, and `None` otherwise.
 fn check_hash(
     request: &ControlRequest,
     computed: Option<ContentHash>,
 ) -> Result<Option<ContentHash>, ControlError> {
     let Some(expected) = request.content_hash else { return Ok(None) };
-    // The value of these two does not matter.
+    // For these two commands, the value does not matter.
     if matches!(request.command, Command::ReadSensor | Command::Unknown(_)) {
         return Ok(None);
     }

@@ -1,4 +1,4 @@
-//! A robot with hardware: the effects when the hardware comes and goes, and readings that are answered later.
+//! A robot with hardware: handles the loss and return of the hardware, and readings that are answered later.
 
 #[cfg(feature = "host")]
 use std::collections::BTreeMap;
@@ -21,12 +21,12 @@ use crate::signal::Signal;
 #[cfg(feature = "host")]
 use crate::tolerance::Tolerance;
 
-/// A command that was accepted at least this long before its start does not start while the hardware is silent: there was time to ping
-/// the hardware.
+/// Minimum notice of a command that must not start while the hardware is silent: with this time between acceptance and start, the
+/// hardware could be pinged.
 const NOTICE: Span = Span::from_millis(200);
 
 impl Robot {
-    /// Creates a robot that drives hardware. Until [`Robot::hardware_found`] it refuses everything.
+    /// Creates a robot that drives hardware. The robot refuses all requests until [`Robot::hardware_found`] is called.
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
         let mut robot = Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) };
@@ -34,8 +34,8 @@ impl Robot {
         robot
     }
 
-    /// Adds the latencies that its driver declares to its initialization block. A spread in the block is kept; devices that the driver
-    /// does not list are unchanged.
+    /// Adds the latencies that the robot's driver declares to the initialization block. A spread in the block is kept; devices that the
+    /// driver does not list are unchanged.
     #[cfg(feature = "host")]
     pub(crate) fn declare_latencies(&mut self, declared: &BTreeMap<DeviceId, Duration>) {
         for (id, latency) in declared {
@@ -47,7 +47,7 @@ impl Robot {
         }
     }
 
-    /// Sets the limits of lateness.
+    /// Sets the maximum delays of the robot.
     #[cfg(feature = "host")]
     pub(crate) fn tolerating(mut self, tolerance: Tolerance) -> Self {
         self.tolerance = tolerance;
@@ -58,14 +58,14 @@ impl Robot {
         self
     }
 
-    /// Makes the robot report the end of a command, and confirm a stop, only after [`Robot::confirmed`] reports that the hardware has
-    /// taken its last value.
+    /// Makes the robot report the end of a command, and confirm a stop, only after [`Robot::confirmed`] has been called for the last
+    /// value.
     #[must_use]
     pub fn confirmed_by_its_driver(self) -> Self {
         Self { unconfirmed: Some(Unconfirmed::default()), ..self }
     }
 
-    /// Records that the hardware has taken all values before [`Output::Confirm`].
+    /// Records that the hardware has taken all values that preceded the [`Output::Confirm`] with this ticket.
     pub fn confirmed(&mut self, now: Now, ticket: Ticket, out: &mut Vec<Output>) {
         let Some((index, said)) = self.unconfirmed.as_mut().and_then(|all| all.take(ticket)) else { return };
         match said {
@@ -74,12 +74,12 @@ impl Robot {
         }
     }
 
-    /// Whether a confirmation of the hardware is pending.
+    /// Whether a confirmation by the hardware is pending.
     pub(crate) fn awaits_confirmation(&self) -> bool {
         self.unconfirmed.as_ref().is_some_and(|unconfirmed| !unconfirmed.is_empty())
     }
 
-    /// Answers a stop, once the hardware has taken it.
+    /// Sends the response to a stop once the hardware has taken the stop's values.
     pub(super) fn answer_stop(
         &mut self,
         link: LinkId,
@@ -93,7 +93,8 @@ impl Robot {
         out.push(Output::Confirm { ticket, device });
     }
 
-    /// Fails the reports that wait for the hardware's confirmation: it is unknown whether the hardware has taken the last value.
+    /// Fails the device's reports that wait for the hardware's confirmation, because it is unknown whether the hardware has taken the
+    /// last value.
     fn fail_unconfirmed(&mut self, now: Now, index: usize, error: &ControlError, out: &mut Vec<Output>) {
         let given_up = self.unconfirmed.as_mut().map(|unconfirmed| unconfirmed.give_up(index));
         let message = format!("the hardware may not have accepted the last value: {}", error.message);
@@ -107,7 +108,7 @@ impl Robot {
                     self.report(now, index, now, failed, out);
                 }
                 Said::Report(happened, report) => self.report(now, index, happened, report, out),
-                // Not remembered: the same stop may succeed when it is sent again.
+                // The response is not remembered: the same stop may succeed when it is sent again.
                 Said::Answer(link, answer) => {
                     let error = Some(error.clone());
                     tell(link, ControlResponse { status: Status::Failed, error, ..answer }, out);
@@ -116,8 +117,8 @@ impl Robot {
         }
     }
 
-    /// Records that the hardware is connected. Speeds that were driven before go to zero: it is unknown whether the hardware took the
-    /// last ones. No movement begins.
+    /// Records that the hardware is connected. Speeds that were driven before are set to zero, because it is unknown whether the hardware
+    /// took their last values. No movement starts.
     pub fn hardware_found(&mut self, now: Now, out: &mut Vec<Output>) {
         self.hardware.found();
         for index in 0..self.devices.len() {
@@ -126,12 +127,13 @@ impl Robot {
         }
     }
 
-    /// Records the loss of the hardware: all held and running commands, and open readings, end as `Failed`, code `internal`.
+    /// Records the loss of the hardware. All waiting and running commands end, and all pending readings fail, as `Failed` with code
+    /// `internal`.
     pub fn hardware_lost(&mut self, now: Now, reason: &str, out: &mut Vec<Output>) {
         self.hardware_failed(now, &format!("the hardware is not available: {reason}"), out);
     }
 
-    /// [`Robot::hardware_lost`] with a complete sentence, since hardware that refuses a value is not away.
+    /// Like [`Robot::hardware_lost`], with a complete sentence as the reason: hardware that refuses a value is not away.
     pub(crate) fn hardware_failed(&mut self, now: Now, why: &str, out: &mut Vec<Output>) {
         self.hardware.lost(why);
         let error = ControlError::new(ErrorCode::Internal, why);
@@ -147,8 +149,8 @@ impl Robot {
         }
     }
 
-    /// Checks before other work whether the robot was delayed, and whether the hardware answers, if a start is near. `silence` returns
-    /// for how long it has not answered, if that is too long.
+    /// Checks, before any other work, whether the robot was delayed and, if a start is near, whether the hardware answers. `silence`
+    /// returns for how long the hardware has not answered, if that is too long.
     pub(crate) fn check_hardware(
         &mut self,
         now: Now,
@@ -161,14 +163,15 @@ impl Robot {
         self.hardware_silent(now, start.and_then(|_| silence()), NOTICE, out);
     }
 
-    /// Returns the next start among the commands that were accepted at least `notice` before their start.
+    /// Returns the earliest start of those pending commands that were accepted at least `notice` before their start.
     #[must_use]
     pub fn next_start(&self, notice: Span) -> Option<Now> {
         self.devices.iter().filter_map(|device| device.next_start(notice)).min()
     }
 
-    /// Records that the hardware has been silent for so long that no start can be promised, or that it answers again (`None`). Starts
-    /// that are due during silence end as `Failed`, code `internal`, if they were accepted with this much notice.
+    /// Records that the hardware has been silent for so long that no start can be promised (`Some`), or that it answers again (`None`).
+    /// Commands that are due to start during the silence end as `Failed` with code `internal`, if they were accepted at least `notice`
+    /// before their start.
     pub fn hardware_silent(&mut self, now: Now, silence: Option<Span>, notice: Span, out: &mut Vec<Output>) {
         self.hardware.silent(silence);
         let Some(silence) = silence else { return };
@@ -181,8 +184,8 @@ impl Robot {
         }
     }
 
-    /// Ends running commands with a step that is overdue by more than this, as `Failed`, code `late`: the edge was delayed, and the rest
-    /// would be out of sync. Those devices come to rest.
+    /// Ends running commands with a step that is overdue by more than `late_max`, as `Failed` with code `late`: the edge was delayed, and
+    /// the remaining steps would be out of sync. The affected devices come to rest.
     pub fn give_up_overdue(&mut self, now: Now, late_max: Span, out: &mut Vec<Output>) {
         for index in 0..self.devices.len() {
             let late = self.devices[index].overdue(now).filter(|late| *late > late_max);
@@ -193,7 +196,7 @@ impl Robot {
     }
 
     /// Records a value that was too late for the hardware and was not set. The device is not where it should be, so its running command
-    /// ends as `Failed`, code `late`, and the device comes to rest.
+    /// ends as `Failed` with code `late`, and the device comes to rest.
     pub fn value_stale(&mut self, now: Now, device: &DeviceId, late: Span, out: &mut Vec<Output>) {
         if let Some(&index) = self.index_of.get(device) {
             let why = format!("a value reached the hardware {late} late and was not set");
@@ -209,7 +212,7 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// Takes the hardware's result of a reading. A reading that has been given up is ignored.
+    /// Records the hardware's result of a reading. Ignored if the reading has already expired.
     pub fn reading_came(
         &mut self,
         now: Now,
@@ -241,7 +244,7 @@ impl Robot {
         }
     }
 
-    /// Ends all commands and brings every device to rest, because the edge ends. Does nothing if nothing was ever set.
+    /// Ends all commands and brings every device to rest, because the edge ends. Does nothing if no value was ever set.
     pub fn shut_down(&mut self, now: Now, out: &mut Vec<Output>) {
         if !self.moved || self.hardware.away().is_some() {
             return;
@@ -259,7 +262,7 @@ impl Robot {
         max_delay: Option<f64>,
         out: &mut Vec<Output>,
     ) {
-        // A request without a session belongs to the session that its link named last.
+        // A request without a session belongs to the session that was last named on its link.
         let party = self.parties.party(link);
         let standing = match self.owner(now, link, request.session.as_ref()) {
             Owner::Nobody => Standing::Free,
@@ -282,7 +285,7 @@ impl Robot {
         }
     }
 
-    /// Returns the current signal.
+    /// Returns the current signal of a device's control type.
     #[cfg(feature = "host")]
     pub(crate) fn signal(&self, device: &str, control_type: urrcp::ControlType) -> Option<Signal> {
         self.devices[*self.index_of.get(device)?].signal(control_type)

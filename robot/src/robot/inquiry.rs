@@ -1,4 +1,4 @@
-//! Answers to inquiries: questions that neither start, stop nor move anything, and claim nothing.
+//! Answers to inquiries: messages that ask for the state of requests and devices. They start, stop, move and claim nothing.
 
 use urrcp::{
     ControlError, DeviceId, DeviceReport, Inquiry, InquiryResponse, Message, RequestId, RequestReport,
@@ -25,7 +25,7 @@ impl Robot {
             let (pending, until) = (inquiry.pending_lease, inquiry.pending_until);
             let limit = Limit { pending, until, asked: inquiry.timestamp.map(|asked| (link, asked)) };
             inquiry.requests.iter().for_each(|id| self.limit(id, party, limit));
-            // A zero-length lease ends at once.
+            // An inquiry may set a lease of zero length, which ends at once.
             self.advance(now, out);
         }
     }
@@ -56,7 +56,8 @@ impl Robot {
         let known_of =
             RequestReport { content_hash: known.content_hash, event_timestamp: known.began, ..unknown };
         match known.answer.status {
-            // A device that holds reports `Started` only with the first value: until then, the last answer is `Accepted`.
+            // A device that holds its value between steps reports `Started` only with the first value. Until then, the last response is
+            // `Accepted`.
             Status::Accepted
                 if self.running(known).is_none_or(|held| held.request_id.as_ref() != Some(id)) =>
             {
@@ -74,7 +75,7 @@ impl Robot {
         }
     }
 
-    /// Returns the command that runs on the device of a request, if any.
+    /// Returns the command that runs on the device of this request, if any.
     fn running(&self, known: &Known) -> Option<&Held> {
         self.devices[*self.index_of.get(&known.answer.device_id)?].running()
     }
@@ -101,7 +102,7 @@ impl Robot {
         }
     }
 
-    /// Hardware that is away takes no commands.
+    /// Returns the report about a device. Without hardware that answers, the room for commands is 0.
     fn device_report(&self, now: Now, id: &DeviceId) -> Option<DeviceReport> {
         let device = &self.devices[*self.index_of.get(id)?];
         let is_missing = self.hardware.missing().is_some();
@@ -112,7 +113,7 @@ impl Robot {
         })
     }
 
-    /// Limits only requests that this party has sent itself: its message has just renewed those leases.
+    /// Limits the pending lease of a request, but only if `party` sent the request: the inquiry of this party has just renewed the lease.
     fn limit(&mut self, id: &RequestId, party: LinkId, limit: Limit) {
         let Some(known) = self.answers.known(id) else { return };
         let (Some(start), Some(&index)) = (known.start, self.index_of.get(&known.answer.device_id)) else {

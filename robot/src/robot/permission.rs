@@ -1,4 +1,4 @@
-//! Permissions of a peer with a proven identity. If no proof is required, sessions alone decide.
+//! Permissions of a peer with a proven identity. If no proof is required, only sessions decide what a peer may do.
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, ControlError, ControlRequest, ControlResponse, ErrorCode,
@@ -10,7 +10,7 @@ use crate::ids::LinkId;
 use urrcp::Role;
 
 impl Robot {
-    /// Returns why the peer of this link may not send this message.
+    /// Returns the error if the peer of this link may not send this message.
     pub(super) fn forbids(&self, link: LinkId, message: &Message) -> Option<ControlError> {
         self.lacks(link, Role::needed_for(message)).or_else(|| match message {
             Message::AvailabilityRequest(request) if request.seize => self.forbids_seizing(link, request),
@@ -18,7 +18,8 @@ impl Robot {
         })
     }
 
-    /// Returns why a peer that may claim the robot may not seize it. On a connection without proofs, no peer may.
+    /// Returns the error if the peer of this link may not seize the robot, although it may claim it. On a connection without proofs, no
+    /// peer may seize.
     fn forbids_seizing(&self, link: LinkId, request: &AvailabilityRequest) -> Option<ControlError> {
         if request.session.is_none() {
             let message = "`seize` requires a `session`";
@@ -35,7 +36,7 @@ impl Robot {
         self.lacks(link, &[Role::Seize])
     }
 
-    /// The same for a control request.
+    /// Returns the error if the peer of this link may not send this control request.
     pub(super) fn forbids_request(&self, link: LinkId, request: &ControlRequest) -> Option<ControlError> {
         self.lacks(link, Role::needed_for_request(request))
     }
@@ -60,7 +61,7 @@ impl Robot {
         Some(ControlError::new(ErrorCode::Forbidden, message))
     }
 
-    /// Answers a forbidden message. The answer renews no lease, claims nothing, and is not kept.
+    /// Answers a forbidden message. The message renews no lease and claims nothing, and its response is not kept.
     pub(super) fn answer_forbidden(
         &self,
         now: Now,

@@ -1,4 +1,4 @@
-//! Devices whose driver times scripts by itself: handing over scripts, and reporting what the driver reports.
+//! Devices whose driver times scripts by itself: handing the scripts to the driver, and forwarding its reports.
 
 use std::collections::BTreeMap;
 
@@ -10,8 +10,8 @@ use crate::ids::CommandId;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
 
 impl Robot {
-    /// Sets the devices whose scripts the driver receives ahead of their time and times by itself. Must be called for each connection,
-    /// before [`Robot::hardware_found`]. Such a driver starts its scripts by its own clock, so the robot no longer declares that it drops
+    /// Sets the devices whose scripts the driver receives ahead of time and times by itself. Must be called for each connection, before
+    /// [`Robot::hardware_found`]. Such a driver starts scripts by its own clock. The robot therefore no longer declares that it drops
     /// uncommitted commands.
     pub fn plans_ahead(&mut self, lookahead: &BTreeMap<DeviceId, Lookahead>) {
         for device in &mut self.devices {
@@ -20,7 +20,7 @@ impl Robot {
         self.block.pending_until = lookahead.is_empty();
     }
 
-    /// Adds an accepted command as a plan, if the driver times it.
+    /// Adds an accepted command as a plan, if the device's driver times scripts by itself.
     pub(super) fn plan(&mut self, index: usize, command: CommandId) {
         let device = &self.devices[index];
         let (Some(lookahead), Some(held)) = (device.lookahead, device.command(command)) else { return };
@@ -29,7 +29,8 @@ impl Robot {
         self.plans.add(index, told, command, held);
     }
 
-    /// Hands over the steps that are due. A script whose steps are too late is not begun, or not continued.
+    /// Requests the handover of steps that the driver must receive now. A script whose steps are too late does not start, or does not
+    /// continue.
     pub(super) fn hand_over(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.to_hand_over(now) {
             let Some(plan) = self.plans.get_mut(id) else { continue };
@@ -43,7 +44,7 @@ impl Robot {
         }
     }
 
-    /// Ends the scripts with an overdue driver report.
+    /// Ends the scripts for which a report of the driver is overdue.
     pub(super) fn give_up_unreported(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.unreported(now) {
             let Some(plan) = self.plans.get(id) else { continue };
@@ -54,10 +55,10 @@ impl Robot {
         }
     }
 
-    /// Takes a driver's report about a script that it times.
+    /// Handles a driver's report about a script that the driver times by itself.
     ///
     /// # Errors
-    /// Why the report cannot be true. It is then discarded.
+    /// The reason why the report cannot be true. The report is then discarded.
     pub fn plan_reported(
         &mut self,
         now: Now,
@@ -67,7 +68,7 @@ impl Robot {
         out: &mut Vec<Output>,
     ) -> Result<(), String> {
         let Some(plan) = self.plans.get_mut(id).filter(|plan| plan.given > 0) else {
-            // The driver may still report on a script that is over.
+            // A late report about a script that is already over is permitted.
             return if self.plans.has_been(id) {
                 Ok(())
             } else {
@@ -95,7 +96,7 @@ impl Robot {
         Ok(())
     }
 
-    /// Logs the steps that the driver has just reported as done.
+    /// Outputs the steps that the driver has just reported as done, for the log.
     fn log_steps(&self, id: PlanId, at: Now, done_before: u32, out: &mut Vec<Output>) {
         let Some(plan) = self.plans.get(id) else { return };
         let sets = (done_before..plan.steps_done).filter_map(|step| {
@@ -108,7 +109,8 @@ impl Robot {
         out.extend(sets);
     }
 
-    /// Records that the driver did not take the part of a script that begins with this step, or not in time. `error` is reported.
+    /// Records that the driver did not take the part of a script that starts with the step `first`, or received it too late. The command
+    /// ends with `error`.
     pub fn plan_refused(
         &mut self,
         now: Now,
@@ -118,7 +120,7 @@ impl Robot {
         out: &mut Vec<Output>,
     ) {
         let Some(plan) = self.plans.get_mut(id) else { return };
-        // The driver still has the earlier parts.
+        // If the part is not the first one, the driver still has the earlier parts.
         plan.is_over_there |= first == 0;
         self.fail_plan(now, id, error, out);
     }
@@ -134,7 +136,7 @@ impl Robot {
         }
     }
 
-    /// Ends everything that the device holds, because it cannot continue with this script, and brings it to rest.
+    /// Ends all commands of the device and brings it to rest, because the device cannot continue with this script.
     fn fail_plan(&mut self, now: Now, id: PlanId, error: ControlError, out: &mut Vec<Output>) {
         let Some(plan) = self.plans.get(id) else { return };
         let (index, is_over) = (plan.index, plan.stage == Stage::Over);
@@ -146,8 +148,8 @@ impl Robot {
         self.settle(now, index, out);
     }
 
-    /// Handles the effects of a device whose driver times scripts: the driver moves it, ends are requested from the driver, and reports
-    /// wait for the driver's reports.
+    /// Handles the effects of a device whose driver times scripts by itself. The driver moves the device and ends the scripts; the
+    /// robot's reports wait for the driver's reports.
     pub(super) fn plan_effects(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         let mut failed = self.plans.take_failing();
         let (mut rest, mut stopped) = (Vec::new(), false);
@@ -186,7 +188,8 @@ impl Robot {
         self.tell_plans(index);
     }
 
-    /// Returns scripts whose end was due, but was not reported by the driver: they end with their device.
+    /// Returns the device's scripts whose end was due and that the driver has not reported as done. They end because the device is
+    /// stopped.
     fn left_over(&self, index: usize, failed: &[(PlanId, ControlError)]) -> Vec<(PlanId, ControlError)> {
         let error = || {
             let message = "the device was stopped before its driver reported the end of the script";
@@ -200,7 +203,7 @@ impl Robot {
         self.plans.of_device(index).into_iter().filter(is_left).map(|id| (id, error())).collect()
     }
 
-    /// Ends a script that is over for the machine. If the driver has it, the driver ends it first.
+    /// Ends a script that is over for the machine. If the driver has the script, the driver must end it first.
     fn end_plan(&mut self, now: Now, id: PlanId, error: ControlError, then: Then, out: &mut Vec<Output>) {
         let is_away = self.hardware.away().is_some();
         let Some(plan) = self.plans.get_mut(id) else { return };
@@ -214,7 +217,7 @@ impl Robot {
         }
     }
 
-    /// Ends a device's scripts after the loss of the hardware, which had them.
+    /// Ends a device's scripts after the loss of the hardware that was playing them.
     pub(super) fn abandon_plans(&mut self, now: Now, index: usize, error: &ControlError) {
         for id in self.plans.of_device(index) {
             let Some(plan) = self.plans.get(id) else { continue };
@@ -234,7 +237,7 @@ impl Robot {
         }
     }
 
-    /// Forwards the driver's reports that the machine has reached as well.
+    /// Reports starts and ends that the driver has reported and that the machine has reached as well.
     fn tell_plans(&mut self, index: usize) {
         for id in self.plans.of_device(index) {
             let Some(plan) = self.plans.get(id) else { continue };
@@ -268,7 +271,7 @@ impl Robot {
         self.reports.push((plan.index, began, started));
     }
 
-    /// Reports a failure, after its start if the driver has reported one.
+    /// Reports a failed script. If the driver has reported its start, the start is reported first.
     fn tell_failed(&mut self, now: Timestamp<urrcp::Robot>, id: PlanId, error: ControlError) {
         self.tell_began(id);
         let Some(plan) = self.plans.remove(id) else { return };
@@ -284,12 +287,12 @@ fn unknown_fate(device: &DeviceId, missing: &str) -> String {
     format!("the result of the script of `{device}` is unknown: its driver {missing}")
 }
 
-/// Whether the motion brings a device to rest, and is not a movement of a script.
+/// Whether the motion brings a device to rest. False for the movements of a script.
 const fn is_rest(motion: &Motion) -> bool {
     matches!(motion, Motion::Rest(_) | Motion::Default(_) | Motion::Slow { .. })
 }
 
-/// Whether the machine would set a position where it assumes the device to be: the driver knows the position better.
+/// Whether the machine would set a position at which it assumes the device to be. The driver knows this position better.
 fn stays(set: &SetValue) -> bool {
     matches!(&set.motion, Motion::Rest(rest) if rest.control_type == ControlType::Position)
 }

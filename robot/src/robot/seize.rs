@@ -1,4 +1,4 @@
-//! Seizing: an operator with the role takes the robot from the session that owns it.
+//! Seizure: an operator with the role `seize` takes the robot from the session that owns it.
 
 use urrcp::SessionId;
 
@@ -8,16 +8,18 @@ use crate::device::{DeviceMachine, Rest};
 use crate::ids::LinkId;
 
 impl Robot {
-    /// Takes the robot for this session, whose peer may do so. First, the commands of others end and every device comes to rest, so that
-    /// the answer follows that. Nothing changes if the robot is free, or belongs to the session. The same applies if its hardware is
-    /// away: the robot holds nothing, and its last values may still be on the way to the hardware.
+    /// Takes the robot for this session, whose peer is permitted to seize. First, the commands of other sessions end and every device
+    /// comes to rest; the response follows.
+    ///
+    /// Nothing changes if the robot is free or belongs to the session. Nothing changes either if its hardware is away: the robot holds no
+    /// command, and its last values may still be on the way to the hardware.
     pub(super) fn seize(&mut self, now: Now, link: LinkId, session: &SessionId, out: &mut Vec<Output>) {
         let Some(by) = self.parties.proof(link).map(|proof| proof.name.clone()) else { return };
         let holds = || !self.devices.iter().all(DeviceMachine::is_idle);
         let is_taken = match self.owner(now, link, Some(session)) {
             Owner::Asker => false,
             Owner::Another(_) => true,
-            // Without a session, any peer that reaches a free robot can command it.
+            // Any peer that reaches a free robot can command it without a session.
             Owner::Nobody => holds(),
         };
         if !is_taken || self.hardware.away().is_some() {

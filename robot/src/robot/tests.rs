@@ -1,4 +1,4 @@
-//! The rules of the robot's side, one per test.
+//! Tests the rules of the robot's side, one per test.
 
 mod hardware;
 mod inquiries;
@@ -36,7 +36,7 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 4}}},
   {"id": "thermometer", "name": "t", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
 
-/// A robot with its outputs so far.
+/// A robot, its current time, and its outputs so far.
 struct Bench {
     robot: Robot,
     now: Timestamp<urrcp::Robot>,
@@ -49,7 +49,7 @@ impl Bench {
         Self { robot: Robot::new(block), now: Timestamp::from_nanos(BEGIN), out: Vec::new() }
     }
 
-    /// Advances time from wake-up to wake-up.
+    /// Advances the time to `millis`, from wake-up to wake-up.
     fn until(&mut self, millis: i64) {
         let end = at(millis);
         while let Some(wakeup) = self.robot.next_wakeup().filter(|wakeup| *wakeup <= end) {
@@ -91,7 +91,7 @@ impl Bench {
         self.out.iter().filter_map(|o| if let Output::Set(set) = o { Some(set) } else { None }).collect()
     }
 
-    /// Returns the milliseconds and values of all plain sets.
+    /// Returns the times, in milliseconds, and the values of all outputs that set a value directly.
     fn values(&self) -> Vec<(i64, f64)> {
         let value = |set: &&SetValue| match &set.motion {
             Motion::Set(setpoint) => Some(((set.due.as_nanos() - BEGIN) / 1_000_000, setpoint.value)),
@@ -461,7 +461,7 @@ proptest! {
         }
         let mut started: Vec<_> = bench.responses().iter().filter(|r| r.status == Status::Started)
             .map(|r| r.request_id.clone()).collect();
-        // A repeated request may repeat the answer, with its own timestamp; all starts of one id have the same instant.
+        // A repeated request may get the response again, with its own timestamp; all starts of one id have the same instant.
         started.sort();
         started.dedup();
         for id in started {
@@ -517,7 +517,7 @@ fn a_robot_counts_what_it_holds_and_what_has_become_of_it() {
     };
     assert_eq!(counts(&bench), (3, 0, 0, 0, 0));
     bench.until(100);
-    // Two of its steps are late.
+    // Two steps of the script are late.
     bench.now = at(2_110);
     bench.robot.advance(bench.now, &mut bench.out);
     assert_eq!(counts(&bench), (2, 1, 1, 0, 2));

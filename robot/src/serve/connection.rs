@@ -1,4 +1,5 @@
-//! One connection of a robot: it reads input within its budget and forwards it, and writes the robot's messages.
+//! One connection of a robot: reads the peer's messages within the peer's budget, forwards them to the robot, and writes the robot's
+//! messages.
 #![expect(clippy::disallowed_methods, reason = "real sockets are silent in real time")]
 
 use std::future::poll_fn;
@@ -25,29 +26,30 @@ use crate::peer::Peer;
 use crate::refusals::Reason;
 use crate::robot::Input;
 
-/// Maximum length of a line or frame of a peer without the robot's session, in bytes.
+/// Maximum length in bytes of a line or frame from a peer that does not own the robot, which belongs to another session.
 pub(super) const STRANGERS_LINE_MAX: usize = 64 * 1024;
-/// While the robot belongs to no session, longer ones are read one or two at a time.
+/// Maximum length in bytes of a line or frame that any peer may send while the robot belongs to no session. Longer ones need a
+/// permission; a host grants two at a time.
 pub(super) const FREE_LINE_MAX: usize = 1024 * 1024;
-/// Longer messages are read on a thread of their own, so that no other connection waits for them.
+/// Length in bytes above which a message is decoded on another thread, so that no other connection waits for it.
 const READ_AT_ONCE: usize = 64 * 1024;
-/// Maximum single pause before the budget is checked again: the standing of a peer may change meanwhile.
+/// Maximum time of a pause before the budget is checked again, because the peer's standing may change meanwhile.
 const PAUSE_MAX: Duration = Duration::from_millis(100);
-/// Maximum time for which a peer may take no bytes before it is disconnected.
+/// Maximum time for which a peer may accept no bytes before it is disconnected.
 const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
-/// Number of bytes per write.
+/// Maximum number of bytes per write.
 const WRITE_BATCH: usize = 64 * 1024;
 
-/// Time limits of peers.
+/// Time limits for peers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patience {
-    /// If another connection waits for a place, one that has been silent for this long is closed: its peer may be long gone.
+    /// Silence after which a connection is closed if another one waits for its place: the peer may no longer exist.
     pub(super) silence: Duration,
-    /// Limit for the first complete message.
+    /// Time limit for the first complete message.
     pub(super) first_message: Duration,
-    /// Limit from the begin to the end of a message of a peer without the robot's session.
+    /// Time limit from the first byte to the end of a message, for a peer that does not own the robot.
     pub(super) message: Duration,
-    /// Limit for the decision on a pending claim; after it, the line that follows the claim is treated as too long.
+    /// Time limit for the decision on a pending claim. When it expires, the line after the claim is treated as too long.
     pub(super) claim: Duration,
 }
 
@@ -71,8 +73,8 @@ pub(super) struct Shared {
     pub(super) patience: Patience,
 }
 
-/// Carries both directions until either side closes or the connection must give way. While the peer does not read, no further input is
-/// read from it.
+/// Carries both directions until either side closes the connection or another connection needs its place. While the peer does not read,
+/// no further input is read from it.
 pub(super) async fn carry<R, W>(
     (reader, writer): (R, W),
     peer: Peer,
@@ -86,7 +88,7 @@ where
 {
     let hung_up = ticket.hung_up();
     let longest = shared.host.longest_command(&link);
-    // A peer is answered in the encoding of its last message.
+    // Responses use the encoding of the peer's last message.
     let (heard, encoding) = watch::channel(Encoding::Json);
     let being_written = AtomicBool::new(false);
     let reading = Reading {
@@ -106,7 +108,8 @@ where
         being_written: &being_written,
     };
     let mut writing = Writing { writer, peer, shared, bytes: Vec::new() };
-    // Both directions always progress: input that waits for its turn among strangers must take the turn at once, or it blocks the others.
+    // Both directions must always make progress: when it is the peer's turn among strangers, its input must take the turn at once, or it
+    // would block the others.
     let writing = async {
         loop {
             let event = link.recv().await;
@@ -123,13 +126,13 @@ where
     tokio::select! {
         biased;
         () = hung_up => Ok(()),
-        // Before the reading, which checks whether a write is in progress when it is polled.
+        // Polled before `reading`, which checks at each poll whether a write is in progress.
         ended = writing => ended,
         ended = reading.run() => ended,
     }
 }
 
-/// The robot's messages on their way to a peer.
+/// Sends the robot's messages to a peer.
 struct Writing<W> {
     writer: W,
     peer: Peer,
@@ -138,7 +141,7 @@ struct Writing<W> {
 }
 
 impl<W: AsyncWrite + Unpin> Writing<W> {
-    /// Takes an event and all further available messages of the robot; returns false once the robot has closed the link.
+    /// Writes an event and all further available messages of the robot. Returns false once the robot has closed the link.
     async fn tell(
         &mut self,
         event: Option<LinkEvent>,
@@ -164,7 +167,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
         }
     }
 
-    /// The description is encoded once for all connections, and not copied.
+    /// Sends the robot's description. It is encoded once for all connections, and not copied.
     async fn describe(&mut self, block: InitializationBlock, encoding: Encoding) -> io::Result<()> {
         self.flush().await?;
         let described = Arc::clone(&self.shared.described);
@@ -173,7 +176,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
     }
 
     async fn flush(&mut self) -> io::Result<()> {
-        // Leaves no buffer behind: a robot has many connections, and a host many robots.
+        // Does not keep the buffer: a robot has many connections, and a host many robots.
         let bytes = std::mem::take(&mut self.bytes);
         self.write(&bytes).await
     }
@@ -182,7 +185,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
         for batch in bytes.chunks(WRITE_BATCH) {
             let writing = async {
                 self.writer.write_all(batch).await?;
-                // Sealed or encrypted data may be buffered.
+                // The writer may have buffered sealed or encrypted data.
                 self.writer.flush().await
             };
             let written = tokio::time::timeout(WRITE_WAIT_MAX, writing).await;
@@ -196,7 +199,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
     }
 }
 
-/// A peer's messages on their way to the robot.
+/// Reads a peer's messages and sends them to the robot.
 struct Reading<'a, R> {
     reader: R,
     decoder: Decoder,
@@ -206,15 +209,15 @@ struct Reading<'a, R> {
     ticket: Ticket,
     shared: Shared,
     budget: Budget,
-    /// The session that it named last.
+    /// The session that the peer named last.
     speaks_for: Option<Claimant>,
-    /// Whether a complete message has arrived.
+    /// Whether the peer has sent a complete message.
     spoke: bool,
-    /// Deadline of the first message, or of the incomplete one.
+    /// Deadline of the first message, or of a message that is incomplete.
     until: Option<Instant>,
-    /// Permission for the incomplete message to be long.
+    /// Permission for the incomplete message to exceed [`FREE_LINE_MAX`].
     long_line: Option<OwnedSemaphorePermit>,
-    /// The limit of a long line while the robot belongs to no session: no command for the robot is longer.
+    /// Maximum length in bytes of a line with such a permission: no command for the robot is longer.
     longest: usize,
     /// Whether messages of the robot are being written to the peer.
     being_written: &'a AtomicBool,
@@ -244,14 +247,14 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         }
     }
 
-    /// Waits while the peer does not read its messages. A message's deadline is extended by this time.
+    /// Waits while the peer does not read its messages. Extends a message's deadline by the waiting time.
     async fn until_written(&mut self) {
         let is_written = || !self.being_written.load(Ordering::Relaxed);
         if is_written() {
             return;
         }
         let begin = Instant::now();
-        // The task of this connection writes as well, and is woken when it can continue.
+        // The same task also writes to the peer, and polls this future whenever writing makes progress.
         poll_fn(|_| if is_written() { Poll::Ready(()) } else { Poll::Pending }).await;
         self.until = self.until.map(|until| until + begin.elapsed());
     }
@@ -264,7 +267,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         self.shared.host.refusals().note(reason, &self.peer);
     }
 
-    /// Reads input; `None` at the end of the input, or if a message has taken too long.
+    /// Reads input. Returns `None` at the end of the input, or if a message has taken too long.
     async fn read(&mut self, bytes: &mut [u8]) -> io::Result<Option<usize>> {
         let reading = self.reader.read(bytes);
         let n = match self.until {
@@ -280,7 +283,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         Ok(Some(n).filter(|n| *n > 0))
     }
 
-    /// Sets the deadline. A peer with the robot's session has none: a script may be long and a link slow, and leases detect silence.
+    /// Sets the deadline. A peer that owns the robot has none: a script may be long and a connection slow, and leases detect silence.
     fn set_deadline(&mut self) {
         let owns = self.standing() == Standing::Owner;
         if owns {
@@ -311,7 +314,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             }
             tokio::time::sleep(pause.min(PAUSE_MAX)).await;
         }
-        // A message is not late because of this pause.
+        // The pause does not count towards the deadline of a message.
         self.until = self.until.map(|until| until + begin.elapsed());
     }
 
@@ -326,7 +329,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             Standing::Stranger => STRANGERS_LINE_MAX,
         };
         if front.bytes > limit(self.standing()) {
-            // The previous owner's session may be over, and a claim may still be pending.
+            // The session of the previous owner may be over, and this peer's claim may still be pending.
             self.ticket.look().await;
             if let (true, Some(claimant)) = (front.bytes > limit(self.standing()), &self.speaks_for) {
                 self.ticket.await_claim(claimant, self.shared.patience.claim).await;
@@ -345,7 +348,8 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         self.decoder.set_limit(limit);
     }
 
-    /// Decodes the next message. Peers without the robot's session take turns, and long messages delay no other connection.
+    /// Decodes the next message. Peers that do not own the robot take turns. A long message is decoded on another thread, so that no
+    /// other connection waits.
     async fn decode(&mut self) -> Option<Decoded> {
         let Some(front) = self.decoder.front().filter(|front| front.whole) else {
             return self.decoder.next_message();
@@ -377,12 +381,12 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             if let Some(Ok(Message::ControlRequest(request))) = &decoded
                 && request.content_hash.is_some()
             {
-                // The script caches it.
+                // The script caches the hash.
                 let _computed = request.command.content_hash();
             }
             (decoder, decoded)
         });
-        // It fails if the runtime ends.
+        // The call fails only if the runtime ends.
         let (decoder, decoded) = reading.await.ok()?;
         self.decoder = decoder;
         decoded
@@ -425,11 +429,11 @@ fn claims(message: &Message) -> bool {
     !matches!(message, Message::Inquiry(_)) && session_of(message).is_some()
 }
 
-/// Whether a connection without a place may send it: a stop, or a question for the robot's identity.
+/// Whether a connection without a place may send this message: a stop, or a request for the robot's description or availability.
 fn needs_no_place(message: &Message) -> bool {
     match message {
         Message::InitializationRequest(_) => true,
-        // With a session it claims the robot.
+        // A request with a session would claim the robot.
         Message::AvailabilityRequest(request) => request.session.is_none(),
         Message::ControlRequest(request) => {
             let stops = matches!(&request.command, Command::Script(script) if script.is_empty());

@@ -1,13 +1,13 @@
-//! A robot's encoded description: encoded once, and shared by all connections.
+//! A robot's description in encoded form: encoded once, and shared by all connections.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use urrcp::{Encoding, InitializationBlock, Message, encode_as};
 
-/// A description with more devices is encoded on a thread of its own.
+/// Number of devices above which a description is encoded on another thread.
 const DEVICES_AT_ONCE: usize = 256;
 
-/// The last description in each encoding.
+/// The most recent description in each encoding.
 #[derive(Debug, Default)]
 pub(super) struct Described(Mutex<Vec<Written>>);
 
@@ -19,7 +19,7 @@ struct Written {
 }
 
 impl Described {
-    /// Returns the bytes of this description.
+    /// Returns the encoded form of this description.
     pub(super) async fn bytes(&self, block: InitializationBlock, encoding: Encoding) -> Arc<[u8]> {
         if let Some(bytes) = self.find(&block, encoding) {
             return bytes;
@@ -28,7 +28,7 @@ impl Described {
             write(block, encoding)
         } else {
             let copy = block.clone();
-            // It fails if the runtime ends: then speed no longer matters.
+            // The call fails only if the runtime ends; speed then no longer matters.
             let written = tokio::task::spawn_blocking(move || write(copy, encoding)).await;
             written.unwrap_or_else(|_| write(block, encoding))
         };
@@ -38,7 +38,7 @@ impl Described {
         written.bytes
     }
 
-    /// Returns the approximate length of a description.
+    /// Returns the approximate length of an encoded description, in bytes.
     pub(super) fn length(&self) -> usize {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         all.iter().map(|written| written.bytes.len()).max().unwrap_or(0)
@@ -78,7 +78,7 @@ mod tests {
     async fn a_robot_that_is_asked_in_two_encodings_describes_itself_in_each() {
         let described = Described::default();
         assert_eq!(described.length(), 0);
-        // A long one is encoded on another thread.
+        // The long description is encoded on another thread.
         for (first, second) in [(block("r", 1), block("s", 1)), (block("r", 300), block("s", 300))] {
             for block in [&first, &second, &second, &first] {
                 for encoding in [Encoding::Json, Encoding::MessagePack, Encoding::Json] {

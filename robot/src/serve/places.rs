@@ -1,5 +1,5 @@
-//! The connections of a robot: which have a place, and which give way. The owner of the robot's session takes precedence over strangers,
-//! and a stop needs no place.
+//! The connections of a robot: which of them have a place, and which must close for others. Connections of the session that owns the
+//! robot take precedence over strangers. A stop needs no place.
 #![expect(clippy::disallowed_methods, reason = "connections are silent in real time")]
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,20 +13,20 @@ use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Reason;
 
-/// Maximum number of connections without the robot's session that have a place at a time: the robot accepts all messages on them.
+/// Maximum number of places for connections that do not own the robot. The robot accepts all messages on a connection with a place.
 pub(super) const PLACES: usize = 16;
-/// Additional places for connections with its session.
+/// Number of additional places for connections of the session that owns the robot.
 pub(super) const OWNER_PLACES: usize = 4;
-/// Maximum number of all connections. On those without a place the robot accepts stops and questions; all other messages wait for a
-/// place.
+/// Maximum number of all connections. On a connection without a place, the robot accepts only stops and some questions; all other
+/// messages wait for a place.
 pub(super) const CONNECTIONS_MAX: usize = 64;
-/// Maximum per remote host, without the robot's session.
+/// Maximum number of connections from one remote host that do not own the robot.
 const HOST_MAX: usize = 16;
-/// A connection has this long to send a message before it may give way.
+/// Minimum age of a connection before it may be closed for another one, so that it has time to send a message.
 const YOUNG: Duration = Duration::from_millis(50);
 /// Interval at which a waiting connection tries to get a place.
 const ROOM_RETRY: Duration = Duration::from_millis(50);
-/// Number of these attempts between two checks whether the robot's session is over.
+/// Number of attempts to get a place between two checks whether the robot's session is over.
 const LOOK_EVERY: u32 = 20;
 
 /// Whether a connection has a place.
@@ -42,11 +42,11 @@ struct Entry {
     peer: Peer,
     since: Instant,
     heard: Instant,
-    /// Whether a complete message has arrived.
+    /// Whether a complete message has arrived on the connection.
     spoke: bool,
     seat: Seat,
     speaks_for: Option<Claimant>,
-    /// Whether it was asked to end; it is no longer counted.
+    /// Whether the connection was asked to end. It no longer counts as a connection.
     leaving: bool,
     hang_up: Arc<Notify>,
 }
@@ -56,7 +56,7 @@ impl Entry {
         owner.is_some() && self.speaks_for.as_ref() == owner
     }
 
-    /// The connection with the lowest rank gives way first.
+    /// Returns the rank of the connection. The connection with the lowest rank is closed first.
     fn rank(&self) -> (Seat, bool, Instant) {
         (self.seat, self.spoke, self.heard)
     }
@@ -90,14 +90,14 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// `None` if the robot does not exist.
+    /// Creates the list of connections. Returns `None` if the robot does not exist.
     pub(super) fn new(host: HostHandle, robot: usize, silence_max: Duration) -> Option<Arc<Self>> {
         let owner = host.owner(robot)?;
         let (entries, changed) = (Mutex::default(), Notify::new());
         Some(Arc::new(Self { entries, changed, owner, host, robot, silence_max }))
     }
 
-    /// Admits a new connection. If necessary, another one gives way; `None` if none can give way yet.
+    /// Admits a new connection. If necessary, another connection is closed for it. Returns `None` if none can be closed yet.
     pub(super) fn admit(self: &Arc<Self>, peer: &Peer) -> Option<Ticket> {
         let now = Instant::now();
         let owner = self.owner.borrow().clone();
@@ -118,7 +118,7 @@ impl Places {
             let weakest = weakest.map(|entry| entry.id)?;
             self.hang_up(&mut entries, weakest, Reason::MadeRoom);
         }
-        // Leaving connections end as soon as their tasks run.
+        // A connection that was asked to end does so as soon as its task runs.
         if entries.all.len() >= 2 * CONNECTIONS_MAX {
             return None;
         }
@@ -150,8 +150,8 @@ impl Places {
         }
     }
 
-    /// Assigns a place to a connection, if one is available for it. `claims`: it claims the robot. If the robot belongs to no session,
-    /// such a connection takes precedence over those that do not claim it.
+    /// Assigns a place to a connection, if one is available for it. `claims` is whether the connection claims the robot. While the robot
+    /// belongs to no session, a connection that claims it takes precedence over connections that do not.
     fn try_take(&self, id: u64, claims: bool) -> bool {
         let now = Instant::now();
         let owner = self.owner.borrow().clone();
@@ -173,7 +173,7 @@ impl Places {
                 seated.max_by_key(|entry| silence(entry)).map(|entry| (entry.id, silence(entry)))
             };
             let stranger = longest(&|entry| !entry.owns(owner.as_ref())).filter(|_| comes_first);
-            // The owner's own connections may be long gone as well.
+            // The peers of the owner's own connections may no longer exist either.
             let silent = || longest(&|_| true).filter(|(_, silence)| *silence >= self.silence_max);
             let Some((gives_way, _)) = stranger.or_else(silent) else { return false };
             self.hang_up(&mut entries, gives_way, Reason::MadeRoom);
@@ -185,7 +185,7 @@ impl Places {
     }
 }
 
-/// One admitted connection, until it is dropped.
+/// One admitted connection. Dropping the ticket removes the connection.
 #[derive(Debug)]
 pub(super) struct Ticket {
     places: Arc<Places>,
@@ -200,7 +200,7 @@ impl Ticket {
         async move { hang_up.notified().await }
     }
 
-    /// Returns the standing of a connection for this session.
+    /// Returns the standing of a connection that named the session `speaks_for` last.
     pub(super) fn standing(&self, speaks_for: Option<&Claimant>) -> Standing {
         match (&*self.places.owner.borrow(), speaks_for) {
             (None, _) => Standing::Free,
@@ -209,7 +209,7 @@ impl Ticket {
         }
     }
 
-    /// Waits until the robot belongs to this session, at most for `patience`.
+    /// Waits until the robot belongs to this claimant, but at most for `patience`.
     pub(super) async fn await_claim(&self, claimant: &Claimant, patience: Duration) {
         let mut owner = self.places.owner.clone();
         let claimed = owner.wait_for(|owner| owner.as_ref() == Some(claimant));
@@ -228,7 +228,7 @@ impl Ticket {
         }
     }
 
-    /// Records a complete message and the session that it names.
+    /// Records that a complete message has arrived, and the session that the peer named last.
     pub(super) fn spoke(&self, speaks_for: Option<&Claimant>) {
         if let Some(entry) = self.places.lock().get(self.id) {
             entry.heard = Instant::now();
@@ -239,7 +239,7 @@ impl Ticket {
         }
     }
 
-    /// Waits for a place.
+    /// Waits until the connection has a place. `claims` is whether it claims the robot.
     pub(super) async fn take(&self, claims: bool) {
         if self.places.try_take(self.id, claims) {
             return;

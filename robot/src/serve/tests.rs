@@ -1,4 +1,4 @@
-//! A robot behind a real socket on the loopback interface.
+//! Tests a robot behind a real socket on the loopback interface.
 
 mod places;
 #[cfg(feature = "sealed")]
@@ -18,19 +18,19 @@ use crate::peer::Peer as Remote;
 use crate::refusals::Reason;
 use crate::simulated::Settings;
 
-/// Maximum wait for an event that must occur, however busy the machine is.
+/// Maximum time to wait for an event that must occur, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Starts a served robot and returns its address.
+/// Starts a robot that is reachable over TCP. Returns its host and its address.
 async fn served(log: &LogFile) -> (Host, SocketAddr) {
     let options = HostOptions { log: Some(log.0.clone()), ..HostOptions::default() };
     served_as(Host::start(arms(1, &Settings::default()), options).unwrap(), PATIENT).await
 }
 
-/// The robot decides a claim within this time, however busy the machine is. A line after a refused claim waits as long.
+/// Time within which the robot decides a claim, however busy the machine is. A line after a refused claim has to wait this long.
 const CLAIM_WITHIN: Duration = Duration::from_secs(10);
 
-/// For tests that do not depend on the robot's time limits.
+/// Time limits for tests that do not depend on the robot's time limits.
 const PATIENT: Patience =
     Patience { silence: PATIENCE, first_message: PATIENCE, message: PATIENCE, claim: CLAIM_WITHIN };
 
@@ -51,7 +51,7 @@ async fn served_as(host: Host, patience: Patience) -> (Host, SocketAddr) {
     (host, address)
 }
 
-/// A server's end of the connection, which reads whole lines.
+/// A server's end of a connection, which reads whole lines.
 struct Peer(BufReader<TcpStream>);
 
 impl Peer {
@@ -118,7 +118,7 @@ async fn garbage_is_answered_and_the_link_goes_on() {
     assert_eq!(response.status, Status::Ok);
 }
 
-/// A server's end of the connection, which reads messages in any encoding.
+/// A server's end of a connection, which reads messages in any encoding.
 struct Listener {
     stream: TcpStream,
     decoder: Decoder,
@@ -161,7 +161,7 @@ async fn a_robot_answers_in_the_encoding_of_what_it_heard_last() {
         let (answered, Message::ControlResponse(response)) = peer.read().await else { panic!() };
         assert_eq!((answered, response.status), (Encoding::MessagePack, expected));
     }
-    // A frame that is no message is answered by a frame, and the following frame is read.
+    // The robot answers a frame that is not a message with a frame, and reads the following frame.
     peer.stream.write_all(b"\xC1\x00\x00\x00\x02\x91\x00").await.unwrap();
     let (answered, Message::AvailabilityResponse(response)) = peer.read().await else { panic!() };
     assert_eq!((answered, response.status), (Encoding::MessagePack, Status::Failed));
@@ -176,7 +176,7 @@ async fn a_peer_that_sends_without_reading_harms_only_itself() {
     let mut flood = TcpStream::connect(address).await.unwrap();
     let lines = b"{\"initialization_request\": {}}\n".repeat(1_000);
     let flooding = tokio::spawn(async move {
-        // Ends when the robot no longer reads, since its answers are not read.
+        // Ends when the robot no longer reads, because its responses are not read.
         while flood.write_all(&lines).await.is_ok() {}
     });
     let mut peer = Peer::connected(address).await;
@@ -187,7 +187,7 @@ async fn a_peer_that_sends_without_reading_harms_only_itself() {
     flooding.abort();
 }
 
-/// Returns [`PLACES`] peers that have a place and have been answered.
+/// Returns [`PLACES`] peers that have a place and have received a response.
 async fn all_places_taken(address: SocketAddr) -> Vec<Peer> {
     let mut peers = Vec::new();
     for _ in 0..PLACES {
@@ -229,7 +229,7 @@ async fn who_claims_a_free_robot_comes_before_those_that_claim_nothing() {
 }
 
 const ASK: &[u8] = b"{\"availability_request\": {}}\n";
-/// A question that needs a place, since it is about commands.
+/// An inquiry that needs a place, because it is about commands.
 const INQUIRE: &[u8] = b"{\"inquiry\": {}}\n";
 const CLAIM: &[u8] = b"{\"availability_request\": {\"session\": \"show\"}}\n";
 
@@ -258,7 +258,7 @@ async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop(
     let log = LogFile::new("owner-first");
     let (host, address) = served(&log).await;
     let first = Peer::owner(address).await;
-    // Its connection breaks, and strangers take all places and connections, and keep sending.
+    // The owner's connection breaks. Strangers take all places and connections, and keep sending.
     drop(first);
     let mut strangers = Vec::new();
     for _ in 0..CONNECTIONS_MAX + 8 {
@@ -290,7 +290,7 @@ async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop(
 #[tokio::test]
 async fn a_connection_that_brings_no_message_in_time_is_closed_whatever_it_drips() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
-    // Long enough for peers that send a message in time, however busy the machine is.
+    // The limit is long enough for peers that send a message in time, however busy the machine is.
     let patience = Patience { first_message: Duration::from_secs(4), ..PATIENT };
     let (host, address) = served_as(host, patience).await;
     let mut silent = Peer::connected(address).await;
@@ -345,7 +345,7 @@ async fn one_host_has_a_share_of_the_connections_and_leaves_the_others_theirs() 
     assert_eq!(host.refusals().count(Reason::ManyFromOneHost), 100 - 16);
     let hung_up = tokio::time::timeout(Duration::ZERO, other.hung_up()).await;
     assert!(hung_up.is_err(), "another host's connection stands");
-    // The host's own oldest connections give way.
+    // The oldest connections of this remote host are closed first.
     for (i, ticket) in tickets.iter().enumerate() {
         let hung_up = tokio::time::timeout(Duration::ZERO, ticket.hung_up()).await;
         assert_eq!(hung_up.is_ok(), i < 100 - 16, "{i}");
@@ -364,7 +364,7 @@ async fn the_owners_own_dead_connections_give_their_places_up() {
     }
 }
 
-/// Returns a line of this length, padded with leading blanks.
+/// Returns the line, padded with leading blanks to `bytes` bytes.
 fn padded(line: &[u8], bytes: usize) -> Vec<u8> {
     let mut padded = vec![b' '; bytes - line.len()];
     padded.extend_from_slice(line);
@@ -376,7 +376,7 @@ fn malformed(message: &Message) -> Option<&str> {
     response.error.as_ref().map(|error| error.message.as_str())
 }
 
-/// The longest script with this number of steps exceeds every line in these tests.
+/// Number of steps for which the robot's longest script exceeds every line in these tests.
 const MANY_STEPS: u32 = 100_000;
 
 #[tokio::test]
@@ -400,7 +400,7 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
     assert_eq!(malformed(&stranger.soon().await), None);
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
     assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
-    // A refused claim permits nothing.
+    // A refused claim permits no longer line.
     stranger.write(b"{\"availability_request\": {\"session\": \"other\"}}\n").await;
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
     assert_eq!(
@@ -408,7 +408,7 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
         Some("`r0` belongs to another session until that session ends")
     );
     assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
-    // Once the session is over the robot is free again, even if no other session has claimed it since.
+    // Once the session is over, the robot is free again, even if no other session has claimed it since.
     drop(owner);
     until(|| host.figures().robots()[0].connections() == 1).await;
     stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
@@ -486,7 +486,7 @@ async fn strangers_that_flood_a_robot_are_read_slowly_and_its_owner_is_not() {
             }));
         }
     }
-    // A stranger is paused after a hundred messages. The owner's speed depends on the machine, but whether it is paused does not.
+    // A stranger has to pause after a hundred messages. The owner's speed depends on the machine, but the owner never has to pause.
     let mut asked = 0;
     while asked < 500 || !addresses.is_subset(&host.refusals().peers(Reason::Paused)) {
         owner.write(CLAIM).await;
@@ -511,7 +511,7 @@ async fn a_stop_is_obeyed_however_many_are_connected() {
     let mut peers = all_places_taken(address).await;
     peers[0].send(&paper(60_000.0)).await;
     assert!(is_accepted(&peers[0].read().await));
-    // They also take all connections without a place, and send messages that wait.
+    // The peers also take all connections without a place, and send messages that wait.
     let mut beyond = Vec::new();
     for _ in 0..CONNECTIONS_MAX - PLACES {
         let mut peer = Peer::connected(address).await;
@@ -569,7 +569,7 @@ async fn a_connection_without_a_place_is_told_who_the_robot_is_and_may_stop_it_a
     beyond.send(&Message::ControlRequest(stop.clone())).await;
     let Message::ControlResponse(response) = beyond.soon().await else { panic!() };
     assert_eq!(response.status, Status::Ok);
-    // Only an immediate stop takes precedence over connections that have a place.
+    // Only an immediate stop needs no place.
     let later = urrcp::ControlRequest {
         timestamp: Some(urrcp::Timestamp::from_nanos(0)),
         time_offset_to_start: Some(urrcp::Millis::new(1.0).unwrap()),
@@ -657,7 +657,7 @@ async fn a_long_script_with_a_hash_is_compared_like_a_short_one() {
             urrcp::ControlRequest { content_hash: Some(content_hash), request_id, ..request.clone() };
         let mut line = Vec::new();
         encode(&Message::ControlRequest(request), &mut line);
-        // Longer than the limit for reading on the connection's own task.
+        // The line is longer than the limit for reading it in the connection's own task.
         owner.write(&padded(&line, 100 * 1024)).await;
         let Message::ControlResponse(response) = owner.soon().await else { panic!() };
         assert_eq!(response.status, status, "{response:?}");

@@ -1,5 +1,5 @@
-//! The body behind a device of a simulated robot: it follows the set values with a latency and a lag, and a sensor shows it with noise
-//! and a delay. Without a body, a device is at once where it was commanded.
+//! The body behind a device of a simulated robot. It follows the values that are set, with a latency and a lag; a sensor shows its
+//! position with noise and a delay. A device without a body is at once where it was commanded.
 
 use std::collections::VecDeque;
 
@@ -12,28 +12,28 @@ use crate::robot::SetValue;
 /// How a body follows its device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moves {
-    /// The driving device, by position.
+    /// Device, driven by position, that moves the body.
     pub device: DeviceId,
-    /// Time from setting a value to the first motion.
+    /// Time from setting a value to the first motion of the body.
     pub latency: Span,
-    /// 95 % of all movements begin within `latency` ± this.
+    /// Spread of the latency: 95 % of all movements start within `latency` ± `spread`.
     pub spread: Span,
-    /// Time constant of the subsequent first-order lag; zero for no lag.
+    /// Time constant of the first-order lag with which the body then follows. Zero: no lag.
     pub time_constant: Span,
-    /// The sensor that shows the position of the body.
+    /// Sensor that shows the position of the body.
     pub sensor: DeviceId,
-    /// Standard deviation of the sensor's noise, in its unit.
+    /// Standard deviation of the sensor's noise, in the sensor's unit.
     pub noise: f64,
-    /// Time that the sensor takes to answer. The value is taken when the sensor is asked.
+    /// Time that the sensor takes to answer. The reading shows the position at the time of the request.
     pub delay: Span,
 }
 
-/// Maximum number of pending movements of a body: more than a device with the shortest step has within the longest latency.
+/// Maximum number of pending movements of a body. A device with the shortest steps and the longest latency has fewer.
 const PIECES_MAX: usize = 16_384;
 /// Number of standard deviations within which 95 % of a normal distribution lie.
 const WITHIN_95: f64 = 1.96;
 
-/// A target of the body from an instant on: a value, or a movement to one.
+/// A target that the body follows from an instant on: a value, or a movement to a value.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     begins: Timestamp<True>,
@@ -51,32 +51,32 @@ impl Piece {
         self.from + (self.to - self.from) * (since.as_millis_f64() / self.lasts.as_millis_f64()).max(0.0)
     }
 
-    /// Returns its change per millisecond, until it has arrived.
+    /// Returns the target's change per millisecond; zero once the movement has arrived.
     fn slope(self, now: Timestamp<True>) -> f64 {
         let moves = now - self.begins < self.lasts;
         if moves { (self.to - self.from) / self.lasts.as_millis_f64() } else { 0.0 }
     }
 
-    /// Returns when its slope changes, unless the next piece begins earlier.
+    /// Returns when the target arrives, unless the next piece starts earlier.
     fn ends(self) -> Timestamp<True> {
         self.begins + self.lasts
     }
 }
 
-/// A body and its position.
+/// A body, its position, and its pending movements.
 #[derive(Clone, Debug)]
 pub(super) struct MovedBody {
     pub(super) moves: Moves,
-    /// Range of the sensor.
+    /// Minimum and maximum of the sensor's readings.
     range: (f64, f64),
-    /// Position before anything is set.
+    /// Position of the body before any value is set.
     at_first: f64,
     rng: fastrand::Rng,
     current: Option<Piece>,
     coming: VecDeque<Piece>,
-    /// Last computed position, and its time.
+    /// Time and value of the last computed position.
     at: Option<(Timestamp<True>, f64)>,
-    /// The latency of the current movement, and the request behind it.
+    /// Id of the request that causes the current movement, and the latency of this movement.
     movement: Option<(Option<RequestId>, Span)>,
 }
 
@@ -85,12 +85,12 @@ impl MovedBody {
         Self { moves, range, at_first, rng, current: None, coming: VecDeque::new(), at: None, movement: None }
     }
 
-    /// Sets the initial position of its device.
+    /// Sets the initial position of the body.
     pub(super) const fn place(&mut self, position: f64) {
         self.at_first = position;
     }
 
-    /// Adds a movement of its device.
+    /// Adds a movement of the body's device.
     pub(super) fn told(&mut self, now: Timestamp<True>, set: &SetValue) {
         let (control_type, from, to, lasts) = match &set.motion {
             Motion::Set(setpoint) | Motion::Rest(setpoint) | Motion::Default(setpoint) => {
@@ -105,18 +105,18 @@ impl MovedBody {
             return;
         }
         let begins = now + self.latency_of(set);
-        // A later value takes effect after the earlier ones, as in a queue of commands.
+        // A later value takes effect after the earlier ones, like commands in a queue.
         let begins = self.coming.back().map_or(begins, |last| begins.max(last.begins));
         if self.coming.len() >= PIECES_MAX {
             self.coming.pop_front();
         }
-        // A body that has never been read begins at the start of its first movement; a set value does not tell the position before it.
+        // A body that was never read starts where its first movement starts. A single value does not show the position before it.
         let before = if lasts > Span::ZERO { from } else { self.at_first };
         self.at.get_or_insert((now, before));
         self.coming.push_back(Piece { begins, from, to, lasts });
     }
 
-    /// Returns the latency, which is the same for all steps of a movement.
+    /// Returns the latency of a movement. It is the same for all steps of a request.
     fn latency_of(&mut self, set: &SetValue) -> Span {
         match &self.movement {
             Some((request, latency)) if request.is_some() && *request == set.request_id => *latency,
@@ -130,7 +130,7 @@ impl MovedBody {
         }
     }
 
-    /// Returns the position; `rest` before anything was ever set.
+    /// Returns the position of the body at `now`; `rest` if no value was ever set.
     fn position(&mut self, now: Timestamp<True>, rest: f64) -> f64 {
         let (mut then, mut position) = self.at.unwrap_or((now, rest));
         loop {
@@ -154,7 +154,8 @@ impl MovedBody {
         position
     }
 
-    /// Response of a first-order lag to a line: `u(t) - slope * T`, plus the rest of the distance to it.
+    /// Returns the position at `to` of a body that follows a linear target with a first-order lag. This is `u(t) - slope * T`, plus the
+    /// remaining distance to that line, which decays exponentially.
     fn followed(&self, piece: Piece, position: f64, from: Timestamp<True>, to: Timestamp<True>) -> f64 {
         let constant = self.moves.time_constant.as_millis_f64();
         if constant <= 0.0 {
@@ -166,7 +167,7 @@ impl MovedBody {
         begin - behind + left * (-(to - from).as_millis_f64() / constant).exp()
     }
 
-    /// Returns the reading of its sensor. Before anything was ever set, the body is at `rest`.
+    /// Returns the reading of the body's sensor. If no value was ever set, the body is at `rest`.
     pub(super) fn shown(&mut self, now: Timestamp<True>, rest: f64) -> f64 {
         let position = self.position(now, rest);
         let noise = self.moves.noise * normal(&mut self.rng);
@@ -174,8 +175,8 @@ impl MovedBody {
     }
 }
 
-/// Draws from the standard normal distribution, by the method of Box and Muller (A note on the generation of random normal deviates,
-/// 1958).
+/// Draws a number from the standard normal distribution, by the method of Box and Muller (A note on the generation of random normal
+/// deviates, 1958).
 fn normal(rng: &mut fastrand::Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.f64()).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.f64()).cos()

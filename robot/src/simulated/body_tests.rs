@@ -1,4 +1,4 @@
-//! The body of a simulated robot in virtual time: its lag and its sensor.
+//! Tests the body of a simulated robot in virtual time: its lag and its sensor.
 
 use urrcp::{
     ControlRequest, ControlType, DeviceId, InitializationBlock, Millis, RequestId, Script, Setpoint,
@@ -18,7 +18,7 @@ fn id(name: &str) -> DeviceId {
     DeviceId::new(name).unwrap()
 }
 
-/// Returns an arm with a body and its angle as a sensor, commanded at 0 to move to 10 within 100 ms.
+/// Returns an arm with a body and with its angle as a sensor. At 0, the arm is commanded to move to 10 within 100 ms.
 fn moving(interpolation: &str, change: impl FnOnce(&mut Moves)) -> SimulatedRobot {
     let block = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
         {"id": "arm", "interpolation": "INTERPOLATION", "default_value": 0, "available_control_types": {
@@ -45,7 +45,7 @@ fn moving(interpolation: &str, change: impl FnOnce(&mut Moves)) -> SimulatedRobo
     robot
 }
 
-/// Returns the sensor's answer to a request at this instant, and the time of the answer.
+/// Requests the sensor's reading at this instant. Returns the reading, and the time of the response.
 fn read(robot: &mut SimulatedRobot, millis: i64) -> (f64, Timestamp<True>) {
     let mut out = Vec::new();
     while let Some(now) = robot.next_wakeup().filter(|wakeup| *wakeup <= at(millis)) {
@@ -90,7 +90,7 @@ fn a_ramp_is_followed_after_the_latency() {
 #[test]
 fn a_first_order_lag_stays_behind_a_ramp_by_its_time_constant() {
     let mut robot = moving("linear", |moves| moves.time_constant = Span::from_millis(10));
-    // 10 * (t - T + T exp(-t/T)) / 100 on the ramp.
+    // The position on the ramp is 10 * (t - T + T exp(-t/T)) / 100.
     let on_ramp = |t: f64| 0.1 * (t - 10.0 + 10.0 * (-t / 10.0).exp());
     let end = on_ramp(100.0);
     let after = 10.0 - (10.0 - end) * (-2.0_f64).exp();
@@ -132,7 +132,7 @@ fn movements_begin_within_the_spread_and_each_seed_draws_the_same() {
             0.0,
             fastrand::Rng::with_seed(seed),
         );
-        // On the ramp, the position reveals the start time.
+        // The position on the ramp reveals the start time.
         65.0 - read(&mut robot, 65).0 * 10.0
     };
     let begins: Vec<f64> = (0..200).map(begin).collect();
@@ -205,7 +205,7 @@ fn each_movement_has_a_latency_of_its_own_and_its_steps_have_the_same() {
 fn a_lag_follows_one_ramp_into_the_next_without_a_jump() {
     let mut robot = moving("linear", |moves| moves.time_constant = Span::from_millis(20));
     let values: Vec<f64> = (0..400).map(|millis| read(&mut robot, millis).0).collect();
-    // At most 0.1 per millisecond: never ahead of the ramp, never backwards, and on target in the end.
+    // The position changes by at most 0.1 per millisecond. It is never ahead of the ramp, never moves backwards, and reaches the target.
     assert!(values.windows(2).all(|pair| (0.0..=0.1 + 1e-9).contains(&(pair[1] - pair[0]))), "{values:?}");
     assert!(
         values

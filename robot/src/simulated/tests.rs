@@ -1,4 +1,4 @@
-//! A simulated robot's clock, link and faults, in virtual time.
+//! Tests a simulated robot's clock, link and faults in virtual time.
 
 use urrcp::{
     AvailabilityRequest, ControlRequest, ControlType, DeviceId, Millis, RequestId, Script, Server, Setpoint,
@@ -67,7 +67,7 @@ fn ping(sent: i64) -> Input {
     }))
 }
 
-/// Jumps from wake-up to wake-up, and returns the outgoing messages with their times.
+/// Advances the time to `until`, from wake-up to wake-up. Returns the outgoing messages with their times.
 fn run(robot: &mut SimulatedRobot, until: Timestamp<True>) -> Vec<(Timestamp<True>, Outgoing)> {
     let mut left = Vec::new();
     let mut out = Vec::new();
@@ -244,7 +244,7 @@ fn check_fault(fault: Fault, expected: &[&str], sets: usize) {
 fn faults_refuse_or_stay_silent_or_disconnect_right_after_the_acceptance() {
     check_fault(Fault::Refuse, &["Failed busy"], 0);
     check_fault(Fault::Silent, &[], 0);
-    // Its lease of five seconds still runs; a new connection is rejected.
+    // The command's lease of five seconds still runs; a new connection is closed.
     check_fault(Fault::Disconnect, &["Accepted", "closed", "closed", "Started"], 1);
 }
 

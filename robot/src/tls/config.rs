@@ -1,4 +1,4 @@
-//! The TLS configuration of both sides: only version 1.3, and no connection without a certificate of the authority.
+//! The TLS configuration of both sides: only version 1.3, and only connections whose peer has a certificate of the authority.
 
 use std::sync::Arc;
 
@@ -13,8 +13,8 @@ use rustls::{ClientConfig, RootCertStore, ServerConfig};
 use super::credentials::Credentials;
 use super::revoked::Revoked;
 
-/// The DNS name in the certificate of every robot, which a client requests. It marks the certificate as a robot's; the URI identifies the
-/// robot, since ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
+/// DNS name in the certificate of every robot, which a client requests. It marks the certificate as that of a robot. A URI in the
+/// certificate identifies the robot, because ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
 pub const SERVER_NAME: &str = "robot.urrcp.invalid";
 
 pub(super) fn provider() -> Arc<CryptoProvider> {
@@ -27,7 +27,7 @@ fn roots(authority: &CertificateDer<'static>) -> Result<Arc<RootCertStore>, rust
     Ok(Arc::new(roots))
 }
 
-/// Returns a verifier that accepts operators of the authority that are not revoked.
+/// Returns a verifier that accepts operators whose certificate was issued by the authority and is not revoked.
 pub(super) fn client_verifier(
     own: &Credentials,
     revoked: Option<&Revoked>,
@@ -41,7 +41,7 @@ pub(super) fn client_verifier(
     verifier.build().map_err(|error| error.to_string())
 }
 
-/// Returns the configuration with which a robot accepts operators of its authority.
+/// Returns the TLS configuration that a robot uses to accept operators of its authority.
 ///
 /// # Errors
 /// The key does not belong to the certificate, or the content of the files cannot be used.
@@ -59,10 +59,10 @@ pub fn server_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<Ser
     Ok(config)
 }
 
-/// Returns the configuration with which an operator connects to robots of its authority.
+/// Returns the TLS configuration that an operator uses to connect to robots of its authority.
 ///
 /// # Errors
-/// As [`server_config`].
+/// Those of [`server_config`].
 pub fn client_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<ClientConfig, String> {
     let of_tls = |error: rustls::Error| error.to_string();
     let roots = roots(&own.authority).map_err(of_tls)?;

@@ -1,4 +1,4 @@
-//! The file with which a robot or an operator proves its identity.
+//! The identity file that a robot or an operator uses to prove its identity.
 
 use std::path::{Path, PathBuf};
 
@@ -8,14 +8,14 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use super::identity::{Identity, IdentityError};
 use downbeat_key_file::{KeyFileError, read_private};
 
-/// An error of an identity file.
+/// An error in an identity file or a list of revoked certificates.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CredentialsError {
     /// The file cannot be read, or other users can read it too.
     #[error(transparent)]
     File(#[from] KeyFileError),
-    /// A file that should contain a list of revoked certificates does not.
+    /// A file that should contain a list of revoked certificates contains none.
     #[error("{}: missing list of revoked certificates; expected the file `revoked.pem` that `downbeat keys` wrote", path.display())]
     NoList {
         /// Path of the file.
@@ -26,20 +26,20 @@ pub enum CredentialsError {
     Incomplete {
         /// Path of the file.
         path: PathBuf,
-        /// The missing or damaged part.
+        /// Name of the missing or damaged part.
         what: String,
     },
-    /// Its certificate names no robot and no operator.
+    /// The certificate names no robot and no operator.
     #[error("{}: {error}", path.display())]
     Nameless {
         /// Path of the file.
         path: PathBuf,
-        /// Why the name cannot be used.
+        /// Reason why the name cannot be used.
         error: IdentityError,
     },
 }
 
-/// A key with its certificate, and the trusted authority.
+/// A private key with its certificate, and the certificate of the trusted authority.
 #[derive(Debug)]
 pub struct Credentials {
     pub(super) certificate: CertificateDer<'static>,
@@ -49,10 +49,10 @@ pub struct Credentials {
 }
 
 impl Credentials {
-    /// Reads an identity file: PEM with the private key, its certificate, and after it the authority's.
+    /// Reads an identity file: PEM with the private key, then the key's certificate, then the authority's certificate.
     ///
     /// # Errors
-    /// [`CredentialsError`], also if other users can read the file.
+    /// [`CredentialsError`]; also if other users can read the file.
     pub fn read(path: &Path) -> Result<Self, CredentialsError> {
         let incomplete = |what: &str| CredentialsError::Incomplete { path: path.into(), what: what.into() };
         let text = read_private(path)?;
@@ -67,7 +67,7 @@ impl Credentials {
         Ok(Self { certificate, key, authority, identity })
     }
 
-    /// Returns the identity in the certificate.
+    /// Returns the identity that the certificate contains.
     #[must_use]
     pub const fn identity(&self) -> &Identity {
         &self.identity

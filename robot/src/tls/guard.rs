@@ -1,4 +1,4 @@
-//! The door of a robot: peers must prove their identity.
+//! The guard of a robot that admits only peers with a proven identity.
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,20 +15,21 @@ use super::identity::Identity;
 use super::revoked::Revoked;
 use urrcp::Proof;
 
-/// A robot's own proof, and the check of its peers: it admits operators with a certificate of its authority that is not revoked.
+/// Proves a robot's identity and checks that of its peers. Admits operators with a certificate that the robot's authority issued and that
+/// is not revoked.
 #[derive(Debug)]
 pub struct Guard {
     own: Credentials,
     revoked: Option<Revoked>,
-    /// The configuration, with the modification time of the list of revoked certificates from which it was made.
+    /// TLS configuration, with the modification time of the list of revoked certificates that it was created from.
     config: Mutex<(Option<SystemTime>, Arc<ServerConfig>)>,
 }
 
 impl Guard {
-    /// Creates a door for a robot with this identity.
+    /// Creates a guard for a robot with this identity.
     ///
     /// # Errors
-    /// A sentence why the identity or the list cannot be used.
+    /// A sentence with the reason why the identity or the list cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
         let written = revoked.as_ref().and_then(Revoked::written);
         let config = server_config(&own, revoked.as_ref())?;
@@ -41,8 +42,8 @@ impl Guard {
         self.own.identity()
     }
 
-    /// Returns the configuration with the current list of revoked certificates. If the list cannot be read, the last one applies: it
-    /// neither admits revoked operators nor excludes those that would stop the robot.
+    /// Returns the TLS configuration with the current list of revoked certificates. If the list cannot be read, the previous list
+    /// applies. It neither admits revoked operators nor excludes operators that would stop the robot.
     fn config(&self) -> Arc<ServerConfig> {
         let written = self.revoked.as_ref().and_then(Revoked::written);
         let mut config = self.config.lock().unwrap_or_else(PoisonError::into_inner);
@@ -57,7 +58,7 @@ impl Guard {
         Arc::clone(&config.1)
     }
 
-    /// Admits an operator.
+    /// Accepts the TLS connection of an operator, and returns the operator's proof.
     ///
     /// # Errors
     /// The peer does not prove its identity.

@@ -1,8 +1,8 @@
-//! The identity and the roles in a certificate.
+//! The identity and the roles that a certificate contains.
 //!
-//! Both are URIs among the certificate's alternative names (RFC 5280, section 4.2.1.6): one `urrcp:robot:ID` or
-//! `urrcp:operator:NAME`, and for an operator one `urrcp:role:ROLE` for each role. Ids and names are percent-encoded
-//! (RFC 3986), so any text of the protocol has one form here.
+//! Both are URIs among the certificate's alternative names (RFC 5280, section 4.2.1.6): one `urrcp:robot:ID` or `urrcp:operator:NAME`,
+//! and for an operator one `urrcp:role:ROLE` for each role. Ids and names are percent-encoded (RFC 3986), so any text of the protocol has
+//! exactly one form in a certificate.
 
 use std::fmt;
 
@@ -13,15 +13,15 @@ use x509_parser::prelude::{FromDer, X509Certificate};
 
 use urrcp::{Proof, Role, Roles};
 
-/// Unencoded characters: the unreserved characters of RFC 3986.
+/// All characters that are percent-encoded. The unreserved characters of RFC 3986 are not.
 const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
 
-/// The name in a certificate.
+/// The name that a certificate contains.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Name {
-    /// A robot, by its id.
+    /// Id of a robot.
     Robot(RobotId),
-    /// A person, or a program that acts for one.
+    /// Name of a person, or of a program that acts for a person.
     Operator(String),
 }
 
@@ -34,37 +34,37 @@ impl fmt::Display for Name {
     }
 }
 
-/// A certificate without a valid identity.
+/// Reason why a certificate contains no valid identity.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum IdentityError {
-    /// Its bytes are not a certificate.
+    /// The bytes are not a certificate.
     #[error("not an X.509 certificate")]
     NotACertificate,
-    /// Not exactly one URI names a robot or an operator.
+    /// Not exactly one URI names a robot or an operator. Contains the number of such URIs.
     #[error(
         "the certificate has {0} names that begin with `urrcp:robot:` or `urrcp:operator:`, expected one"
     )]
     Names(usize),
-    /// A URI of this protocol that cannot be read.
+    /// A URI of this protocol in the certificate cannot be read. Contains the URI.
     #[error("the certificate contains the invalid name `{0}`")]
     Unreadable(String),
 }
 
-/// The identity in a certificate.
+/// The identity that a certificate contains.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// Name of the certificate's owner.
     pub name: Name,
-    /// Roles of the owner; robots have none.
+    /// Roles of the certificate's owner; robots have none.
     pub roles: Roles,
-    /// Time after which it is invalid, in seconds since 1970 in UTC.
+    /// Time after which the certificate is invalid, in seconds since 1970 in UTC.
     pub expires: i64,
-    /// Serial number, in hexadecimal digits.
+    /// Serial number of the certificate, in hexadecimal digits.
     pub serial: String,
 }
 
 impl Identity {
-    /// Reads the identity from a certificate. TLS checks whether the certificate is genuine.
+    /// Reads the identity from a certificate in DER. TLS verifies separately that the certificate is genuine.
     ///
     /// # Errors
     /// [`IdentityError`].
@@ -102,14 +102,14 @@ impl Identity {
         }
     }
 
-    /// Returns the proof for a peer; `None` if the name is too long for the protocol.
+    /// Returns the identity in the form in which links use it. `None` if the name is too long for the protocol.
     #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         let name = Label::new(self.name.to_string()).ok()?;
         Some(Proof { name, roles: self.roles.clone() })
     }
 
-    /// Returns the URIs of this identity in a certificate.
+    /// Returns the URIs that represent a name and roles in a certificate.
     #[must_use]
     pub fn uris(name: &Name, roles: &Roles) -> Vec<String> {
         let encoded = |text: &str| utf8_percent_encode(text, ENCODED).to_string();

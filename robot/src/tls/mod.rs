@@ -1,5 +1,5 @@
 //! TLS 1.3 with certificates on both sides: a robot accepts only operators of its authority, and an operator can verify which robot it is
-//! connected to. `docs/security.md` describes the content of a certificate and who checks it.
+//! connected to. `docs/security.md` describes the content of a certificate, and which side checks which part of it.
 
 mod config;
 mod credentials;

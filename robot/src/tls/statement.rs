@@ -1,4 +1,4 @@
-//! A statement that an operator signs if there is no TLS, as on a socket of this machine, and the verification of its signature.
+//! Statements that an operator signs where TLS is not available, for example on a local socket, and the verification of their signatures.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -12,10 +12,10 @@ use super::credentials::Credentials;
 use super::identity::{Identity, Name};
 use super::revoked::Revoked;
 
-/// ECDSA on P-256 with SHA-256, as for all keys of `downbeat keys`.
+/// Signature scheme of all keys that `downbeat keys` creates: ECDSA on P-256 with SHA-256.
 const SCHEME: SignatureScheme = SignatureScheme::ECDSA_NISTP256_SHA256;
 
-/// The certificate and signature of a statement.
+/// Signature of a statement, with the signer's certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Signed {
     /// The signer's certificate, in DER.
@@ -25,10 +25,10 @@ pub struct Signed {
 }
 
 impl Credentials {
-    /// Signs a statement.
+    /// Signs a statement with the private key.
     ///
     /// # Errors
-    /// A sentence if the key is of another kind.
+    /// A sentence with the reason if the key is not an ECDSA P-256 key.
     pub fn sign(&self, statement: &[u8]) -> Result<Signed, String> {
         let key = provider().key_provider.load_private_key(self.key.clone_key());
         let key = key.map_err(|error| error.to_string())?;
@@ -38,26 +38,26 @@ impl Credentials {
     }
 }
 
-/// Verifies statements: those of operators of one authority are valid.
+/// Verifies signed statements: those of operators of one authority are valid.
 #[derive(Debug)]
 pub struct Witness {
     own: Credentials,
     revoked: Option<Revoked>,
-    /// The last valid verifier: a list that can no longer be read prevents no operator from stopping.
+    /// Verifier with the last list that could be read. If the list can no longer be read, operators can therefore still stop robots.
     verifier: Mutex<Arc<dyn ClientCertVerifier>>,
 }
 
 impl Witness {
-    /// Creates a witness for the authority of this identity, with its list of revoked certificates.
+    /// Creates a witness that trusts the authority of `own`, except for the certificates in `revoked`.
     ///
     /// # Errors
-    /// A sentence why the files cannot be used.
+    /// A sentence with the reason why the files cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
         let verifier = Mutex::new(client_verifier(&own, revoked.as_ref())?);
         Ok(Self { own, revoked, verifier })
     }
 
-    /// Returns a verifier with the current list, or with the last one that could be read.
+    /// Returns a verifier with the current list of revoked certificates or, if it cannot be read, with the last list that could be read.
     fn verifier(&self) -> Arc<dyn ClientCertVerifier> {
         let mut last = self.verifier.lock().unwrap_or_else(PoisonError::into_inner);
         match client_verifier(&self.own, self.revoked.as_ref()) {
@@ -69,16 +69,17 @@ impl Witness {
         Arc::clone(&last)
     }
 
-    /// Returns the identity whose authority it trusts.
+    /// Returns the witness's own identity, whose authority it trusts.
     #[must_use]
     pub const fn identity(&self) -> &Identity {
         self.own.identity()
     }
 
-    /// Returns the signer of this statement. The current list of revoked certificates applies, or the last one that could be read.
+    /// Returns the signer of a statement. The current list of revoked certificates applies or, if it cannot be read, the last list that
+    /// could be read.
     ///
     /// # Errors
-    /// A sentence why the statement is invalid.
+    /// A sentence with the reason why the statement is invalid.
     pub fn who(&self, statement: &[u8], signed: &Signed) -> Result<Identity, String> {
         let certificate = CertificateDer::from(signed.certificate.as_slice());
         self.verifier()

@@ -1,7 +1,8 @@
-//! Identities of a test's authority, which are valid until 2120: statements, doors and lists of revoked certificates.
+//! Tests statements, guards and lists of revoked certificates with the identities of a test authority, which are valid until 2120.
 //!
-//! `fixtures` contains identity files as `downbeat keys` writes them, with keys that are not used elsewhere: `anna`; `nobody`, who has no
-//! name of the protocol; `robot`; and `stranger`, an operator of another authority. It also contains lists of revoked certificates.
+//! `fixtures` contains identity files as `downbeat keys` writes them, with keys that are not used elsewhere: `anna`; `nobody`, whose
+//! certificate contains no name of this protocol; `robot`; and `stranger`, an operator of another authority. It also contains lists of
+//! revoked certificates.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ use tokio_rustls::TlsConnector;
 use super::*;
 use urrcp::Role;
 
-/// A folder of this test alone, removed in the end.
+/// A folder that only one test uses; removed when it is dropped.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -46,7 +47,7 @@ impl Folder {
         Revoked::in_file(&self.copy("none-revoked.pem", "revoked.pem")).unwrap()
     }
 
-    /// Replaces the list.
+    /// Replaces the list of revoked certificates.
     fn revoke(&self, fixture: &str) {
         self.copy(fixture, "revoked.pem");
     }
@@ -147,7 +148,7 @@ fn a_statement_of_one_that_was_revoked_counts_no_more_also_when_the_list_is_dama
     assert!(witness.who(b"stop", &signed).is_ok());
 }
 
-/// Returns the operator that a robot sees if this identity connects, or the error.
+/// Connects with this identity to a robot. Returns the operator that the robot sees, or the error.
 async fn meets(guard: &Guard, client: &Credentials) -> Result<String, String> {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
@@ -182,7 +183,7 @@ async fn a_door_obeys_a_list_that_was_replaced_and_not_one_that_cannot_be_read()
     let lists = [("anna-revoked.pem", false), ("anna.pem", false), ("none-revoked.pem", true)];
     for (seconds, (list, is_let_in)) in (1..).zip(lists) {
         folder.revoke(list);
-        // Files that are written in the same tick of the clock look the same.
+        // Without different times, files that are written in the same tick of the clock look the same.
         let written = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
         let file = std::fs::File::options().write(true).open(folder.0.join("revoked.pem")).unwrap();
         file.set_modified(written).unwrap();

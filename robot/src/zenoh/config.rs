@@ -1,4 +1,4 @@
-//! Zenoh configurations, in the format of Zenoh's own files.
+//! Reads Zenoh configurations, in the format of Zenoh's own files.
 
 use std::fmt;
 use std::io;
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use ::zenoh::Config;
 use serde_json::Value;
 
-/// Why a network cannot be joined.
+/// The reason why a network cannot be joined.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NetworkError {
@@ -17,20 +17,20 @@ pub enum NetworkError {
     File {
         /// Path of the file.
         file: PathBuf,
-        /// Why it cannot be used.
+        /// The reason why the configuration cannot be used.
         why: String,
     },
-    /// The session could not be opened.
+    /// The Zenoh session could not be opened.
     #[error(
         "cannot join the Zenoh network of {named}: {why}; check its `connect/endpoints`, and that a router listens there"
     )]
     NotJoined {
-        /// The configuration.
+        /// Name of the configuration for people: the path of its file, or `the configuration`.
         named: String,
-        /// Zenoh's error.
+        /// The error that Zenoh reports.
         why: String,
     },
-    /// The system could not create a thread.
+    /// The system could not create a thread, with its error.
     #[error("cannot start a thread for Zenoh: {0}")]
     Thread(io::Error),
 }
@@ -41,7 +41,7 @@ impl NetworkError {
     }
 }
 
-/// Removes the source locations from an error of Zenoh.
+/// Removes the locations in Zenoh's source code from an error message of Zenoh.
 fn without_places(error: &str) -> String {
     let place_of = |part: &str| part.rfind(" at ").filter(|at| part[*at..].contains(".rs:"));
     let causes = error.split(" - Caused by ");
@@ -51,7 +51,7 @@ fn without_places(error: &str) -> String {
 
 pub(super) fn read(file: &Path) -> Result<Config, NetworkError> {
     let bad = |why: String| NetworkError::File { file: file.to_owned(), why };
-    // Zenoh's own error contains neither the file nor the cause.
+    // Zenoh's own error contains neither the path nor the cause.
     std::fs::File::open(file).map_err(|error| bad(error.to_string()))?;
     let config = Config::from_file(file).map_err(|error| bad(error.to_string()))?;
     quiet(config).map_err(bad)
@@ -63,7 +63,8 @@ pub(super) fn parse(json5: &str) -> Result<Config, NetworkError> {
     quiet(config).map_err(bad)
 }
 
-/// Returns an endpoint of this configuration that anyone may reach: neither on this machine, nor with TLS.
+/// Returns an endpoint of this configuration that anyone may reach, because it is neither on this machine nor protected by TLS. `None` if
+/// there is no such endpoint.
 pub(super) fn open_endpoint(config: &Config) -> Option<String> {
     let said = |key: &str| -> Option<Value> { serde_json::from_str(&config.get_json(key).ok()?).ok() };
     let mode = said("mode").as_ref().and_then(Value::as_str).unwrap_or("peer").to_owned();
@@ -78,7 +79,7 @@ pub(super) fn open_endpoint(config: &Config) -> Option<String> {
     named.find(|endpoint| is_open(endpoint))
 }
 
-/// Whether a process may have several sessions with this configuration: it only connects, and no id is set.
+/// Whether a process may open several sessions with this configuration. This requires that it only connects, and sets no id.
 pub(super) fn may_be_joined_again(config: &Config) -> bool {
     let said = |key: &str| config.get_json(key).unwrap_or_default();
     said("mode") == "\"client\"" && matches!(said("id").as_str(), "" | "null")
@@ -94,7 +95,8 @@ fn is_open(endpoint: &str) -> bool {
     !is_here && !matches!(protocol, "tls" | "quic" | "unixsock-stream" | "unixpipe" | "serial" | "vsock")
 }
 
-/// Disables multicast by default: without it, only named members are found, and no unknown network is joined.
+/// Disables multicast unless the configuration enables it. Without multicast, Zenoh finds only the members that are named, and joins no
+/// unknown network.
 fn quiet(mut config: Config) -> Result<Config, String> {
     const ENABLED: &str = "scouting/multicast/enabled";
     let said = config.get_json(ENABLED).map_err(|error| error.to_string())?;

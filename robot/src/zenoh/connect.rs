@@ -1,4 +1,4 @@
-//! The side that connects to a robot.
+//! The side of a connection that connects to a robot.
 
 use std::any::Any;
 use std::io;
@@ -15,23 +15,23 @@ use super::network::{Network, Urgency};
 use super::offers::Offers;
 use super::stream::{Shared, Stream, Target, link_of};
 
-/// Time limit for the answer of a robot.
+/// Time limit for the robot's answer to the request for a connection.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 
 /// Connects to the robot at a key.
 ///
 /// # Errors
-/// No robot is at the key, several are, or the network does not carry messages.
+/// No robot is at the key, several robots are, or the network does not carry messages.
 pub async fn connect(network: &Network, key: &Key, haste: Urgency) -> io::Result<Stream> {
     open(network, key, (haste, &[])).await
 }
 
-/// The same for a connection that may name texts which are published once for all robots of an audience ([`Stream::offer`]), if the robot
-/// at the key receives them. It belongs to these audiences, each identified by a number in this session, at most
-/// [`AUDIENCES_MAX`](super::AUDIENCES_MAX) of them.
+/// Like [`connect`], for a connection that may refer to texts which are published once for several robots ([`Stream::offer`]). It may do
+/// so only if the robot at the key receives them. `audiences` are the audiences to which the robot belongs, as numbers in this session;
+/// at most [`AUDIENCES_MAX`](super::AUDIENCES_MAX).
 ///
 /// # Errors
-/// As [`connect`].
+/// Those of [`connect`].
 pub async fn connect_sharing(network: &Network, key: &Key, audiences: &[u32]) -> io::Result<Stream> {
     open(network, key, (Urgency::None, audiences)).await
 }
@@ -80,7 +80,7 @@ async fn open(network: &Network, key: &Key, (haste, audiences): (Urgency, &[u32]
     })
 }
 
-/// A connection that is about to be opened.
+/// A connection that is being opened.
 struct Opening {
     key: Key,
     network: Network,
@@ -90,18 +90,18 @@ struct Opening {
     audiences: Vec<u32>,
 }
 
-/// The resources of an opened connection.
+/// The resources of a connection that has been opened.
 struct Opened {
-    /// Kept for as long as the connection lives.
+    /// Declarations that must exist as long as the connection.
     kept: Box<dyn Any + Send>,
     offers: Option<Arc<Offers>>,
 }
 
-/// The id of a robot's session, and whether it receives texts that are published for several robots.
+/// Id of a robot's session, and whether the robot receives texts that are published for several robots.
 type Robot = (String, bool);
 
 impl Opening {
-    /// Declares the resources of the connection, and then asks the robot for it.
+    /// Declares the resources of the connection, and then requests the connection from the robot.
     fn open(
         self,
         session: &Session,
@@ -113,7 +113,7 @@ impl Opening {
         let asks = asks_to_hear(&audiences);
         let offers = asks.as_ref().map(|_| network.offers(session, &key)).transpose()?;
         let offers = offers.filter(|offers| offers.reach(&key));
-        // Declared separately, so that Zenoh hands frames to the connections of this robot without comparing them with other keys.
+        // Declared separately, so that Zenoh delivers frames to the connections of this robot without comparing them with other keys.
         let from = session.declare_keyexpr(key.from(network.id())).wait()?;
         let frames = session.declare_subscriber(from.clone());
         let own = move |sample: Sample| {

@@ -1,25 +1,26 @@
-//! The content of one publication: a number, how much its sender has read, and bytes, some of which may have been published earlier.
+//! The content of one publication: a sequence number, the number of bytes that its sender has read, and bytes of the stream. Some of
+//! these bytes may be a reference to an earlier publication.
 
 use urrcp::ContentHash;
 
-/// What follows a frame.
+/// What the receiver must expect after a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
     /// More frames may follow.
     More,
-    /// The sender sends nothing more.
+    /// No more frames follow: the sender has closed its direction.
     End,
-    /// The sender has lost a part of the connection, and neither sends nor reads anything more.
+    /// No more frames follow: the sender has lost a part of the connection, and no longer reads either.
     Broken,
-    /// The same, because the sender did not get a text that a frame named.
+    /// Like `Broken`, because the sender did not receive a text to which a frame referred.
     Lacking,
 }
 
-/// Bytes before the content: kind, number, bytes read.
+/// Size in bytes of the header before the content: kind, number, and number of bytes read.
 const HEADER: usize = 17;
-/// Kind of a frame with a part of a text; more frames may follow.
+/// Kind of a frame that contains a part of a text. More frames may follow.
 const WITH_PART: u8 = 3;
-/// Size of a part, which follows the header: hash, and three numbers.
+/// Size in bytes of the description of a part, which follows the header: a hash and three numbers.
 const PART: usize = 44;
 
 /// A reference to bytes of a text that was published separately.
@@ -27,25 +28,25 @@ const PART: usize = 44;
 pub(super) struct Part {
     /// Hash of the whole text.
     pub(super) text: ContentHash,
-    /// Number of bytes of the text before the part.
+    /// Number of bytes of the text that precede the part.
     pub(super) from: u32,
-    /// Number of bytes of the part; never 0.
+    /// Number of bytes in the part; never 0.
     pub(super) count: u32,
-    /// Number of bytes of the frame's content before the part.
+    /// Number of bytes of the frame's content that precede the part.
     pub(super) at: u32,
 }
 
-/// One publication of a connection.
+/// One publication on a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Frame<'a> {
-    /// Sequence number from 0 in each direction.
+    /// Sequence number of the frame, which starts at 0 in each direction.
     pub(super) number: u64,
-    /// Total number of bytes of the stream that the sender has read on this connection.
+    /// Total number of bytes that the sender has read from this connection.
     pub(super) read: u64,
     pub(super) next: Next,
-    /// Only if more frames may follow.
+    /// The part of a text that the frame inserts. Only permitted if more frames may follow.
     pub(super) part: Option<Part>,
-    /// The next bytes of the stream, without those of the part.
+    /// The next bytes of the stream, without the bytes of the part.
     pub(super) content: &'a [u8],
 }
 
@@ -67,7 +68,7 @@ impl Part {
         fits.then_some((Self { text: (*text).into(), from, count, at }, content))
     }
 
-    /// Returns the referenced bytes; `None` if the text is shorter.
+    /// Returns the bytes to which the part refers. `None` if the text is too short.
     pub(super) fn of<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         let from = usize::try_from(self.from).ok()?;
         text.get(from..from.checked_add(usize::try_from(self.count).ok()?)?)
@@ -93,7 +94,7 @@ impl<'a> Frame<'a> {
         bytes
     }
 
-    /// `None` for bytes that are not a frame.
+    /// Decodes a frame. `None` if the bytes are not a frame.
     pub(super) fn decode(bytes: &'a [u8]) -> Option<Self> {
         let (kind, rest) = bytes.split_first()?;
         let (number, rest) = rest.split_first_chunk::<8>()?;

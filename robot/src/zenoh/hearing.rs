@@ -1,4 +1,4 @@
-//! The robot's side of texts that are published once for several robots: the texts that this process receives from, or requests from, one
+//! The robot's side of texts that are published once for several robots: the texts that this process receives or requests from one
 //! scheduler.
 
 use std::collections::HashMap;
@@ -16,18 +16,18 @@ use super::network::{Call, Kept, Network, Urgency};
 use super::stream::Shared;
 use super::texts::{Supply, TEXT_MAX, Texts};
 
-/// Time limit for the answer of a scheduler to a request for a text.
+/// Time limit for a scheduler's answer to a request for a text.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 
-/// Maximum number of audiences of one scheduler to which the robots of this process may belong.
+/// Maximum number of a scheduler's audiences to which the robots of this process may belong.
 const SUBSCRIBERS_MAX: usize = 4_096;
 
-/// The texts of one scheduler's session, for as long as a connection needs them.
+/// The texts of one scheduler's session. Exists as long as a connection needs the texts.
 pub(super) struct Hearing {
-    /// Key for requests to the scheduler.
+    /// Key at which the scheduler answers requests for texts.
     key: String,
     texts: Mutex<Texts>,
-    /// One per audience, undeclared when this is dropped.
+    /// One subscriber per audience. Dropping the `Hearing` undeclares them.
     subscribers: Mutex<HashMap<Audience, Kept>>,
     declaring: flume::Sender<Call>,
 }
@@ -41,7 +41,7 @@ impl Hearing {
         self.texts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Subscribes to the texts for these audiences.
+    /// Subscribes to the texts that are published for these audiences.
     pub(super) fn begin(self: &Arc<Self>, session: &Session, audiences: &[Audience]) -> ::zenoh::Result<()> {
         let mut subscribers = self.subscribers.lock().unwrap_or_else(PoisonError::into_inner);
         for audience in audiences {
@@ -73,18 +73,18 @@ impl Hearing {
         }
     }
 
-    /// Fills in a text that a connection needs, now or once it has arrived; breaks the connection if it does not arrive.
+    /// Fills in a text that a connection needs, at once or when the text arrives. If the text does not arrive, the connection is broken.
     pub(super) fn supply(self: &Arc<Self>, hash: ContentHash, pipe: &Shared, network: &Network) {
         if self.texts().supply(hash, pipe) != Supply::Ask {
             return;
         }
-        // It was published before the frame that names it, on the same route: if it has not arrived already, it will not arrive.
+        // The text was published on the same route before the frame that refers to it. If it has not arrived by then, it will not arrive.
         let asking = Asking { hearing: Arc::downgrade(self), hash };
         let key = self.key.clone();
         network.call(Urgency::None, move |session| {
             let reply = move |reply: Reply| asking.answered(&reply);
             let asked = session.get(key).payload(hash.bytes()).target(QueryTarget::All);
-            // An answer with another content must not replace one with the text.
+            // An answer with another content must not replace an answer with the requested text.
             let asked = asked.consolidation(ConsolidationMode::None).timeout(ANSWERS_WITHIN);
             if let Err(error) = asked.callback(reply).wait() {
                 tracing::debug!("cannot request a script: {error}");
@@ -95,7 +95,7 @@ impl Hearing {
 
 #[cfg(test)]
 impl Hearing {
-    /// Stops receiving published texts.
+    /// Stops receiving published texts, for a test.
     pub(super) fn withhold(&self) {
         self.subscribers.lock().unwrap().values_mut().for_each(|subscriber| *subscriber = Box::new(()));
         *self.texts() = Texts::default();
@@ -106,12 +106,12 @@ impl Drop for Hearing {
     fn drop(&mut self) {
         let subscribers =
             std::mem::take(&mut *self.subscribers.lock().unwrap_or_else(PoisonError::into_inner));
-        // Zenoh may block. Its thread ends with the network, which then undeclares everything.
+        // Zenoh may block here. The thread ends with the network, which then undeclares everything.
         let _ended = self.declaring.send(Box::new(move |_| drop(subscribers)));
     }
 }
 
-/// A requested text. Zenoh drops this when all answers have arrived, or at the time limit.
+/// A request for a text. Zenoh drops it when all answers have arrived, or when its time limit expires.
 struct Asking {
     hearing: Weak<Hearing>,
     hash: ContentHash,

@@ -1,15 +1,15 @@
-//! The key of a robot, and the keys below it.
+//! The key of a robot in a Zenoh network, and the keys below it.
 
 use std::fmt;
 use std::str::FromStr;
 
 use ::zenoh::bytes::ZBytes;
 
-/// The key of a robot in a Zenoh network, for example `hall-2/arm-1`.
+/// Key of a robot in a Zenoh network, for example `hall-2/arm-1`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Key(String);
 
-/// A text that is not the key of a robot.
+/// Error for a text that cannot be a robot's key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected a Zenoh key without wildcards, such as hall-2/arm-1")]
 pub struct NoKey;
@@ -36,17 +36,19 @@ impl Key {
         format!("{}/open", self.0)
     }
 
-    /// Returns the token of a robot's session, or with `*` those of all sessions.
+    /// Returns the key of the liveliness token of a robot's session. With `*` as the session, matches the tokens of all sessions at this
+    /// robot's key.
     pub(super) fn robot(&self, session: &str) -> String {
         format!("{}/robot/{session}", self.0)
     }
 
-    /// Returns the tokens of this robot and of all robots in the same place.
+    /// Returns a key that matches the liveliness tokens of this robot and of all robots in the same place.
     pub(super) fn robots_beside(&self) -> String {
         self.beside("*/robot/*")
     }
 
-    /// Returns the token of a scheduler's session for the robots in this place, or with `*` those of all sessions.
+    /// Returns the key of the liveliness token of a scheduler's session for the robots in this place. With `*` as the session, matches
+    /// the tokens of all sessions.
     pub(super) fn scheduler(&self, session: &str) -> String {
         self.beside(&format!("scheduler/{session}"))
     }
@@ -59,14 +61,15 @@ impl Key {
         format!("{}/from/{session}", self.0)
     }
 
-    /// Returns the place that it shares with other robots: the key without its last chunk, or an empty string if it has only one.
+    /// Returns the place that the robot shares with others: its key without the last chunk. An empty string if the key has only one
+    /// chunk.
     #[must_use]
     pub fn place(&self) -> &str {
         self.0.rsplit_once('/').map_or("", |(place, _)| place)
     }
 
-    /// Returns the key at which a scheduler's session answers requests for texts that it has published for several robots in this
-    /// place. It publishes below that key.
+    /// Returns the key at which a scheduler's session answers requests for texts that it has published for several robots in this place.
+    /// The session publishes the texts below that key.
     pub(super) fn shared(&self, session: &str) -> String {
         self.beside(&format!("shared/{session}"))
     }
@@ -79,7 +82,7 @@ impl Key {
     }
 }
 
-/// Identifies a connection: the session that has opened it, and its number there. It is attached to every frame.
+/// Identifies a connection by the session that has opened it and a number in this session. It is attached to every frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct LinkId {
     session: u128,
@@ -87,7 +90,7 @@ pub(super) struct LinkId {
 }
 
 impl LinkId {
-    /// `None` if this is not the id of a session.
+    /// Returns the id of a connection. `None` if `session` is not the id of a session.
     pub(super) fn new(session: &str, number: u64) -> Option<Self> {
         u128::from_str_radix(session, 16).ok().map(|session| Self { session, number })
     }
@@ -122,27 +125,27 @@ impl FromStr for LinkId {
     }
 }
 
-/// Returns the key of the robot to which this token belongs.
+/// Returns the key of the robot to which a liveliness token belongs.
 pub(super) fn robot_of(token: &str) -> Option<&str> {
     token.rsplit_once('/')?.0.strip_suffix("/robot")
 }
 
-/// Attached to the answer of a robot that receives texts published for several robots.
+/// Attachment to the answer of a robot that receives texts published for several robots.
 pub(super) const HEARS: &str = "shared-1";
 
-/// A group of robots that receive the same publications, by its number in the scheduler's session.
+/// Number of a group of robots that receive the same publications, in the scheduler's session.
 pub(super) type Audience = u32;
 
 /// Maximum number of audiences to which one robot may belong.
 pub const AUDIENCES_MAX: usize = 32;
 
-/// Returns the attachment of the query that opens a connection to a robot of these audiences; `None` if it has none.
+/// Returns the attachment to the query that opens a connection to a robot. It contains the robot's audiences; `None` if it has none.
 pub(super) fn asks_to_hear(audiences: &[Audience]) -> Option<String> {
     let numbers = || audiences.iter().map(|audience| format!(" {audience}"));
     (!audiences.is_empty()).then(|| HEARS.to_owned() + &numbers().collect::<String>())
 }
 
-/// Returns the audiences in an attachment; none if the attachment is something else.
+/// Returns the audiences that an attachment contains. An empty list if the attachment is something else.
 pub(super) fn asked_to_hear(attachment: Option<&ZBytes>) -> Vec<Audience> {
     let text = attachment.map(|attached| String::from_utf8_lossy(&attached.to_bytes()).into_owned());
     let numbers = text.as_deref().and_then(|text| text.strip_prefix(HEARS)?.strip_prefix(' '));
@@ -151,12 +154,12 @@ pub(super) fn asked_to_hear(attachment: Option<&ZBytes>) -> Vec<Audience> {
     if audiences.len() <= AUDIENCES_MAX { audiences } else { Vec::new() }
 }
 
-/// Whether a robot's answer shows that it receives published texts.
+/// Whether the attachment to a robot's answer shows that the robot receives published texts.
 pub(super) fn hears(attachment: Option<&ZBytes>) -> bool {
     attachment.is_some_and(|attached| *attached.to_bytes() == *HEARS.as_bytes())
 }
 
-/// Follows the name of a connection, after a space, if it is opened for stops.
+/// Word after the name of a connection, separated by a space, if the connection is opened for stops.
 pub(super) const STOPS: &str = "stop";
 
 #[cfg(test)]

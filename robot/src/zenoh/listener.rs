@@ -1,4 +1,4 @@
-//! The robot's side, which accepts connections.
+//! The robot's side of connections, which accepts them.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -16,10 +16,10 @@ use super::network::{Kept, Network, Urgency};
 use super::presence::Following;
 use super::stream::{Shared, Stream, Target, link_of};
 
-/// Maximum number of opened connections that are not accepted yet; further ones are not answered.
+/// Maximum number of opened connections that the robot has not accepted yet. Further requests for a connection are not answered.
 const WAITING_MAX: usize = 64;
 
-/// The presence of a robot in a Zenoh network. Dropping it makes the robot unreachable there; connections stay.
+/// The presence of a robot in a Zenoh network. Dropping it makes the robot unreachable there; existing connections remain.
 #[derive(Debug)]
 pub struct Listener {
     key: Key,
@@ -29,7 +29,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Makes a robot reachable at a key.
+    /// Makes the robot reachable at a key.
     ///
     /// # Errors
     /// Another robot is already at the key, or the network does not carry messages.
@@ -59,7 +59,7 @@ impl Listener {
         &self.key
     }
 
-    /// Accepts the next connection.
+    /// Waits for the next connection and accepts it.
     ///
     /// # Errors
     /// The Zenoh session has ended.
@@ -79,7 +79,7 @@ fn ended() -> io::Error {
     io::Error::other("the Zenoh session has ended")
 }
 
-/// Whether another session's robot is at this key.
+/// Whether a robot of another session is already at this key.
 async fn is_taken(network: &Network, key: &Key) -> io::Result<bool> {
     let (found, mut tokens) = mpsc::unbounded_channel();
     let (told, asked) = oneshot::channel();
@@ -108,7 +108,7 @@ struct Inner {
 #[derive(Clone)]
 struct Open {
     pipe: Shared,
-    /// The texts published for several robots, if the scheduler publishes any.
+    /// Texts that the scheduler publishes for several robots. `None` if it publishes none.
     hearing: Option<Arc<Hearing>>,
 }
 
@@ -118,7 +118,7 @@ impl Inner {
     }
 }
 
-/// Removes an ended connection from the list.
+/// Entry of a connection in the list. Dropping it removes the connection, which has ended.
 struct Listed {
     link: LinkId,
     links: Weak<Inner>,
@@ -132,12 +132,12 @@ impl Drop for Listed {
 }
 
 impl Links {
-    /// Declares everything by which a robot is reached; its token last.
+    /// Declares everything that makes the robot reachable. The liveliness token is declared last.
     fn declare(self, session: &Session) -> ::zenoh::Result<Kept> {
         let Inner { key, network, .. } = &*self.0;
         network.watch(session, key.scheduler("*"))?;
         let links = self.clone();
-        // Declared separately, so that Zenoh hands frames to this robot without comparing them with other keys.
+        // Declared separately, so that Zenoh delivers frames to this robot without comparing them with other keys.
         let to = session.declare_keyexpr(key.to()).wait()?;
         let frames = session.declare_subscriber(to.clone());
         let frames = frames.callback(move |sample: Sample| links.hear(&sample)).wait()?;
@@ -149,7 +149,7 @@ impl Links {
     }
 
     fn hear(&self, sample: &Sample) {
-        // Frames of an ended connection may still arrive.
+        // Frames may still arrive for a connection that has ended.
         let open = link_of(sample).and_then(|link| self.0.lock().get(&link).cloned());
         let Some(Open { pipe, hearing }) = open else { return };
         let Some(text) = pipe.receive(sample) else { return };
@@ -177,7 +177,7 @@ impl Links {
         let hears = haste == Urgency::None && !audiences.is_empty();
         let hearing = hears.then(|| network.hearing(key.shared(&link.session()))).flatten();
         match self.0.lock().entry(link) {
-            // Its owner opens a connection once.
+            // A peer opens each connection only once.
             Entry::Occupied(_) => return,
             Entry::Vacant(new) => new.insert(Open { pipe: pipe.clone(), hearing: hearing.clone() }),
         };
@@ -185,7 +185,7 @@ impl Links {
         let answer = Answer { query, robot: network.id().to_owned() };
         match hearing {
             None => network.call(haste, move |_| answer.send(None)),
-            // After its declaration, so that it receives every text that is published after the answer.
+            // The answer is sent after this declaration, so that the robot receives every text that is published after the answer.
             Some(hearing) => {
                 network.declare(haste, move |session| match hearing.begin(session, &audiences) {
                     Ok(()) => answer.send(Some(HEARS)),
@@ -201,7 +201,7 @@ impl Links {
     }
 }
 
-/// The answer to a peer that opens a connection.
+/// The pending answer to a peer that opens a connection.
 struct Answer {
     query: Query,
     robot: String,

@@ -1,30 +1,36 @@
-//! Robots at a key of a Zenoh network, which are reached through its routers, across networks and machines.
+//! Robots at a key of a Zenoh network. The network's routers make them reachable across networks and machines.
 //!
 //! A connection is a stream of bytes, like a TCP connection: in order, each byte at most once, with a detected end, and with bounded
-//! buffers. Below the key `KEY` of a robot are
+//! buffers. The following keys belong to the robot at the key `KEY`:
 //!
-//! | key | what |
+//! | key | content |
 //! |---|---|
 //! | `KEY/robot/ID` | liveliness token of the robot's Zenoh session: the robot's process exists and is reachable |
 //! | `PLACE/scheduler/ID` | liveliness token of the scheduler's session; `PLACE` is `KEY` without its last chunk |
-//! | `KEY/open` | answers queries that open a connection; they carry its name, and `stop` if it takes precedence; the answer is `ID` |
-//! | `KEY/to`, `KEY/from/ID` | the frames to the robot, and from it to the scheduler's session; the name of the connection is attached |
+//! | `KEY/open` | answers queries that open a connection; the answer is `ID` |
+//! | `KEY/to` | frames to the robot |
+//! | `KEY/from/ID` | frames from the robot to the scheduler's session `ID` |
+//!
+//! A query at `KEY/open` contains the name of the connection, and `stop` if the connection takes precedence. The name of the connection
+//! is
+//! attached to every frame.
 //!
 //! Keys of frames and queries are declared, and contain no wildcards: with any other keys, every session and every router compares each
 //! message with the keys of all robots.
 //!
 //! Texts for several robots may be published once, at a separate key:
 //!
-//! | key | what |
+//! | key | content |
 //! |---|---|
-//! | `PLACE/shared/ID/N` | texts that the scheduler's session publishes for some robots of a place, its audience `N` |
-//! | `PLACE/shared/ID` | answers queries for one of them by its SHA-256 |
+//! | `PLACE/shared/ID/N` | texts that the scheduler's session publishes for its audience `N`, a group of robots in a place |
+//! | `PLACE/shared/ID` | answers queries for one of these texts, identified by its SHA-256 |
 //!
-//! The query at `KEY/open` has the audiences of the robot attached, and the answer shows whether the robot receives their texts. A frame
-//! to it may then name a part of a text, and the robot's side inserts the bytes. A missing text is requested, and if it still does not
-//! arrive, the connection ends.
+//! The audiences of the robot are attached to the query at `KEY/open`; the answer shows whether the robot receives their texts. If it
+//! does,
+//! a frame to the robot may refer to a part of a text, and the robot's side inserts the bytes. The robot's side requests a missing text.
+//! If the text still does not arrive, the connection ends.
 //!
-//! Frames are numbered. One that is lost, repeated or overtaken on its way breaks the connection.
+//! Frames are numbered. A frame that is lost, repeated, or received in the wrong order breaks the connection.
 
 mod config;
 mod connect;

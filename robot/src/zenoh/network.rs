@@ -1,6 +1,6 @@
-//! A Zenoh session of a process. Because Zenoh blocks if its queues are full, separate threads send on it: one for urgent messages, which
-//! no other message delays, and one for other frames. A third thread begins and ends connections: a declaration takes longer the more
-//! robots there are, and frames do not wait for it.
+//! A Zenoh session of a process. Zenoh blocks if its queues are full, so separate threads send: one for urgent messages, which no other
+//! message delays, and one for other frames. A third thread opens and closes connections: a declaration takes longer the more robots
+//! there are, and frames must not wait for it.
 
 use std::any::Any;
 use std::collections::HashMap;
@@ -27,10 +27,10 @@ use super::stream::{Shared, Target};
 /// Priority of the messages on a connection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Urgency {
-    /// Normal order.
+    /// Normal priority.
     #[default]
     None,
-    /// Before all other messages, at every router: for stops.
+    /// Precedence over all other messages at every router, for stops.
     Stop,
 }
 
@@ -45,25 +45,26 @@ impl Urgency {
 
 pub(super) type Call = Box<dyn FnOnce(&Session) + Send>;
 
-/// Zenoh objects that are undeclared when they are dropped, behind a lock, because they may not be shared between threads.
+/// Zenoh objects that are undeclared when they are dropped. Behind a lock, because threads may not share them.
 pub(super) type Kept = Box<dyn Any + Send + Sync>;
 
-/// Access to a Zenoh network. Clones share the same session, which ends with the last of them.
+/// Access to a Zenoh network. Clones share a session, which ends when the last of them is dropped.
 #[derive(Clone)]
 pub struct Network(Arc<Inner>);
 
-/// Limits the connections that are opened at a time; others wait. If thousands were opened at once, each would exceed its limit of two
-/// seconds, and messages on open connections would wait behind them at the routers.
+/// Limits the number of connections that are being opened at the same time; others wait. If thousands were opened at once, each would
+/// exceed its time limit of two seconds. Messages on open connections would wait behind them at the routers.
 #[derive(Debug)]
 pub(super) struct Opening {
     calm: Semaphore,
-    /// No stop waits for others.
+    /// Permits for connections for stops, which do not wait for other connections.
     hasty: Semaphore,
 }
 
-/// Maximum number of connections that are opened at a time.
+/// Maximum number of connections that are being opened at the same time.
 pub(super) const OPENING_MAX: usize = 64;
-/// The same for stops, which take precedence over all others: most are opened in advance.
+/// Maximum number of connections for stops that are being opened at the same time. Most of them are opened in advance, and they take
+/// precedence over all others.
 const STOPS_OPENING_MAX: usize = 32;
 
 impl Default for Opening {
@@ -79,24 +80,24 @@ struct Inner {
     hasty: flume::Sender<Call>,
     declaring: flume::Sender<Call>,
     connections: AtomicU64,
-    /// The tokens of other sessions.
+    /// Liveliness tokens of other sessions.
     tokens: Tokens,
-    /// Declarations that last as long as the session, by their keys.
+    /// Declarations that last as long as the session, by key.
     lasting: Mutex<HashMap<String, Kept>>,
-    /// Its publications for several robots, by their keys.
+    /// This session's publications for several robots, by key.
     offers: Mutex<HashMap<String, Arc<Offers>>>,
-    /// Its subscriptions to such publications of schedulers, by their keys.
+    /// This session's subscriptions to schedulers' publications for several robots, by key.
     hearings: Mutex<HashMap<String, Weak<Hearing>>>,
 }
 
-/// Maximum number of schedulers' sessions per place whose publications for several robots a session receives; other sessions send
+/// Maximum number of schedulers' sessions per place whose publications for several robots this session receives. Further sessions send
 /// complete messages.
 pub(super) const HEARINGS_MAX: usize = 16;
 
 impl Drop for Inner {
     fn drop(&mut self) {
         let lasting = std::mem::take(&mut self.lasting);
-        // Zenoh may block, and this may be a thread of an asynchronous runtime.
+        // Zenoh may block, and the caller may be a thread of an asynchronous runtime.
         let _ended = self.declaring.send(Box::new(move |_| drop(lasting)));
     }
 }
@@ -108,7 +109,7 @@ impl fmt::Debug for Network {
 }
 
 impl Network {
-    /// Joins the network that a Zenoh configuration file describes. It does not search for other members by multicast, unless the file
+    /// Joins the network that a Zenoh configuration file describes. The session searches for other members by multicast only if the file
     /// enables that.
     ///
     /// # Errors
@@ -117,10 +118,10 @@ impl Network {
         Self::with(config::read(file)?, &file.display().to_string(), Arc::default())
     }
 
-    /// The same with a configuration in JSON5.
+    /// Like [`Network::open`], with the configuration as a JSON5 text.
     ///
     /// # Errors
-    /// As [`Network::open`].
+    /// Those of [`Network::open`].
     pub fn open_with(json5: &str) -> Result<Self, NetworkError> {
         Self::with(config::parse(json5)?, "the configuration", Arc::default())
     }
@@ -161,7 +162,7 @@ impl Network {
         })))
     }
 
-    /// Returns the id of the session.
+    /// Returns the id of the Zenoh session.
     #[must_use]
     pub fn id(&self) -> &str {
         &self.0.id
@@ -176,18 +177,18 @@ impl Network {
         opening.acquire().await.map_err(io::Error::other)
     }
 
-    /// Returns a name that no other connection has.
+    /// Returns an id that no other connection has.
     pub(super) fn connection(&self) -> io::Result<LinkId> {
         let number = self.0.connections.fetch_add(1, Ordering::Relaxed);
         LinkId::new(self.id(), number).ok_or_else(|| io::Error::other("unexpected id of the Zenoh session"))
     }
 
-    /// Returns the tokens of other sessions.
+    /// Returns the observed liveliness tokens of other sessions.
     pub(super) fn tokens(&self) -> &Tokens {
         &self.0.tokens
     }
 
-    /// Watches the tokens at these keys, for as long as the session lasts.
+    /// Observes the liveliness tokens at these keys as long as the session lasts.
     pub(super) fn watch(&self, session: &Session, keys: String) -> ::zenoh::Result<()> {
         self.once(keys, |keys| {
             let tokens = self.tokens().clone();
@@ -196,12 +197,13 @@ impl Network {
         })
     }
 
-    /// Shows a token to other sessions, for as long as this one lasts.
+    /// Declares a liveliness token of this session, which lasts as long as the session.
     pub(super) fn show(&self, session: &Session, token: String) -> ::zenoh::Result<()> {
         self.once(token, |token| Ok(Box::new(Mutex::new(session.liveliness().declare_token(token).wait()?))))
     }
 
-    /// Returns this session's publications for several robots in the place of this robot; requests for them are answered.
+    /// Returns this session's publications for several robots in the place of the robot at `key`. Creates them at the first call, and
+    /// answers robots' requests for their texts.
     pub(super) fn offers(&self, session: &Session, key: &Key) -> ::zenoh::Result<Arc<Offers>> {
         let key = key.shared(self.id());
         let mut all = self.0.offers.lock().unwrap_or_else(PoisonError::into_inner);
@@ -219,8 +221,8 @@ impl Network {
         Ok(offers)
     }
 
-    /// Returns this session's subscription to a scheduler's publications for several robots; `None` if it already has too many in that
-    /// place.
+    /// Returns this session's subscription to a scheduler's publications for several robots. `None` if the session already has
+    /// [`HEARINGS_MAX`] subscriptions in that place.
     pub(super) fn hearing(&self, key: String) -> Option<Arc<Hearing>> {
         let mut all = self.0.hearings.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = all.get(&key).and_then(Weak::upgrade) {
@@ -249,33 +251,33 @@ impl Network {
         Ok(())
     }
 
-    /// Executes a slow declaration, or its end, on the session's thread for these.
+    /// Executes a slow declaration, or the end of one, on the session's thread for declarations.
     pub(super) fn declare(&self, haste: Urgency, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
             Urgency::None => &self.0.declaring,
             Urgency::Stop => &self.0.hasty,
         };
-        // Its thread ends with this.
+        // Sending fails only if the network has ended, and its thread with it.
         let _ended = calls.send(Box::new(call));
     }
 
-    /// Executes a call on the session, after earlier ones.
+    /// Executes a call on the session after the earlier calls of the same urgency.
     pub(super) fn call(&self, haste: Urgency, call: impl FnOnce(&Session) + Send + 'static) {
         let calls = match haste {
             Urgency::None => &self.0.calm,
             Urgency::Stop => &self.0.hasty,
         };
-        // Its thread ends with this.
+        // Sending fails only if the network has ended, and its thread with it.
         let _ended = calls.send(Box::new(call));
     }
 
-    /// Ends the session at once, as if its process had ended.
+    /// Ends the session at once, as if its process had ended, for a test.
     #[cfg(test)]
     pub(super) fn cut(&self) {
         self.call(Urgency::None, |session| session.close().wait().unwrap_or_default());
     }
 
-    /// Publishes a frame of a connection, which breaks if that fails.
+    /// Publishes a frame of a connection. If this fails, the connection is broken.
     pub(super) fn publish(
         &self,
         haste: Urgency,
@@ -294,7 +296,7 @@ impl Network {
     }
 }
 
-/// Starts a thread that executes calls on a session, until all senders are dropped.
+/// Starts a thread that executes calls on a session until all senders of calls are dropped.
 fn speak(
     name: &str,
     session: impl FnOnce() -> Option<Session> + Send + 'static,

@@ -1,4 +1,4 @@
-//! Several sessions with one network, for many robots.
+//! Several sessions in one network, which share its robots.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,12 +8,13 @@ use ::zenoh::Config;
 use super::config::{self, NetworkError};
 use super::network::{Network, Opening};
 
-/// Maximum number of robots that one session reaches or shows. For each declaration, Zenoh searches all earlier declarations of the
-/// session: with one session, 3,000 robots took a scheduler 17 s of processor time; with this number, 3.5 s.
+/// Maximum number of robots that one session connects to or makes reachable. For each declaration, Zenoh searches all earlier
+/// declarations of the session: with one session, 3,000 robots took a scheduler 17 s of processor time; with 250 robots per session, 3.5
+/// s.
 const ROBOTS_A_SESSION: usize = 250;
 
-/// Access to a Zenoh network for any number of robots, which are distributed among sessions. Clones share the same sessions. A session
-/// ends with the last handle to it.
+/// Access to a Zenoh network for any number of robots, which are distributed among sessions. Clones share these sessions. A session ends
+/// when the last handle to it is dropped.
 #[derive(Clone, Debug)]
 pub struct Networks(Arc<Inner>);
 
@@ -25,17 +26,17 @@ struct Inner {
     last: Mutex<Last>,
 }
 
-/// The session that gets the next robot.
+/// The session that is assigned to the next robot.
 #[derive(Debug)]
 struct Last {
     network: Network,
     robots: usize,
-    /// Maximum number of its robots.
+    /// Maximum number of robots of this session.
     robots_max: usize,
 }
 
 impl Networks {
-    /// Joins the network that a Zenoh configuration file describes. It does not search for other members by multicast, unless the file
+    /// Joins the network that a Zenoh configuration file describes. A session searches for other members by multicast only if the file
     /// enables that.
     ///
     /// # Errors
@@ -44,10 +45,10 @@ impl Networks {
         Self::with(config::read(file)?, file.display().to_string(), ROBOTS_A_SESSION)
     }
 
-    /// The same with a configuration in JSON5.
+    /// Like [`Networks::open`], with the configuration as a JSON5 text.
     ///
     /// # Errors
-    /// As [`Networks::open`].
+    /// Those of [`Networks::open`].
     pub fn open_with(json5: &str) -> Result<Self, NetworkError> {
         Self::open_with_sessions_of(json5, ROBOTS_A_SESSION)
     }
@@ -59,14 +60,14 @@ impl Networks {
     fn with(config: Config, named: String, robots_a_session: usize) -> Result<Self, NetworkError> {
         let opening = Arc::<Opening>::default();
         let network = Network::with(config.clone(), &named, Arc::clone(&opening))?;
-        // Members of one network have different ids, and a port can be used only once.
+        // Members of one network must have different ids, and only one session can listen on a port.
         let robots_max = if config::may_be_joined_again(&config) { robots_a_session } else { usize::MAX };
         let last = Mutex::new(Last { network, robots: 0, robots_max });
         Ok(Self(Arc::new(Inner { config, named, opening, last })))
     }
 
-    /// Returns the session for one more robot. It is always the same if the configuration permits only one session, because it listens or
-    /// sets an id. If no further session can be opened, all later robots share the last one.
+    /// Returns the session for one more robot. If the configuration permits only one session, because it listens or sets an id, this is
+    /// always the same session. If no further session can be opened, all later robots share the last session.
     #[must_use]
     pub fn for_one_more(&self) -> Network {
         let Inner { config, named, opening, last } = &*self.0;
@@ -76,7 +77,7 @@ impl Networks {
                 Ok(network) => *last = Last { network, robots: 0, ..*last },
                 Err(error) => {
                     tracing::warn!("more than {} robots share a Zenoh session: {error}", last.robots_max);
-                    // Detecting that a network does not answer takes ten seconds.
+                    // Does not try again: detecting that a network does not answer takes ten seconds.
                     last.robots_max = usize::MAX;
                 }
             }
@@ -85,7 +86,8 @@ impl Networks {
         last.network.clone()
     }
 
-    /// Returns an endpoint of its configuration that is neither on this machine nor protected by TLS.
+    /// Returns an endpoint of the network's configuration that is neither on this machine nor protected by TLS. `None` if there is no
+    /// such endpoint.
     #[must_use]
     pub fn open_endpoint(&self) -> Option<String> {
         config::open_endpoint(&self.0.config)

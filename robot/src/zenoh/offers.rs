@@ -1,4 +1,5 @@
-//! The scheduler's side of texts that are published once for several robots: the publications in one place, and the answers to requests.
+//! The scheduler's side of texts that are published once for several robots: the publications in one place, and the answers to robots'
+//! requests for texts.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -16,7 +17,7 @@ use super::network::{Call, Network, Urgency};
 use super::stream::Target;
 use super::texts::{Kept, TEXT_MAX};
 
-/// A text that was published in the place of a robot. A frame to the robot names it instead of carrying its bytes.
+/// A text that was published in the place of a robot. A frame to the robot refers to the text instead of containing its bytes.
 #[derive(Clone, Debug)]
 pub struct Text {
     pub(super) hash: ContentHash,
@@ -30,25 +31,25 @@ impl From<Vec<u8>> for Text {
 }
 
 impl Text {
-    /// Returns its length in bytes.
+    /// Returns the length of the text in bytes.
     #[must_use]
     pub fn len(&self) -> usize {
         self.bytes.len()
     }
 
-    /// Whether it is empty.
+    /// Whether the text is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }
 
-    /// Returns its bytes.
+    /// Returns the bytes of the text.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Returns the text from byte `from` to its end, as a part after `at` bytes of a frame's content.
+    /// Returns the bytes from `from` to the end of the text as a part. A frame inserts the part after `at` bytes of its content.
     pub(super) fn part(&self, from: usize, at: usize) -> io::Result<Part> {
         let small = |size: usize| u32::try_from(size).map_err(io::Error::other);
         let count = small(self.len().saturating_sub(from))?;
@@ -56,10 +57,10 @@ impl Text {
     }
 }
 
-/// The publications of one session for the robots of one place.
+/// One session's publications for the robots of one place.
 #[derive(Debug)]
 pub(super) struct Offers {
-    /// Key for requests; it publishes below this key.
+    /// Key at which requests are answered. Texts are published below it.
     key: String,
     offered: Mutex<Offered>,
 }
@@ -67,11 +68,11 @@ pub(super) struct Offers {
 #[derive(Debug, Default)]
 struct Offered {
     kept: Kept,
-    /// By audience.
+    /// Keys of publications, by audience.
     targets: HashMap<Audience, Arc<Target>>,
-    /// Texts that were found to be too long.
+    /// Hashes of texts that were found to be too long.
     too_long: HashSet<ContentHash>,
-    /// Robots that did not get the publications, even on request.
+    /// Keys of robots that did not receive a publication, even on request.
     without: HashSet<String>,
 }
 
@@ -95,8 +96,8 @@ impl Offers {
         self.offered.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the text of this hash. It is first published for the audience, if it was not published yet or has been forgotten since.
-    /// `None` if it is too long.
+    /// Returns the text with this hash. Publishes it first for the audience, unless this session has published it before and still keeps
+    /// it. `None` if the text is too long.
     pub(super) fn offer(
         &self,
         network: &Network,
@@ -118,7 +119,8 @@ impl Offers {
         let target = offered.target(&self.key, audience)?;
         let bytes: Arc<[u8]> = text.as_slice().into();
         offered.kept.keep(hash, Arc::clone(&bytes));
-        // Queued before any other caller can name it: frames that name it are published after it.
+        // The publication is queued before any other caller can refer to the text. Frames that refer to it are therefore published after
+        // it.
         network.call(Urgency::None, move |session| {
             let put =
                 session.put(target.declared(session), text).congestion_control(CongestionControl::Block);
@@ -129,12 +131,12 @@ impl Offers {
         Some(Text { hash, bytes })
     }
 
-    /// Answers a robot's request for a text; a request for a forgotten text is not answered.
+    /// Answers a robot's request for a text. A request for a text that is no longer kept is not answered.
     pub(super) fn answer(&self, query: Query, speaking: &flume::Sender<Call>) {
         let asked = query.payload().and_then(|asked| <[u8; 32]>::try_from(&*asked.to_bytes()).ok());
         let Some(text) = asked.and_then(|hash| self.lock().kept.get(hash.into()).cloned()) else { return };
         let own = query.key_expr().clone().into_owned();
-        // Its thread ends with the network.
+        // Sending fails only if the network has ended, and its thread with it.
         let _ended = speaking.send(Box::new(move |_| {
             if let Err(error) = query.reply(own, text.to_vec()).wait() {
                 tracing::debug!("cannot send a script that a robot requested: {error}");
@@ -142,7 +144,7 @@ impl Offers {
         }));
     }
 
-    /// Records that a robot did not get a publication: after that, it receives complete messages.
+    /// Records that a robot did not receive a publication. The robot then receives complete messages.
     pub(super) fn note_lack(&self, key: &Key) {
         tracing::debug!("the robot at {key} does not receive what is published for several robots");
         self.lock().without.insert(key.to_string());

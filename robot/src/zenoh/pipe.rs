@@ -1,4 +1,4 @@
-//! Both directions of one connection, without a network: its flow control, its input, and its end.
+//! Both directions of one connection, without I/O: its flow control, its input, and its end.
 
 use std::collections::VecDeque;
 use std::io;
@@ -8,29 +8,29 @@ use urrcp::ContentHash;
 
 use super::frame::{Frame, Next, Part};
 
-/// Maximum number of bytes that one side has written and the other has not read yet.
+/// Maximum number of bytes that one side has written and that the other side has not read yet.
 pub(super) const WINDOW: usize = 1024 * 1024;
-/// Maximum size of a frame's content.
+/// Maximum size of a frame's content, in bytes.
 pub(super) const CONTENT_MAX: usize = 64 * 1024;
 
-/// How the input ended.
+/// How the input of a connection ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum End {
-    /// The other side ended it.
+    /// The other side has closed its direction.
     Said,
-    /// It is unknown what was lost.
+    /// The connection broke, so that bytes may be lost. Contains the reason.
     Broken(String),
 }
 
-/// A received piece that is not read yet.
+/// A received piece of the stream that has not been read yet.
 #[derive(Debug)]
 enum Piece {
     Here(Vec<u8>),
-    /// Its text has not arrived yet, so later pieces are not read.
+    /// A part of a text that has not arrived yet. Later pieces are not read before it.
     Awaited(Part),
 }
 
-/// Amounts written: of bytes, and of the text inserted among them.
+/// Numbers of bytes that were written: of the content, and of the text inserted into it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Written {
     pub(super) content: usize,
@@ -41,22 +41,22 @@ pub(super) struct Written {
 #[derive(Debug, Default)]
 pub(super) struct Pipe {
     waiting: VecDeque<Piece>,
-    /// How much of the first waiting piece is read.
+    /// Number of bytes of the first waiting piece that have been read.
     begun: usize,
     next: u64,
     came: u64,
     read: u64,
-    /// How much was read at the last acknowledgement to the other side.
+    /// Total number of bytes that this side had read at the last acknowledgement.
     told: u64,
     end: Option<End>,
     number: u64,
     written: u64,
-    /// How much the other side has read.
+    /// Total number of bytes that the other side has read.
     taken: u64,
     has_ended: bool,
     /// Whether a text that this side needs is unavailable.
     lacks: bool,
-    /// Whether the other side could not get a text that this side named.
+    /// Whether the other side could not get a text to which this side referred.
     is_lacked: bool,
     reader: Option<Waker>,
     writer: Option<Waker>,
@@ -67,7 +67,7 @@ fn count(bytes: usize) -> u64 {
 }
 
 impl Pipe {
-    /// Handles a publication of the other side. Returns the text that must be filled in before later bytes are read.
+    /// Handles a frame from the other side. Returns the hash of a text that must be filled in before later bytes can be read.
     #[must_use]
     pub(super) fn receive(&mut self, bytes: &[u8]) -> Option<ContentHash> {
         if self.end.is_some() {
@@ -85,7 +85,7 @@ impl Pipe {
         }
     }
 
-    /// Takes the frame, and returns whether it fits the preceding ones.
+    /// Adds the content of a frame to the input. Returns false if the frame breaks the connection.
     fn take(&mut self, frame: &Frame<'_>) -> bool {
         let refused = self.check(frame);
         if let Some(why) = refused {
@@ -107,7 +107,7 @@ impl Pipe {
         true
     }
 
-    /// Checks a frame and updates the counts; returns why it breaks the connection, if it does.
+    /// Checks a frame and updates the counts. Returns the reason if the frame breaks the connection.
     fn check(&mut self, frame: &Frame<'_>) -> Option<String> {
         match frame.next {
             Next::Broken => return Some("the peer has lost a message or its connection".to_owned()),
@@ -126,7 +126,7 @@ impl Pipe {
         too_much.then(|| "the peer exceeds its send limit".to_owned())
     }
 
-    /// Fills in an awaited text.
+    /// Fills in a text at all places that wait for it.
     pub(super) fn fill(&mut self, text: ContentHash, bytes: &[u8]) {
         let mut fits = true;
         for piece in &mut self.waiting {
@@ -154,7 +154,7 @@ impl Pipe {
         }
     }
 
-    /// Whether the other side could not get a text that this side named.
+    /// Whether the other side could not get a text to which this side referred.
     pub(super) const fn is_lacked(&self) -> bool {
         self.is_lacked
     }
@@ -196,7 +196,7 @@ impl Pipe {
         }
     }
 
-    /// Reads into a buffer; zero bytes at the end. Received bytes are read first, however the connection ended.
+    /// Reads into a buffer. Reads zero bytes at the end. All received bytes can be read first, however the connection ended.
     pub(super) fn poll_read(
         &mut self,
         context: &Context<'_>,
@@ -227,7 +227,7 @@ impl Pipe {
         Poll::Ready(Ok(()))
     }
 
-    /// Returns the next frame, with as many of these bytes as may be written, and of a part that is inserted among them.
+    /// Returns the next frame, with as many bytes of the content, and of a part inserted into it, as may be written now.
     pub(super) fn poll_write(
         &mut self,
         context: &Context<'_>,
@@ -250,13 +250,13 @@ impl Pipe {
         Poll::Ready(Ok((written, self.frame(&bytes[..written.content], part, Next::More))))
     }
 
-    /// Returns a frame with the amount read, once the other side may be waiting for it.
+    /// Returns a frame that reports the number of bytes read, once the other side may be waiting for it.
     pub(super) fn acknowledgement(&mut self) -> Option<Vec<u8>> {
         let due = self.read.saturating_sub(self.told) >= count(WINDOW / 2);
         (due && self.end.is_none() && !self.has_ended).then(|| self.frame(&[], None, Next::More))
     }
 
-    /// Returns the last frame, once: a side whose connection broke informs the other, which may not have noticed.
+    /// Returns the last frame, once. If the connection broke on this side, the frame informs the other side, which may not have noticed.
     pub(super) fn ending(&mut self) -> Option<Vec<u8>> {
         let next = match self.end {
             Some(End::Broken(_)) if self.lacks => Next::Lacking,
@@ -274,7 +274,7 @@ impl Pipe {
     }
 }
 
-/// Returns the amount of content and the part that fit into one frame with room for `room` bytes.
+/// Returns how many bytes of the content, and which piece of the part, a frame can contain if `room` bytes may be written.
 fn fitting(room: usize, bytes: &[u8], part: Option<Part>) -> (Written, Option<Part>) {
     let size = |number: u32| usize::try_from(number).unwrap_or(usize::MAX);
     let at = part.map_or(bytes.len(), |part| size(part.at).min(bytes.len()));
@@ -303,7 +303,7 @@ mod tests {
         written.map_ok(|(written, frame)| (written.content, frame))
     }
 
-    /// Writes with a text inserted at one of the bytes, and returns all required frames.
+    /// Writes bytes with a text inserted after `at` of them. Returns all frames that this requires.
     fn written_around(pipe: &mut Pipe, bytes: &[u8], at: usize, text: &[u8]) -> Vec<Vec<u8>> {
         let (mut frames, mut done) = (Vec::new(), Written::default());
         while done != (Written { content: bytes.len(), text: text.len() }) {
@@ -334,7 +334,7 @@ mod tests {
         frame
     }
 
-    /// Returns the available bytes, none at the end, or why the connection broke; `None` if nothing is available.
+    /// Returns the available bytes (none at the end of the input) or the reason why the connection broke. `None` if nothing is available.
     fn read(pipe: &mut Pipe, most: usize) -> Option<Result<Vec<u8>, String>> {
         let mut buffer = vec![0; most];
         let mut buffer = ReadBuf::new(&mut buffer);

@@ -1,4 +1,4 @@
-//! The liveliness tokens in the network, and the connections that depend on them.
+//! The liveliness tokens in a network, and the connections that depend on them.
 
 use std::collections::HashMap;
 use std::io;
@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use super::keys::{Key, robot_of};
 use super::stream::{Shared, WeakShared};
 
-/// Time limit for a token to appear.
+/// Time limit for the appearance of a token.
 const SEEN_WITHIN: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Default)]
@@ -22,9 +22,9 @@ struct Token {
 
 #[derive(Debug, Default)]
 struct Told {
-    /// By their keys.
+    /// Observed tokens, by key.
     tokens: HashMap<String, Token>,
-    /// Number of robot tokens at each robot's key; 0 if all have disappeared.
+    /// Number of robot tokens at each robot's key. 0 if all tokens at this key have disappeared.
     robots: HashMap<String, usize>,
 }
 
@@ -32,7 +32,7 @@ struct Told {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tokens(Arc<Mutex<Told>>);
 
-/// A connection that depends on a token. Dropping it releases the token.
+/// The dependency of a connection on a token. Dropping it releases the token.
 pub(super) struct Following {
     tokens: Tokens,
     token: String,
@@ -43,7 +43,7 @@ impl Tokens {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Handles the appearance or disappearance of a token.
+    /// Handles the appearance or disappearance of a token, as Zenoh reports it.
     pub(super) fn hear(&self, sample: &Sample) {
         self.change(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
     }
@@ -68,12 +68,13 @@ impl Tokens {
         }
     }
 
-    /// Whether a robot was at this key and has disappeared. Searching for it would cost network time that other robots need.
+    /// Whether a robot was at this key and has disappeared. The caller then need not search for it, which would cost network time that
+    /// other robots need.
     pub(super) fn have_left(&self, key: &Key) -> bool {
         self.lock().robots.get(&key.to_string()) == Some(&0)
     }
 
-    /// Makes a connection end when this token disappears, whether it has been seen yet or not.
+    /// Makes a connection end when this token disappears, whether or not the token has been seen yet.
     pub(super) fn follow(&self, token: &str, pipe: &Shared) -> Following {
         let mut told = self.lock();
         let pipes = &mut told.tokens.entry(token.to_owned()).or_default().pipes;
@@ -82,7 +83,7 @@ impl Tokens {
         Following { tokens: self.clone(), token: token.to_owned() }
     }
 
-    /// The same, after waiting until the token has been seen.
+    /// Like [`Tokens::follow`], but first waits until the token has been seen.
     pub(super) async fn follow_seen(&self, token: &str, pipe: &Shared) -> io::Result<Following> {
         let following = self.follow(token, pipe);
         let told = self.lock().tokens.get(token).map(|token| token.is_there.subscribe());
@@ -121,7 +122,7 @@ mod tests {
         assert!(!tokens.have_left(&key), "it was never seen");
         tokens.change("hall/arm/robot/1", true);
         tokens.change("hall/arm/robot/1", true);
-        // The robot has restarted before the network noticed its end.
+        // The robot restarts before the network notices the end of its first process.
         tokens.change("hall/arm/robot/2", true);
         tokens.change("hall/arm/robot/1", false);
         assert!(!tokens.have_left(&key));

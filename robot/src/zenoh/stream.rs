@@ -19,7 +19,7 @@ use super::network::{Network, Urgency};
 use super::offers::{Offers, Text};
 use super::pipe::{Pipe, Written};
 
-/// An end of a connection that the network writes to and a stream reads.
+/// One end of a connection. The network writes to it, and a stream reads from it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shared(Arc<Mutex<Pipe>>);
 
@@ -28,7 +28,7 @@ impl Shared {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the text that must be filled in.
+    /// Handles a received frame. Returns the hash of a text that must be filled in.
     #[must_use]
     pub(super) fn receive(&self, sample: &Sample) -> Option<ContentHash> {
         self.lock().receive(&sample.payload().to_bytes())
@@ -39,7 +39,7 @@ impl Shared {
     }
 }
 
-/// The same, without keeping the pipe alive.
+/// Like [`Shared`], but does not keep the pipe alive.
 #[derive(Debug)]
 pub(super) struct WeakShared(Weak<Mutex<Pipe>>);
 
@@ -53,13 +53,13 @@ impl WeakShared {
     }
 }
 
-/// Returns the connection to which this frame belongs.
+/// Returns the id of the connection to which a received frame belongs.
 pub(super) fn link_of(sample: &Sample) -> Option<LinkId> {
     LinkId::decode(&sample.attachment()?.to_bytes())
 }
 
-/// The key at which one side of a connection publishes. The session declares the key with the first frame: Zenoh then computes its route,
-/// and compares later frames with no other keys.
+/// Key at which one side of a connection publishes. The session declares the key with the first frame. Zenoh then computes its route, and
+/// compares later frames with no other keys.
 #[derive(Debug)]
 pub(super) struct Target {
     key: KeyExpr<'static>,
@@ -67,8 +67,10 @@ pub(super) struct Target {
 }
 
 impl Target {
+    /// Creates a target, which is not declared yet.
+    ///
     /// # Errors
-    /// It is not a valid key.
+    /// The text is not a valid key.
     pub(super) fn new(key: String) -> io::Result<Arc<Self>> {
         let key = KeyExpr::try_from(key).map_err(io::Error::other)?;
         Ok(Arc::new(Self { key, declared: OnceLock::new() }))
@@ -82,8 +84,8 @@ impl Target {
     }
 }
 
-/// A connection between a scheduler and a robot. It ends when it and its split halves are dropped: the other side then reads the written
-/// bytes, and then the end.
+/// A connection between a scheduler and a robot. It ends when the stream and its split halves are dropped: the other side then reads the
+/// bytes written before, and then the end.
 pub struct Stream(Arc<Ends>);
 
 struct Ends {
@@ -92,9 +94,9 @@ struct Ends {
     link: LinkId,
     target: Arc<Target>,
     haste: Urgency,
-    /// Declarations that end with the connection, by being dropped.
+    /// Declarations of the connection. They are dropped, and thereby end, with the connection.
     kept: Mutex<Option<Box<dyn Any + Send>>>,
-    /// The key of the robot, and the publications for several robots that it receives there.
+    /// Key of the robot, and the publications for several robots that it receives. Unset if it receives none.
     hears: OnceLock<(Key, Arc<Offers>)>,
 }
 
@@ -125,25 +127,26 @@ impl Stream {
     }
 
     pub(super) fn heard_by(self, key: Key, offers: Arc<Offers>) -> Self {
-        // Set once, when the connection is opened.
+        // Only called once, when the connection is opened.
         let _set = self.0.hears.set((key, offers));
         self
     }
 
-    /// Returns the name of the connection, which begins with the id of the session that has opened it.
+    /// Returns the name of the connection, which starts with the id of the session that has opened it.
     #[must_use]
     pub fn name(&self) -> String {
         self.0.link.to_string()
     }
 
-    /// Returns the same connection twice: one to read from, the other to write to.
+    /// Returns two handles to this connection: one to read from, and one to write to.
     #[must_use]
     pub fn split(self) -> (Self, Self) {
         (Self(Arc::clone(&self.0)), self)
     }
 
-    /// Publishes a text for all robots of an audience, unless that was done before. `None` if this robot does not receive publications,
-    /// or if the text is longer than 4 MiB. The text must then be written.
+    /// Publishes a text for all robots of an audience, unless it has been published before. Returns the text for [`Stream::write_with`].
+    /// Returns `None` if this robot does not receive publications, or if the text is longer than 4 MiB; the caller must then write the
+    /// text itself.
     #[must_use]
     pub fn offer(
         &self,
@@ -154,7 +157,8 @@ impl Stream {
         offers.offer(&self.0.network, (audience, hash), text)
     }
 
-    /// Writes all these bytes with offered texts inserted, each before the byte at its position. Positions do not decrease.
+    /// Writes bytes with offered texts inserted. Each text has a position in `bytes`, before which it is inserted; positions must not
+    /// decrease.
     ///
     /// # Errors
     /// The connection has ended.
@@ -183,7 +187,7 @@ impl Stream {
 
 #[cfg(test)]
 impl Stream {
-    /// Makes requests for offered texts fail.
+    /// Forgets all offered texts, so that requests for them fail, for a test.
     pub(super) fn forget_offers(&self) {
         self.0.hears.get().unwrap().1.forget();
     }
@@ -200,7 +204,7 @@ impl Ends {
         bytes: &[u8],
         part: Option<Part>,
     ) -> Poll<io::Result<Written>> {
-        // Published before another frame can get the next number.
+        // The frame is published before another frame can get the next number.
         let mut pipe = self.pipe.lock();
         let (written, frame) = std::task::ready!(pipe.poll_write(context, bytes, part))?;
         self.publish(frame);

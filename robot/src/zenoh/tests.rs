@@ -1,4 +1,4 @@
-//! Connections over Zenoh between sessions of this process, from peer to peer over TCP on the loopback interface.
+//! Tests connections over Zenoh between sessions of this process, from peer to peer over TCP on the loopback interface.
 
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -24,7 +24,7 @@ fn connecting(port: u16) -> String {
     format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#)
 }
 
-/// Returns a network of two: one listens, the other connects.
+/// Returns two sessions of one network: the first listens, and the second connects to it.
 fn two() -> (Network, Network) {
     let port = free_port();
     (Network::open_with(&listening(port)).unwrap(), Network::open_with(&connecting(port)).unwrap())
@@ -60,7 +60,8 @@ async fn bytes_go_both_ways_and_the_end_is_read_behind_them() {
 async fn a_key_without_a_robot_and_a_key_with_another_are_told_apart() {
     let (robots, schedulers) = two();
     let _arm = Listener::bind(&robots, key("hall/arm")).await.unwrap();
-    // Checked first, as robots do: a session that has connected to robots follows their tokens, and Zenoh may answer it too early.
+    // Checked before any connection, as robots do. A session that has connected to robots observes their tokens, and Zenoh may then
+    // answer too early.
     let taken = Listener::bind(&schedulers, key("hall/arm")).await.unwrap_err();
     assert_eq!(taken.kind(), std::io::ErrorKind::AddrInUse);
     Listener::bind(&schedulers, key("hall/other")).await.unwrap();
@@ -88,7 +89,7 @@ async fn many_robots_are_shared_out_among_sessions_that_all_reach_them() {
     }
 }
 
-/// Returns a forwarding port for one connection; it counts and rejects later ones.
+/// Returns a port that forwards one connection to `port`. It rejects later connections and counts them.
 fn way_for_one(port: u16) -> (u16, Arc<AtomicUsize>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let (way, turned_away) = (listener.local_addr().unwrap().port(), Arc::new(AtomicUsize::new(0)));
@@ -175,7 +176,7 @@ async fn connections_end_when_a_process_of_either_side_does() {
         let mut far = soon(listener.accept()).await.unwrap();
         near.write_all(b"x").await.unwrap();
         soon(far.read_u8()).await.unwrap();
-        // As the system does it: no further message is sent.
+        // As if the operating system had ended the process: no further message is sent.
         let (gone, left) = if robot_goes { (robots, &mut near) } else { (schedulers, &mut far) };
         gone.cut();
         let ended = soon(left.read_u8()).await.unwrap_err();
@@ -218,7 +219,7 @@ async fn connections_to_one_robot_hear_their_own_frames_and_no_others() {
         assert_eq!(soon(far.read_u8()).await.unwrap(), number);
         assert_eq!(soon(near.read_u8()).await.unwrap(), 10 + number);
     }
-    // One connection ends, the others do not.
+    // The end of one connection does not end the others.
     drop(pairs.remove(0));
     let (near, far) = &mut pairs[0];
     near.write_u8(7).await.unwrap();
@@ -247,7 +248,7 @@ async fn a_robot_that_has_left_and_come_back_is_reached_again() {
     soon(reached).await;
 }
 
-/// Returns a text that is longer than one frame.
+/// Returns a text that does not fit into one frame.
 fn long_text() -> Vec<u8> {
     (0..200_000_u32).map(|i| u8::try_from(i % 251).unwrap()).collect()
 }
@@ -256,7 +257,7 @@ fn offer(stream: &Stream, text: &[u8]) -> Option<Text> {
     stream.offer((7, ContentHash::of(text)), || text.to_vec())
 }
 
-/// Writes `<`, an offered text, and `>`, and then the mission ends.
+/// Writes `<`, an offered text, and `>`, and then closes its direction.
 async fn write_around(mut stream: Stream, text: Text) -> Stream {
     stream.write_with(b"<>", &[(1, text)]).await.unwrap();
     stream.shutdown().await.unwrap();
@@ -287,11 +288,11 @@ fn heard(network: &Network, keys: &'static str) -> Arc<Mutex<Vec<usize>>> {
     heard
 }
 
-/// Opens a connection that may name texts, and returns both of its sides.
+/// Opens a connection that may refer to published texts, and returns both of its sides.
 async fn sharing(schedulers: &Network, listener: &mut Listener) -> (Stream, Stream) {
     let connected = async {
         loop {
-            // A router may not know the robot yet.
+            // A router may not know about the robot yet.
             match connect_sharing(schedulers, listener.key(), &[3, 7]).await {
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => tokio::task::yield_now().await,
                 connected => return connected.unwrap(),
@@ -359,7 +360,7 @@ async fn where_a_text_cannot_be_had_the_connection_ends_and_the_next_one_carries
     let (near, far) = sharing(&schedulers, &mut listener).await;
     let shared = format!("hall/shared/{}", schedulers.id());
     robots.hearing(shared.clone()).unwrap().withhold();
-    // Another session answers in place of the scheduler, but not with the text.
+    // Another session answers instead of the scheduler, but not with the requested text.
     let (declared, begun) = std::sync::mpsc::channel();
     robots.declare(Urgency::None, move |session| {
         let liar = session.declare_queryable(shared.clone()).complete(true);
@@ -407,7 +408,7 @@ async fn a_text_goes_to_its_audience_alone() {
     let (near, far) = sharing(&schedulers, &mut listener).await;
     let hash = ContentHash::of(b"other");
     let other = near.offer((8, hash), || b"other".to_vec()).unwrap();
-    // The robot does not receive this one, and requests it.
+    // The robot does not receive this text when it is published, and requests it.
     let _near = write_around(near, other).await;
     assert_eq!(read_all(far).await.unwrap(), b"<other>");
     assert_eq!(*published.lock().unwrap(), [0_usize; 0]);

@@ -1,5 +1,5 @@
-//! The texts that a robot's process has received from one scheduler, and the connections that wait for texts: decides which texts are
-//! kept and requested, and which connection gets them. No I/O.
+//! The texts that a robot's process has received from one scheduler, and the connections that wait for texts. Decides which texts are
+//! kept and requested, and which connections get them. Does no I/O.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -8,16 +8,16 @@ use urrcp::ContentHash;
 
 use super::stream::{Shared, WeakShared};
 
-/// Maximum length of a text: a longer one is not published, and is ignored if it is published nevertheless.
+/// Maximum length of a text in bytes. A longer text is not published; if it is published nevertheless, it is ignored.
 pub(super) const TEXT_MAX: usize = 4 * 1024 * 1024;
-/// Maximum number of bytes of kept texts; the oldest are dropped first.
+/// Maximum total size of the kept texts in bytes. The oldest texts are dropped first.
 pub(super) const KEPT_BYTES_MAX: usize = 16 * 1024 * 1024;
-/// Maximum number of kept texts.
+/// Maximum number of texts that are kept.
 const KEPT_MAX: usize = 256;
-/// Maximum number of awaited texts.
+/// Maximum number of texts for which connections wait.
 const AWAITED_MAX: usize = 64;
 
-/// Texts by their hashes, oldest first.
+/// Received or published texts, the oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
     texts: VecDeque<(ContentHash, Arc<[u8]>)>,
@@ -29,7 +29,7 @@ impl Kept {
         self.texts.iter().rev().find(|(kept, _)| *kept == hash).map(|(_, text)| text)
     }
 
-    /// Keeps a text that is not kept yet, and drops the oldest if there is no room.
+    /// Keeps a text that has not been kept before. If there is not enough room, the oldest texts are dropped.
     pub(super) fn keep(&mut self, hash: ContentHash, text: Arc<[u8]>) {
         self.bytes += text.len();
         self.texts.push_back((hash, text));
@@ -40,20 +40,20 @@ impl Kept {
     }
 }
 
-/// The outcome for a connection that needs a text.
+/// Result for a connection that needs a text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Supply {
-    /// It has the text.
+    /// The text was filled in.
     Filled,
-    /// It waits, and the text has not been requested yet.
+    /// The connection waits for the text. The text has not been requested yet, so the caller must request it.
     Ask,
-    /// It waits, and the text has already been requested.
+    /// The connection waits for the text, which has already been requested.
     Waits,
-    /// Too many texts are awaited: the connection is broken.
+    /// Too many texts are being awaited, so the connection is broken.
     Refused,
 }
 
-/// The received texts, and the connections that wait for missing ones.
+/// The received texts, and the connections that wait for missing texts.
 #[derive(Debug, Default)]
 pub(super) struct Texts {
     kept: Kept,
@@ -61,7 +61,7 @@ pub(super) struct Texts {
 }
 
 impl Texts {
-    /// Fills in a text that is kept; otherwise the connection waits for it.
+    /// Fills in a text if it is kept. Otherwise the connection waits for the text.
     pub(super) fn supply(&mut self, hash: ContentHash, pipe: &Shared) -> Supply {
         if let Some(text) = self.kept.get(hash) {
             pipe.lock().fill(hash, text);
@@ -78,7 +78,7 @@ impl Texts {
         supply
     }
 
-    /// Handles a received text. Its bytes determine its hash, whatever was requested or published.
+    /// Handles a received text. `hash` must be computed from the received bytes, not taken from the request or publication.
     pub(super) fn hear(&mut self, hash: ContentHash, text: &[u8]) {
         for pipe in self.awaited.remove(&hash).iter().flatten().filter_map(WeakShared::upgrade) {
             pipe.lock().fill(hash, text);
@@ -88,7 +88,7 @@ impl Texts {
         }
     }
 
-    /// Gives up a requested text, which will not arrive.
+    /// Breaks the connections that wait for a text, because the text will not arrive.
     pub(super) fn give_up(&mut self, hash: ContentHash) {
         for pipe in self.awaited.remove(&hash).iter().flatten().filter_map(WeakShared::upgrade) {
             pipe.lock().lack(hash);
@@ -101,7 +101,7 @@ mod tests {
     use super::super::frame::{Frame, Next, Part};
     use super::*;
 
-    /// Returns a connection that waits for a text.
+    /// Returns a connection that waits for a text, and the hash of this text.
     fn waiting_for(text: &[u8]) -> (Shared, ContentHash) {
         let (pipe, hash) = (Shared::default(), ContentHash::of(text));
         let part = Part { text: hash, from: 0, count: 1, at: 0 };

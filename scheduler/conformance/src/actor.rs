@@ -1,27 +1,27 @@
-//! Selects the device to move and its values: within all declared limits, and no further than needed.
+//! Selects the device to move and the values for it: within all declared limits, and with movements no larger than needed.
 
 use urrcp::{ControlType, Device, InitializationBlock, Limits, Setpoint};
 
-/// The device that the checks move, with values that it must take.
+/// The device that the checks move, with values that it must accept.
 #[derive(Clone, Debug)]
 pub(super) struct Actor {
     pub(super) device: Device,
-    /// position, speed or acceleration.
+    /// The control type of the movement: `position`, `speed` or `acceleration`.
     pub(super) control_type: ControlType,
     pub(super) limits: Limits,
-    /// Its resting value: the default value, zero, or the middle of the range.
+    /// The value at rest: the default value, zero, or the middle of the range.
     pub(super) rest: f64,
-    /// A value one five-hundredth of the range away from `rest`, or a multiple of the granularity if that is more.
+    /// A value close to `rest`: one five-hundredth of the range away, but at least one step of the granularity.
     pub(super) near: f64,
-    /// Whether its scripts may use the control type.
+    /// Whether scripts for the device may use `control_type`.
     pub(super) in_script: bool,
 }
 
-/// Share of the range that a movement covers.
+/// Fraction of the range that a movement covers.
 const SMALL: f64 = 0.002;
 
 impl Actor {
-    /// Selects the first device that scripts can move, or otherwise the first that can be moved at all.
+    /// Selects the first device that scripts can move, or otherwise the first device that can be moved at all.
     pub(super) fn choose(block: &InitializationBlock, wanted: Option<&str>) -> Option<Self> {
         let devices = || block.devices.iter().filter(|d| wanted.is_none_or(|id| d.id.as_str() == id));
         let mut actors: Vec<Self> = devices().filter_map(Self::of).collect();
@@ -56,20 +56,21 @@ impl Actor {
         Some(Self { device: device.clone(), control_type, limits, rest, near, in_script })
     }
 
-    /// The smallest and the largest valid value of the device.
+    /// The smallest and the largest value that the device accepts.
     pub(super) fn edges(&self) -> (f64, f64) {
         let limits = &self.limits;
         (limits.nearest_settable(limits.min_value), limits.nearest_settable(limits.max_value))
     }
 
-    /// A multiple of the granularity just below the smallest value, and one just above the largest.
+    /// Two values that the device must refuse: the multiples of the granularity just below its smallest value and just above its largest
+    /// value.
     pub(super) fn beyond(&self) -> (f64, f64) {
         let (low, high) = self.edges();
         let granularity = self.limits.granularity;
         (self.limits.nearest(low - granularity), self.limits.nearest(high + granularity))
     }
 
-    /// A control type that this device lacks.
+    /// A control type that the device lacks.
     pub(super) fn lacks(&self) -> ControlType {
         let candidates =
             [ControlType::Acceleration, ControlType::Speed, ControlType::Position, ControlType::Custom(77)];

@@ -1,4 +1,4 @@
-//! The first four steps of the protocol: availability, description, and clock of the robot.
+//! Checks of the first four steps of the protocol: the robot's availability, description and clock.
 
 use urrcp::{ControlType, Span};
 
@@ -33,9 +33,9 @@ pub(super) const ALL: [Requirement; 4] = [
     },
 ];
 
-/// Number of exchanges per reading of the clock.
+/// Number of request-response exchanges per clock comparison.
 const SAMPLES: u32 = 8;
-/// Maximum offset of a clock that is accurate enough to judge starts.
+/// Maximum clock offset up to which starts can be judged without correction.
 const CLOCK_OFFSET_MAX: Span = Span::from_millis(50);
 
 fn availability(trial: &Trial) -> Checked {
@@ -55,7 +55,7 @@ fn availability(trial: &Trial) -> Checked {
     pass()
 }
 
-/// The timestamp of an availability request.
+/// Extracts the timestamp from the JSON of an availability request.
 fn urrcp_timestamp(sent: &str) -> Option<String> {
     let json: serde_json::Value = serde_json::from_str(sent).ok()?;
     json["availability_request"]["timestamp"].as_str().map(str::to_owned)
@@ -105,7 +105,7 @@ pub(super) fn skip_handshake(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Compares clocks by several exchanges, each with the four times of NTP.
+/// Compares the clocks of server and robot by several exchanges, each with the four timestamps of NTP.
 pub(super) fn compare_clocks(trial: &Trial) -> Result<ClockReading, Unmet> {
     let mut line = trial.connect()?;
     let mut estimate = ClockEstimate::default();

@@ -1,31 +1,31 @@
-//! The received messages and the requests that they belong to.
+//! Assigns received messages to the requests that they belong to.
 
 use urrcp::{ControlResponse, Message, Server, Status, Timestamp};
 
-/// A message of the robot, as received.
+/// A message received from the robot.
 #[derive(Clone, Debug)]
 pub(super) struct Received<T> {
-    /// Arrival by the server's clock.
+    /// Arrival time by the server's clock.
     pub(super) at: Timestamp<Server>,
-    /// The line as text.
+    /// The received line.
     pub(super) text: String,
-    /// The parsed line.
+    /// The message parsed from the line.
     pub(super) message: T,
 }
 
-/// Identifies a request on a line, to query its responses.
+/// Identifies a request sent on a line; used to query its responses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ticket(usize);
 
-/// A request with all its responses.
+/// A request that was sent, with all its responses.
 #[derive(Clone, Debug)]
 pub(super) struct SentRequest {
     pub(super) id: Option<String>,
     pub(super) device: String,
     pub(super) text: String,
-    /// When it was last sent: before the first byte was written.
+    /// Time just before the first byte of the request was last written.
     pub(super) sent: Timestamp<Server>,
-    /// Number of times that it was sent and has not been answered.
+    /// Number of times that the request was sent without being answered yet.
     unanswered: u32,
     pub(super) heard: Vec<Received<ControlResponse>>,
 }
@@ -35,13 +35,13 @@ impl SentRequest {
         self.heard.iter().any(|heard| heard.message.status == *status)
     }
 
-    /// Whether the request was accepted and has not been reported as ended.
+    /// Whether the robot has accepted the request and has not reported its end.
     pub(super) fn is_held(&self) -> bool {
         self.has(&Status::Accepted) && !self.has(&Status::Ok) && !self.has(&Status::Failed)
     }
 }
 
-/// The requests of one line in the order in which they were sent.
+/// The requests sent on one line, in the order of sending.
 #[derive(Debug, Default)]
 pub(super) struct Exchanges(Vec<SentRequest>);
 
@@ -57,7 +57,7 @@ impl Exchanges {
         Ticket(self.0.len() - 1)
     }
 
-    /// Adopts a request from another line, with its previous responses.
+    /// Adds a request that was sent on another line, with the responses received so far.
     pub(super) fn adopt(&mut self, asked: SentRequest) -> Ticket {
         self.0.push(SentRequest { unanswered: 0, ..asked });
         Ticket(self.0.len() - 1)
@@ -77,8 +77,8 @@ impl Exchanges {
         self.0.iter().any(SentRequest::is_held)
     }
 
-    /// Assigns a response to its request. Without a `request_id`, an answer belongs to the oldest request that awaits one, a report to
-    /// the oldest request that is held. Returns the response if no request matches.
+    /// Assigns a response to its request. Without a `request_id`, an immediate answer belongs to the oldest unanswered request, and a
+    /// later report to the oldest held request. Returns the response if no request matches.
     pub(super) fn note(&mut self, heard: Received<ControlResponse>) -> Option<Received<ControlResponse>> {
         let Some(index) = self.find(&heard.message) else { return Some(heard) };
         let asked = &mut self.0[index];
@@ -105,7 +105,7 @@ impl Exchanges {
     }
 }
 
-/// Whether a response reports on an accepted command, instead of answering a request.
+/// Whether `response` is a later report on an accepted command and not the immediate answer to a request.
 fn is_report(response: &ControlResponse, held: bool) -> bool {
     match response.status {
         Status::Started => true,
@@ -132,7 +132,7 @@ pub(super) fn says_malformed(message: &Message) -> bool {
 mod tests {
     use super::*;
 
-    /// Feeds these responses without request ids, and checks how many each request received.
+    /// Feeds the responses `said` without request ids, and checks the number of responses assigned to each request.
     #[track_caller]
     fn check(asked: &[&str], said: &[&str], expected: &[usize]) {
         let mut exchanges = Exchanges::default();

@@ -1,4 +1,4 @@
-//! Identity of requests and servers: request ids, hashes, sessions.
+//! Checks of request ids, content hashes and sessions.
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, Command, ContentHash, ControlRequest, ErrorCode, Message,
@@ -20,19 +20,19 @@ pub(super) const ALL: [Requirement; 8] = [
     Requirement {
         name: "repeated-request",
         demands: "A request that is repeated with its request_id is answered again and not executed again.",
-        section: "SentRequest twice (D)",
+        section: "Asked twice (D)",
         check: repeated_request,
     },
     Requirement {
         name: "repeated-refusal",
         demands: "A refused request that is repeated is refused again with the same code, even if its content differs.",
-        section: "SentRequest twice (D)",
+        section: "Asked twice (D)",
         check: repeated_refusal,
     },
     Requirement {
         name: "kept-answers",
         demands: "The last answer to a request is kept until 256 others have ended: if the request is repeated before that, the robot repeats the answer and does not execute the request again.",
-        section: "SentRequest twice (D)",
+        section: "Asked twice (D)",
         check: kept_answers,
     },
     Requirement {
@@ -64,7 +64,7 @@ pub(super) const ALL: [Requirement; 8] = [
 fn request_id(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    // The longest permitted string, not only of ASCII characters.
+    // A string of the maximum length that also contains non-ASCII characters.
     let mut set = trial.set(actor, actor.rest).leased(LEASE_MS);
     let id = format!("{}/", trial.fresh_id());
     let long = format!("{id}{}", "\u{44f}".repeat(urrcp::STRING_CHARS_MAX - id.chars().count()));
@@ -140,7 +140,7 @@ fn repeated_refusal(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Number of ended requests whose answers a robot keeps.
+/// Number of ended requests whose responses a robot has to keep.
 const KEPT: usize = 256;
 
 fn kept_answers(trial: &Trial) -> Checked {
@@ -175,7 +175,7 @@ fn kept_answers(trial: &Trial) -> Checked {
     let heard = line.asked(first).heard.clone();
     line.ask_again(first)?;
     let again = line.nth_answer(first, heard.len())?;
-    // Without `reports` the end of the request is unknown.
+    // A robot that does not declare `reports` does not report the end of the request.
     let same = match heard.last() {
         Some(last) if trial.reports() => {
             (&last.message.status, last.message.event_timestamp)
@@ -225,7 +225,7 @@ fn content_hash(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Sends an availability request on behalf of a session.
+/// Sends an availability request that claims the robot for `session`.
 pub(super) fn claim(
     trial: &Trial,
     line: &mut Line,

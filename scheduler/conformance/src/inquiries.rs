@@ -1,4 +1,4 @@
-//! The inquiry: a question that is answered truthfully and has no effect.
+//! Checks of inquiries: the robot answers them truthfully, and they have no effect.
 
 use urrcp::{
     Command, ControlRequest, ControlType, DeviceId, ErrorCode, Inquiry, Millis, RequestId, RequestReport,
@@ -92,10 +92,10 @@ pub(super) const ALL: [Requirement; 13] = [
     },
 ];
 
-/// The lease of the tests that wait for its end, and the period that an inquiry sets.
+/// The lease in tests that wait for the end of a lease, and the limit that an inquiry sets.
 const PERIOD: Span = Span::from_millis(300);
 
-/// Whether the robot answers inquiries.
+/// Makes a requirement not applicable unless the robot answers inquiries.
 pub(super) fn answering(trial: &Trial) -> Result<(), Unmet> {
     if trial.block()?.inquiry { Ok(()) } else { Err(not_applicable("the robot does not declare `inquiry`")) }
 }
@@ -105,7 +105,7 @@ fn about(requests: &[&ControlRequest]) -> Inquiry {
     Inquiry { requests, ..Inquiry::default() }
 }
 
-/// Asks for the robot's report on one request.
+/// Sends an inquiry about one request, and returns the robot's report on it.
 fn told(line: &mut Line, request: &ControlRequest) -> Result<(Inquired, RequestReport), Unmet> {
     let inquired = line.inquire(&about(&[request]))?;
     match inquired.response.requests.as_slice() {
@@ -114,7 +114,7 @@ fn told(line: &mut Line, request: &ControlRequest) -> Result<(Inquired, RequestR
     }
 }
 
-/// Asks for the robot's report on one request, which must be in this state.
+/// Sends an inquiry about one request, and checks that the request is in the given state.
 fn in_state(
     line: &mut Line,
     request: &ControlRequest,
@@ -158,7 +158,7 @@ fn inquiry(trial: &Trial) -> Checked {
     }
 }
 
-/// Maximum difference between a reported instant and the requested one: milliseconds are rounded to doubles.
+/// Maximum difference between a reported and a requested instant due to rounding: the protocol sends milliseconds as doubles.
 const ROUNDING: Span = Span::from_micros(1);
 
 fn is_at(told: Option<Timestamp<urrcp::Robot>>, request: &ControlRequest) -> bool {
@@ -182,7 +182,7 @@ fn held(trial: &Trial) -> Checked {
     }
 }
 
-/// Repeats the inquiry until the request is in this state.
+/// Repeats an inquiry until the request is in the given state.
 pub(super) fn reaches(
     trial: &Trial,
     line: &mut Line,
@@ -268,7 +268,7 @@ fn ended(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Checks that the request never started, and that the robot reports why.
+/// Checks that the request ended without having started, and that the robot reports the reason.
 fn ended_early(line: &mut Line, request: &ControlRequest, code: Option<&ErrorCode>) -> Result<(), Unmet> {
     let (inquired, report) = in_state(line, request, RequestState::Ended)?;
     let error = report.error.as_ref();
@@ -480,7 +480,7 @@ fn pending_until(trial: &Trial) -> Checked {
         let sent = format!("{}, after one with an earlier pending_until", moving.sent.trim_end());
         return Err(differs(&sent, &more.text, "nothing: an inquiry with a later pending_until moves it"));
     }
-    // Taken first: a pause between these two lines must not make the robot appear early.
+    // Read the clock first, so that a pause between these two lines does not make the robot appear early.
     let until = trial.now() + PERIOD;
     let inquired = line.inquire(&until_after(trial, PERIOD, &moved))?;
     ends_at(trial, &mut line, (ticket, &moved), (until, &inquired.sent))
@@ -503,14 +503,14 @@ fn own_pending_until(trial: &Trial) -> Checked {
     ends_at(trial, &mut line, (ticket, &request), (until, &sent))
 }
 
-/// Checks that a request ends at its `pending_until`, regardless of previous inquiries.
+/// Checks that a request ends at its `pending_until`, although further inquiries arrive in the meantime.
 fn ends_at(
     trial: &Trial,
     line: &mut Line,
     (ticket, request): (Ticket, &ControlRequest),
     (until, sent): (Timestamp<Server>, &str),
 ) -> Checked {
-    // The first renews the lease without naming the request. The second names the request, but no instant.
+    // The first inquiry renews the lease without naming the request. The second names the request, but sets no instant.
     let asks = [Inquiry::default(), about(&[request])];
     for inquiry in asks.iter().cycle() {
         if trial.now() >= until + trial.slack() || line.asked(ticket).heard.len() > 1 {
@@ -528,7 +528,7 @@ fn ends_at(
     }
 }
 
-/// An inquiry that limits the lease of a request to the instant `after` from now, by the robot's clock.
+/// Creates an inquiry that sets the `pending_until` of a request to `after` from now, by the robot's clock.
 fn until_after(trial: &Trial, after: Span, request: &ControlRequest) -> Inquiry {
     Inquiry { pending_until: Some((trial.stamp() + after).assume_clock()), ..about(&[request]) }
 }

@@ -1,4 +1,4 @@
-//! The lease: the behaviour of a device when the server falls silent.
+//! Checks of leases: how a device behaves when the server falls silent.
 
 use urrcp::{
     AvailabilityRequest, Command, ControlRequest, ControlType, ErrorCode, Inquiry, Message, Millis, Script,
@@ -92,26 +92,26 @@ pub(super) const ALL: [Requirement; 13] = [
     },
 ];
 
-/// The lease of the tests that wait for its end.
+/// The lease in tests that wait for the end of a lease.
 pub(super) const PERIOD: Span = Span::from_millis(300);
-/// Maximum drift between the clocks of two machines over the period.
+/// Maximum drift between the clocks of two machines during `PERIOD`.
 const EARLY_MAX: Span = Span::from_millis(3);
 
 fn short(request: ControlRequest) -> ControlRequest {
     request.leased(PERIOD.as_millis_f64())
 }
 
-/// A script that starts soon and runs so long that only a lease can end it.
+/// A script that starts soon and lasts so long that only the expiry of its lease ends it.
 fn long(trial: &Trial) -> Result<ControlRequest, Unmet> {
     Ok(trial.there_and_back(trial.scripted()?, 4_000.0).starting_in(100.0))
 }
 
-/// Waits in silence for the report that the lease has expired, and judges its time.
+/// Waits in silence for the report that the lease has expired, and judges the time of expiry.
 fn runs_out(trial: &Trial, line: &mut Line, ticket: Ticket) -> Checked {
     runs_out_after(trial, line, ticket, ticket)
 }
 
-/// Like [`runs_out`], but another request was the last one that was sent.
+/// Like [`runs_out`], but the lease counts from the request `last`, which was sent after the request `ticket`.
 fn runs_out_after(trial: &Trial, line: &mut Line, ticket: Ticket, last: Ticket) -> Checked {
     let answered = line.answer(last)?;
     let sent = line.asked(last).sent;
@@ -167,11 +167,11 @@ fn lease_silence(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Silence of the server until a start or a step, in milliseconds; even half of it would exceed the lease.
+/// Silence of the server before a start or a step, in milliseconds. Even half of it exceeds the lease.
 const SILENT_MS: f64 = 700.0;
 
-/// Sends a request whose lease expires before `at_ms` after its timestamp. The device must not perform the start or step that is due
-/// then.
+/// Sends a request with a start or step that is due `at_ms` after its timestamp. The lease expires before that, so the device must not
+/// perform this start or step.
 fn not_done(trial: &Trial, request: &ControlRequest, at_ms: f64, steps_done: u32) -> Result<(), Unmet> {
     let mut line = trial.connect()?;
     let ticket = line.held(request)?;
@@ -181,7 +181,7 @@ fn not_done(trial: &Trial, request: &ControlRequest, at_ms: f64, steps_done: u32
     let silent = lost.at - asked.sent;
     let started = asked.heard.iter().any(|heard| heard.message.status == Status::Started);
     let right = started == (steps_done > 0) && lost.message.steps_done == Some(steps_done);
-    // Before that, another, longer lease applies.
+    // Until the start or step, a different, longer lease applies.
     if right && silent > PERIOD + PERIOD / 2 {
         return Ok(());
     }
@@ -240,7 +240,7 @@ fn lease_step(trial: &Trial) -> Checked {
     runs_out(trial, &mut line, ticket)
 }
 
-/// A speed or an acceleration that continues, with the ended command that set it.
+/// Sets a speed or an acceleration, which continues after its command has ended. Returns the line and the ticket of the command.
 fn left_on(trial: &Trial) -> Result<(Line<'_>, Ticket), Unmet> {
     trial.reporting()?;
     let actor = trial.actor()?;
@@ -287,7 +287,7 @@ fn lease_left_on_kept(trial: &Trial) -> Checked {
     Ok(note)
 }
 
-/// Sends these bytes repeatedly for `span`.
+/// Sends `bytes` repeatedly for the duration `span`.
 fn chatter(trial: &Trial, line: &mut Line, bytes: &dyn Fn() -> Vec<u8>, span: Span) -> Result<(), Unmet> {
     let until = trial.now() + span;
     while trial.now() < until && !line.has_ended() {
@@ -365,7 +365,7 @@ fn lease_two_links(trial: &Trial) -> Checked {
     pass()
 }
 
-/// All requests that a server may send to a robot that belongs to another session.
+/// Encodes all requests that `session` may send to a robot that belongs to another session. The robot rejects them.
 fn sends_rejected_requests(trial: &Trial, session: &SessionId) -> Result<Vec<u8>, Unmet> {
     let actor = trial.actor()?;
     let (named, timestamp) = (Some(session.clone()), Some(trial.stamp()));

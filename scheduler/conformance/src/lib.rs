@@ -37,22 +37,22 @@ use downbeat_runtime::server_clock::ServerClock;
 use requirement::Unmet;
 use trial::Trial;
 
-/// Settings of an examination.
+/// Settings for the examination of a robot.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Maximum time that the robot may take for any answer.
+    /// Maximum time that the robot may take for a response.
     pub patience: Span,
-    /// Maximum deviation of a start or an end from its time.
+    /// Maximum deviation of a start or an end from its planned time.
     pub tolerance: Span,
-    /// The device to move; the first suitable one by default.
+    /// The id of the device to move. `None`: the first suitable device.
     pub device: Option<String>,
-    /// Whether to judge by the robot's own clock, regardless of its offset.
+    /// Whether to judge times by the robot's own clock, regardless of its offset from the server's clock.
     pub clock_measured: bool,
-    /// The requirements to check, by name; all if empty.
+    /// The names of the requirements to check. If the list is empty, all are checked.
     pub only: Vec<String>,
-    /// How the test proves its identity.
+    /// How the test client proves its identity to the robot.
     pub security: Security,
-    /// The identity of another operator that may only observe; without it, the permissions of observers are not tested.
+    /// The identity of an operator that may only observe. `None`: the permissions of observers are not tested.
     pub observer: Option<Security>,
 }
 
@@ -70,10 +70,10 @@ impl Default for Options {
     }
 }
 
-/// The result of an examination.
+/// The result of the examination of a robot.
 #[derive(Clone, Debug)]
 pub struct Examined {
-    /// A verdict for each requirement that was checked.
+    /// One verdict for each requirement that was checked.
     pub judged: Vec<Judged>,
     /// Whether the operator interrupted the examination.
     pub interrupted: bool,
@@ -81,18 +81,18 @@ pub struct Examined {
     pub at_rest: bool,
 }
 
-/// Why a robot cannot be judged.
+/// Why a robot cannot be examined.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotExamined {
     /// No robot answers at the address.
     #[error("{0}")]
     Unreachable(String),
-    /// The robot lacks the device that is to be moved.
+    /// The robot lacks the device that it should move.
     #[error("{0}")]
     NoDevice(String),
 }
 
-/// All requirements, in the order in which they are checked.
+/// Iterates over all requirements, in the order in which they are checked.
 pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
     let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&starting::ALL).chain(&scripts::ALL);
     let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL).chain(&owners::ALL);
@@ -105,10 +105,10 @@ pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
         .chain(&security::ALL)
 }
 
-/// Judges a robot. `tell` receives each requirement before it is checked, and again with the verdict afterwards.
+/// Checks a robot against the requirements. Calls `tell` with each requirement before its check, and again with the verdict afterwards.
 ///
 /// # Errors
-/// [`NotExamined`] if no robot answers at the address, or the robot lacks the device that is to be moved.
+/// [`NotExamined`] if no robot answers at the address, or if the robot lacks the device that it should move.
 pub fn examine(
     address: SocketAddr,
     mut options: Options,
@@ -131,7 +131,7 @@ pub fn examine(
     let off = off.filter(|reading| trial.options().clock_measured || !greeting::agrees(reading));
     trial.shift = off.map_or(Span::ZERO, |reading| reading.offset);
     trial.greets = matches!(greeting::skip_handshake(&trial), Err(Unmet::Failed(_)));
-    // The check of the greeting may have left a script pending.
+    // The check of the greeting may have left a script pending on the robot.
     let _at_rest = trial.settle();
     let mut examined = Examined { judged: Vec::new(), interrupted: false, at_rest: true };
     let chosen = |r: &&Requirement| {
@@ -163,7 +163,7 @@ pub fn examine(
     Ok(examined)
 }
 
-/// Rejects a named device that the robot lacks: nearly all requirements would be reported as not applicable.
+/// Returns an error if the robot lacks the device `named`; otherwise nearly all requirements would be reported as not applicable.
 fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Result<(), NotExamined> {
     let (Some(block), Some(named)) = (block, named) else { return Ok(()) };
     if block.device(named).is_some() {
@@ -178,7 +178,8 @@ fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Resul
     )))
 }
 
-/// Skips the check, because requests to an unresponsive robot would each wait for the whole patience.
+/// The result for a requirement that is not checked because the robot has been unresponsive since the check `since`. Each request would
+/// wait for the full response timeout.
 fn not_judged(requirement: &Requirement, since: &str) -> Judged {
     let why = format!(
         "not checked: since `{since}` the robot accepts no connection or does not answer; expected it to keep running"
@@ -186,7 +187,7 @@ fn not_judged(requirement: &Requirement, since: &str) -> Judged {
     Judged { requirement: requirement.name, verdict: Verdict::Fail, why, millis: 0 }
 }
 
-/// Returns `None` if the operator interrupts.
+/// Checks one requirement. Returns `None` if the operator interrupts the check.
 fn judge(trial: &Trial, requirement: &'static Requirement) -> Option<Judged> {
     let began = trial.now();
     let (verdict, why) = match (requirement.check)(trial) {

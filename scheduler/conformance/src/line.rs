@@ -1,4 +1,4 @@
-//! One connection of the test client: bytes on the wire, a limit on every wait, and each response assigned to its request.
+//! One connection of the test client. It sends and receives bytes, limits every wait, and assigns each response to its request.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
@@ -15,27 +15,27 @@ use super::requirement::{Unmet, differs, shown};
 use super::stream::Stream;
 use super::trial::Trial;
 
-/// Maximum length of a line from a robot: the block of a robot with 32,000 devices is shorter.
+/// Maximum length in bytes of a line from a robot. The initialization block of a robot with 32,000 devices is shorter.
 const LINE_BYTES_MAX: usize = 64 * 1024 * 1024;
 /// Read timeout, after which the client checks for an interruption by the operator.
 const SLICE: Duration = Duration::from_millis(50);
 
-/// A connection and its received messages. Dropping it closes the connection.
+/// A connection to the robot with the messages received on it. Dropping the line ends the held commands and closes the connection.
 pub(super) struct Line<'a> {
     trial: &'a Trial,
     stream: Stream,
     buffer: Vec<u8>,
-    /// End of the part of `buffer` that contains no newline.
+    /// Index in `buffer` up to which the search for a newline has found none.
     searched: usize,
     exchanges: Exchanges,
-    /// The most recently named session, which owns the held commands.
+    /// The session that a request named most recently; it owns the held commands.
     session: Option<SessionId>,
     others: VecDeque<Received<Message>>,
-    /// The reason, once the peer has closed the connection.
+    /// Why the connection has ended; `None` while it is open.
     ended: Option<String>,
 }
 
-/// An inquiry with its answer.
+/// An inquiry with the robot's response.
 #[derive(Clone, Debug)]
 pub(super) struct Inquired {
     pub(super) sent: String,
@@ -44,7 +44,7 @@ pub(super) struct Inquired {
 }
 
 impl Inquired {
-    /// A failure: the answer is not the expected one.
+    /// Creates the failure that the response to the inquiry is not as expected.
     pub(super) fn differs(&self, expected: &str) -> Unmet {
         differs(&self.sent, &self.came, expected)
     }
@@ -74,7 +74,7 @@ impl<'a> Line<'a> {
         self.ask_text(id, request.device_id.as_str(), &text)
     }
 
-    /// Sends a control request verbatim, even if it is invalid. The text ends with its newline.
+    /// Sends the text of a control request, which may be invalid. `text` has to end with a newline.
     pub(super) fn ask_text(&mut self, id: Option<String>, device: &str, text: &str) -> Result<Ticket, Unmet> {
         let sent = self.send(text.as_bytes())?;
         Ok(self.exchanges.ask(id, device.to_owned(), text.to_owned(), sent))
@@ -93,7 +93,7 @@ impl<'a> Line<'a> {
         self.exchanges.adopt(asked.clone())
     }
 
-    /// Writes bytes; returns the instant before the first byte.
+    /// Writes bytes; returns the time just before the first byte was written.
     pub(super) fn send(&mut self, bytes: &[u8]) -> Result<Timestamp<Server>, Unmet> {
         let sent = self.trial.now();
         self.stream.write_all(bytes).and_then(|()| self.stream.flush()).map_err(|error| {
@@ -111,7 +111,8 @@ impl<'a> Line<'a> {
         self.session = session.cloned().or_else(|| self.session.take());
     }
 
-    /// The bytes of a message on the wire; the encryption treats them as sent.
+    /// Encodes a message and returns its bytes as they would be sent, after encryption. The state of the encryption advances as if they
+    /// had been sent.
     pub(super) fn wrapped(&mut self, message: &Message) -> Result<Vec<u8>, Unmet> {
         let mut line = Vec::new();
         encode(message, &mut line);
@@ -119,13 +120,13 @@ impl<'a> Line<'a> {
         self.stream.wrapped(&line).map_err(broke)
     }
 
-    /// Sends bytes without encrypting or sealing them.
+    /// Sends bytes without encrypting or authenticating them.
     pub(super) fn send_past(&mut self, bytes: &[u8]) -> Result<(), Unmet> {
         let broke = |error| Unmet::Failed(format!("the connection broke while bytes were sent: {error}"));
         self.stream.socket().write_all(bytes).map_err(broke)
     }
 
-    /// Sends a message.
+    /// Sends a message, and returns the text of the line.
     pub(super) fn say(&mut self, message: &Message) -> Result<String, Unmet> {
         let mut line = Vec::new();
         encode(message, &mut line);
@@ -140,7 +141,7 @@ impl<'a> Line<'a> {
         self.exchanges.of(ticket)
     }
 
-    /// Reads until `until` or until `done` returns true. Returns whether `done` did.
+    /// Reads messages until `done` returns true or the time is `until`. Returns whether `done` returned true.
     pub(super) fn listen(
         &mut self,
         until: Timestamp<Server>,
@@ -161,7 +162,7 @@ impl<'a> Line<'a> {
 
     fn read(&mut self, limit: Duration) -> Result<(), Unmet> {
         let mut bytes = [0; 64 * 1024];
-        // A limit of zero would be invalid.
+        // A timeout of zero would be invalid.
         let _unlimited_never =
             self.stream.socket().set_read_timeout(Some(limit.max(Duration::from_micros(100))));
         let read = match self.stream.read(&mut bytes) {
@@ -223,18 +224,18 @@ impl<'a> Line<'a> {
         self.ended.is_some()
     }
 
-    /// Why no message arrived: the peer closed the connection, or was silent for the patience.
+    /// Describes why no message arrived: the robot closed the connection or did not respond within the timeout.
     fn nothing(&self) -> String {
         let silent = || format!("nothing within {}", self.trial.options().patience);
         self.ended.as_ref().map_or_else(silent, |why| format!("nothing: {why}"))
     }
 
-    /// The first answer to a request.
+    /// Waits for the first response to a request.
     pub(super) fn answer(&mut self, ticket: Ticket) -> Result<Received<ControlResponse>, Unmet> {
         self.nth_answer(ticket, 0)
     }
 
-    /// The n-th response to a request, from 0.
+    /// Waits for the n-th response to a request, counted from 0.
     pub(super) fn nth_answer(
         &mut self,
         ticket: Ticket,
@@ -257,7 +258,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Sends a request and waits for its acceptance.
+    /// Sends a request and waits until the robot accepts it.
     pub(super) fn held(&mut self, request: &ControlRequest) -> Result<Ticket, Unmet> {
         let ticket = self.ask(request)?;
         self.accepted(ticket)?;
@@ -279,13 +280,13 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Sends a request that must be refused.
+    /// Sends a request, and checks that the robot refuses it with `code`.
     pub(super) fn refuses(&mut self, request: &ControlRequest, code: ErrorCode) -> Result<(), Unmet> {
         let ticket = self.ask(request)?;
         self.refused(ticket, &[code]).map(drop)
     }
 
-    /// Waits for a report of this status.
+    /// Waits for a response to a request with the given status.
     pub(super) fn report(
         &mut self,
         ticket: Ticket,
@@ -307,7 +308,7 @@ impl<'a> Line<'a> {
         })
     }
 
-    /// Waits for the report that a held request failed with this code.
+    /// Waits for the report that a held request failed with `code`.
     pub(super) fn failure(
         &mut self,
         ticket: Ticket,
@@ -329,13 +330,13 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// The next message that does not belong to a control request.
+    /// Waits until `until` for the next message that does not belong to a control request.
     pub(super) fn other(&mut self, until: Timestamp<Server>) -> Result<Option<Received<Message>>, Unmet> {
         self.listen(until, |line| !line.others.is_empty())?;
         Ok(self.others.pop_front())
     }
 
-    /// Sends an availability request and waits for its answer; ignores `Failed` ones, which belong to another request.
+    /// Sends an availability request and waits for the response. Ignores `Failed` responses, which belong to another request.
     pub(super) fn availability(
         &mut self,
     ) -> Result<(String, Timestamp<Server>, Received<AvailabilityResponse>), Unmet> {
@@ -358,7 +359,7 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &came, "an availability_response with status `OK`"))
     }
 
-    /// Checks that the robot continues to answer after `before` was sent.
+    /// Checks that the robot still responds after `before` was sent.
     pub(super) fn survives(&mut self, before: &str) -> Result<(), Unmet> {
         match self.availability() {
             Ok(_) => Ok(()),
@@ -370,7 +371,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Requests the initialization block.
+    /// Requests the robot's initialization block and waits for it.
     pub(super) fn initialization(&mut self) -> Result<(String, Received<InitializationBlock>), Unmet> {
         let sent = self.say(&Message::InitializationRequest(urrcp::InitializationRequest::default()))?;
         let until = self.trial.patience();
@@ -382,7 +383,7 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &self.nothing(), "an initialization_block"))
     }
 
-    /// Sends an inquiry and waits for its answer.
+    /// Sends an inquiry and waits for the response.
     pub(super) fn inquire(&mut self, inquiry: &Inquiry) -> Result<Inquired, Unmet> {
         let sent_at = self.trial.now();
         let sent = self.say(&Message::Inquiry(inquiry.clone()))?;
@@ -396,8 +397,8 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &self.nothing(), "an inquiry_response"))
     }
 
-    /// Requests the initialization block repeatedly without reading, until the peer accepts no more bytes for a while, closes the
-    /// connection, or enough requests are sent. Returns the number of requests.
+    /// Requests the initialization block repeatedly without reading the responses. Stops when the robot accepts no bytes for a while or
+    /// closes the connection, or when enough requests are sent. Returns the number of requests.
     pub(super) fn overfill(&mut self) -> Result<usize, Unmet> {
         const ANSWERS_BYTES_MAX: usize = 32 * 1024 * 1024;
         const REQUESTS_MAX: usize = 100_000;
@@ -438,7 +439,7 @@ impl Line<'_> {
         self.exchanges = Exchanges::default();
     }
 
-    /// Ends the commands that are still held. Returns whether this is certain.
+    /// Ends the commands that the robot still holds. Returns whether the robot has confirmed that they ended.
     fn wind_up(&mut self) -> Result<bool, Unmet> {
         let cancel = self.trial.cancel(self.trial.actor()?);
         let ticket = self.ask(&ControlRequest { session: self.session.clone(), ..cancel })?;
@@ -450,7 +451,7 @@ impl Line<'_> {
     }
 }
 
-/// A finished check leaves nothing behind, regardless of its result.
+/// Ends the held commands, so that a finished check leaves none behind, regardless of its result.
 impl Drop for Line<'_> {
     fn drop(&mut self) {
         let certain = !self.exchanges.any_held() || matches!(self.wind_up(), Ok(true));

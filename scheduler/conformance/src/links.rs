@@ -1,4 +1,4 @@
-//! Connections: many messages at once, peers that do not read, and several connections, consecutively and concurrently.
+//! Checks of connections: many messages at once, peers that do not read, and several consecutive or concurrent connections.
 
 use serde_json::json;
 use urrcp::{Message, Span};
@@ -63,7 +63,7 @@ fn many_messages(trial: &Trial) -> Checked {
             }
         }
     }
-    // The requirement `availability` checks whether the time is echoed.
+    // The requirement `availability` checks whether the robot echoes the timestamp.
     let echoed: Vec<_> = shown.into_iter().flatten().collect();
     if echoed.is_sorted() {
         pass()
@@ -115,7 +115,7 @@ fn silent_peers(trial: &Trial) -> Checked {
     let half = json!({"availability_request": {"timestamp": trial.stamp()}}).to_string();
     let mut peers = Vec::new();
     for n in 0..PEERS {
-        // A robot may refuse them or close the connection.
+        // The robot may refuse or close such connections.
         let Ok(mut peer) = trial.connect_silently() else { break };
         if n % 2 == 1 {
             let _hung_up = peer.send(&half.as_bytes()[..half.len() / 2]);

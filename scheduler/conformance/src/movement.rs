@@ -1,4 +1,4 @@
-//! Events that must not cause motion: stops, ends of leases, and connections. The robot states its commanded positions in answers to
+//! Checks that stops, ends of leases and new connections cause no motion. The robot states its commanded positions in responses to
 //! inquiries.
 
 use urrcp::{ControlRequest, ControlType, Inquiry, RequestState, Span, StopCondition};
@@ -44,10 +44,10 @@ pub(super) const ALL: [Requirement; 5] = [
     },
 ];
 
-/// A movement to the default state would have begun within this time.
+/// Time within which an erroneous movement to the default state would begin.
 const WATCHED: Span = Span::from_millis(300);
 
-/// Moves the device to a position other than its default one.
+/// Moves the device away from its default position. Returns the device and the line.
 fn moved_away(trial: &Trial) -> Result<(&Actor, Line<'_>), Unmet> {
     answering(trial)?;
     let actor = trial.actor()?;
@@ -67,7 +67,7 @@ fn moved_away(trial: &Trial) -> Result<(&Actor, Line<'_>), Unmet> {
     }
 }
 
-/// The position of the device, and the answer that states it.
+/// Queries the commanded position of the device; `None` if the robot does not state it. Also returns the inquiry with its response.
 fn stated(line: &mut Line, actor: &Actor) -> Result<(Option<f64>, Inquired), Unmet> {
     let devices = vec![actor.device.id.clone()];
     let inquired = line.inquire(&Inquiry { devices, ..Inquiry::default() })?;
@@ -126,7 +126,7 @@ fn stays_running(trial: &Trial) -> Checked {
     stays_after_lease(trial, &mut line, actor)
 }
 
-/// Other requirements check whether and when the lease ends.
+/// Checks that the device does not move after a lease has expired. Other requirements check whether and when the lease expires.
 fn stays_after_lease(trial: &Trial, line: &mut Line, actor: &Actor) -> Checked {
     trial.pause(PERIOD + trial.slack())?;
     stays(trial, line, actor, "the end of a lease")

@@ -1,4 +1,5 @@
-//! The session that owns a robot: commands that others cannot stop, the destination of its reports, and its end by silence.
+//! Checks of the session that owns a robot: other sessions cannot command the robot, reports follow the session's connection, and silence
+//! ends the session.
 
 use urrcp::{ControlRequest, ErrorCode, SessionId, Span, Status};
 
@@ -28,7 +29,7 @@ pub(super) const ALL: [Requirement; 3] = [
     },
 ];
 
-/// A session with an unused name.
+/// Creates a session with an unused id.
 pub(super) fn session(trial: &Trial) -> Result<SessionId, Unmet> {
     let name = format!("{}/session", trial.fresh_id());
     SessionId::new(name).map_err(|error| not_applicable(error.to_string()))
@@ -113,8 +114,8 @@ fn reports_follow(trial: &Trial) -> Checked {
     pass()
 }
 
-/// Sends a command on the first connection of the route, and further messages on the others in order. The reports of the command must
-/// arrive on the last. Returns `false` if the command began before that.
+/// Sends a command on the first connection of `route`, then a message on each of the others in order. Checks that the reports on the
+/// command arrive on the last connection. Returns `false` if the command started too early for this check.
 fn follows(trial: &Trial, session: &SessionId, route: &[usize], millis: f64) -> Result<bool, Unmet> {
     let actor = trial.actor()?;
     let first = trial.connect()?;
@@ -145,7 +146,7 @@ fn follows(trial: &Trial, session: &SessionId, route: &[usize], millis: f64) -> 
             other => other.map(drop)?,
         }
     }
-    // All commands have ended, including those whose end was reported elsewhere.
+    // All commands have ended, including those whose end was reported on another connection.
     lines.into_iter().for_each(Line::cut);
     Ok(true)
 }

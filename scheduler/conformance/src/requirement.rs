@@ -1,28 +1,28 @@
-//! A requirement, and the possible results of its check.
+//! Requirements, and the possible results of their checks.
 
 use serde::Serialize;
 
 use super::trial::Trial;
 
-/// A demand of the protocol on a robot, with the check for it.
+/// A requirement that the protocol imposes on robots, with the check for it.
 #[derive(Clone, Copy, Debug)]
 pub struct Requirement {
-    /// The name that `--only` accepts.
+    /// The name of the requirement, as in the option `--only`.
     pub name: &'static str,
-    /// The demand in one sentence.
+    /// The requirement in one sentence.
     pub demands: &'static str,
-    /// The section of `docs/protocol.md` that states it.
+    /// The section of `docs/protocol.md` that states the requirement.
     pub section: &'static str,
     pub(super) check: fn(&Trial) -> Checked,
 }
 
-/// The result of a check: a note for people, possibly empty, or the reason why it did not pass.
+/// The result of a check: a note for people, possibly empty, or the reason why the robot did not pass.
 pub(super) type Checked = Result<String, Unmet>;
 
-/// Why a requirement was not passed.
+/// Why a robot did not pass the check of a requirement.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Unmet {
-    /// The robot behaves differently; contains the sent, the received and the expected message.
+    /// The robot violates the requirement. Contains the sent, the received and the expected message.
     Failed(String),
     /// The robot does not declare a capability that the check needs.
     NotApplicable(String),
@@ -31,7 +31,7 @@ pub(super) enum Unmet {
 }
 
 impl Unmet {
-    /// Rewrites the reason of a failure to add context.
+    /// Rewrites the reason if this is a failure, to add context.
     pub(super) fn within(self, tell: impl FnOnce(String) -> String) -> Self {
         match self {
             Self::Failed(why) => Self::Failed(tell(why)),
@@ -40,7 +40,7 @@ impl Unmet {
     }
 }
 
-/// How a requirement was judged.
+/// Whether a robot meets a requirement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -71,18 +71,18 @@ pub struct Judged {
     pub requirement: &'static str,
     /// The result of the check.
     pub verdict: Verdict,
-    /// The sent, the received and the expected message; after a pass, the measurement, if any.
+    /// After a failure: the sent, the received and the expected message. After a pass: the measurement, if any.
     pub why: String,
     /// Duration of the check in milliseconds.
     pub millis: u64,
 }
 
-/// A pass without a note.
+/// Returns a pass without a note.
 pub(super) fn pass() -> Checked {
     Ok(String::new())
 }
 
-/// A failure in the standard wording.
+/// Creates a failure in the standard wording: the sent, the received and the expected message.
 pub(super) fn differs(sent: &str, came: &str, expected: &str) -> Unmet {
     Unmet::Failed(format!("sent {}; received {}; expected {expected}", shown(sent), shown(came)))
 }
@@ -91,10 +91,10 @@ pub(super) fn not_applicable(why: impl Into<String>) -> Unmet {
     Unmet::NotApplicable(why.into())
 }
 
-/// Maximum characters of a quoted line.
+/// Maximum number of characters of a quoted line.
 const SHOWN_CHARS_MAX: usize = 400;
 
-/// A line as quoted in a sentence: a long one is cut, followed by its length.
+/// Quotes a line in a sentence. A long line is cut and followed by its length.
 pub(super) fn shown(line: &str) -> String {
     let line = line.trim_end();
     match line.char_indices().nth(SHOWN_CHARS_MAX) {

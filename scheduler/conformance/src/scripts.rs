@@ -1,4 +1,4 @@
-//! Scripts: their order, their timing, the number of steps, and the number of scripts.
+//! Checks of scripts: order and timing of steps, number of steps, and number of queued scripts.
 
 use urrcp::{ControlRequest, ErrorCode, Span, Status};
 
@@ -45,9 +45,9 @@ pub(super) const ALL: [Requirement; 6] = [
     },
 ];
 
-/// Maximum number of steps to test; a robot may declare more than is practical.
+/// Maximum number of steps to test, because a robot may declare an impractically large number.
 const STEPS_TRIED_MAX: u32 = 10_000;
-/// Maximum number of scripts to test in a queue.
+/// Maximum number of queued scripts to test.
 const QUEUE_TRIED_MAX: u32 = 256;
 
 fn script_order(trial: &Trial) -> Checked {
@@ -98,7 +98,7 @@ fn script_timing(trial: &Trial) -> Checked {
     }
 }
 
-/// A script with this many steps at intervals of a millisecond, which never starts.
+/// A script of `count` steps at intervals of one millisecond. The check ends before the script starts.
 fn of_steps(trial: &Trial, actor: &Actor, count: u32) -> ControlRequest {
     let steps: Vec<_> = (0..count).map(|i| (f64::from(i), actor.rest)).collect();
     trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)
@@ -134,7 +134,7 @@ fn one_step_too_many(trial: &Trial) -> Checked {
     pass()
 }
 
-/// The n-th script of a gapless sequence.
+/// The n-th of several scripts that follow each other without gaps.
 fn nth(trial: &Trial, actor: &Actor, timestamp: &ControlRequest, n: u32) -> ControlRequest {
     let request = trial.there_and_back(actor, 500.0).leased(LEASE_MS);
     let request = ControlRequest { timestamp: timestamp.timestamp, ..request };

@@ -1,5 +1,5 @@
-//! How a robot at a `tls://` or `hmac://` address handles peers that do not prove their identity, and messages that are altered in
-//! transit.
+//! Checks of robots at `tls://` and `hmac://` addresses: how they handle peers that do not prove their identity, and messages that are
+//! altered in transit.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -94,7 +94,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
 ];
 
-/// Whether a requirement belongs to this file.
+/// Whether a requirement is one of those that this module tests.
 pub(super) fn is_among(requirement: &Requirement) -> bool {
     ALL.iter().any(|own| own.name == requirement.name)
 }
@@ -120,13 +120,13 @@ fn availability() -> Message {
     Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None, seize: false })
 }
 
-/// A connection without any proof of identity.
+/// Opens a connection without proving an identity.
 fn unproven(trial: &Trial) -> Result<TcpStream, Unmet> {
     let failed = |error: io::Error| Unmet::Failed(format!("no connection to {}: {error}", trial.address()));
     dial(trial.address(), trial.options().patience.to_duration()).map_err(failed)
 }
 
-/// The bytes that arrive until the robot closes the connection; `None` if it is still open at `until`.
+/// Returns the bytes that arrive until the robot closes the connection; `None` if the connection is still open at `until`.
 fn until_hung_up(
     trial: &Trial,
     socket: &mut TcpStream,
@@ -146,7 +146,7 @@ fn until_hung_up(
     Ok(None)
 }
 
-/// The instant by which a robot must have closed the connection to a peer without proof of identity.
+/// The latest time at which the robot may close a connection that is opened now without proof of identity.
 fn deadline(trial: &Trial) -> Timestamp<Server> {
     trial.now() + DEADLINE + trial.options().patience
 }
@@ -182,7 +182,7 @@ fn proven_in_time(trial: &Trial) -> Checked {
     }
 }
 
-/// Checks that the connection ends, after at most `answers_max` answers.
+/// Checks that the robot closes the connection after at most `answers_max` responses.
 fn ends(trial: &Trial, line: &mut Line<'_>, what: &str, answers_max: usize) -> Checked {
     let until = trial.patience();
     line.listen(until, |line| line.has_ended())?;
@@ -234,7 +234,7 @@ fn no_certificate(trial: &Trial) -> Checked {
     let mut said = Vec::new();
     encode(&availability(), &mut said);
     let text = format!("{} by TLS without a certificate", String::from_utf8_lossy(&said).trim_end());
-    // With TLS 1.3 the robot refuses a handshake that this side considers complete, so the message may be sent.
+    // With TLS 1.3, the robot may refuse the handshake after this side considers it complete, so sending the message may succeed.
     let answered = Stream::without_certificate(trial.address(), tls, trial.options().patience.to_duration())
         .and_then(|mut stream| {
             stream.write_all(&said)?;
@@ -252,7 +252,7 @@ fn no_certificate(trial: &Trial) -> Checked {
     }
 }
 
-/// Sends the first line to the robot and receives its answer.
+/// Connects and sends the first line of the handshake. Returns the connection and the robot's answer.
 fn greeted(trial: &Trial, hello: &Hello) -> Result<(TcpStream, String), Unmet> {
     let mut socket = unproven(trial)?;
     let said = hello.line();

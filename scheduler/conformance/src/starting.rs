@@ -1,4 +1,4 @@
-//! When a command starts, and what the robot reports about it.
+//! Checks of the start of commands and of the robot's reports on it.
 
 use urrcp::{Command, ControlRequest, ErrorCode, Span, Status, StatusValue};
 
@@ -48,9 +48,9 @@ pub(super) const ALL: [Requirement; 6] = [
     },
 ];
 
-/// A robot's clock may show a start slightly early, due to rounding.
+/// Time by which a robot may report a start too early, due to rounding.
 pub(super) const EARLY_MAX: Span = Span::from_millis(1);
-/// Time from sending to a start that is to be judged, in milliseconds.
+/// Time in milliseconds from sending a request to its start, in checks that judge the start.
 const SOON_MS: f64 = 400.0;
 
 fn deferred_start(trial: &Trial) -> Checked {
@@ -61,7 +61,7 @@ fn deferred_start(trial: &Trial) -> Checked {
     starts(trial, &mut line, &request, Span::ZERO)
 }
 
-/// Offset of the first value in ms: long enough to distinguish it from the start of the script.
+/// Offset of the first script step in milliseconds, long enough to distinguish that step from the start of the script.
 const FIRST_MS: f64 = 300.0;
 
 fn script_start(trial: &Trial) -> Checked {
@@ -72,7 +72,7 @@ fn script_start(trial: &Trial) -> Checked {
     starts(trial, &mut line, &request, until_started(actor, &request))
 }
 
-/// Time from the start of a request until it has started.
+/// Time from the scheduled start of a request until the robot has to report it as started.
 pub(super) fn until_started(actor: &Actor, request: &ControlRequest) -> Span {
     match &request.command {
         Command::Script(script) => script.until_started(actor.device.interpolation),
@@ -80,7 +80,8 @@ pub(super) fn until_started(actor: &Actor, request: &ControlRequest) -> Span {
     }
 }
 
-/// Checks that the robot reports the start of a request in time. It is due `after` the beginning of the request.
+/// Sends a request, and checks that the robot reports it as started in time. The report is due `after` the scheduled start of the
+/// request.
 fn starts(trial: &Trial, line: &mut Line, request: &ControlRequest, after: Span) -> Checked {
     let planned = request.starts_at().map(|start| (start + after).assume_clock::<urrcp::Robot>());
     let ticket = line.held(request)?;
@@ -95,7 +96,7 @@ fn starts(trial: &Trial, line: &mut Line, request: &ControlRequest, after: Span)
         let expected = format!("event_timestamp from {planned} to {tolerance} later; it is off by {error}");
         return Err(differs(&sent, &started.text, &expected));
     }
-    // A report of a start in the future is false, regardless of its timestamp.
+    // A report that arrives before the start is due is false, regardless of the timestamp in it.
     let arrived = started.at + trial.shift - planned.assume_clock();
     let clocks = Span::from_millis(50);
     if arrived < -clocks {
@@ -142,7 +143,7 @@ fn refused_for_good(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<()
     }
 }
 
-/// How far in the past a start must lie for any reading of the clock to agree on that.
+/// How far in the past a start must be so that it is in the past regardless of clock uncertainty.
 const JUST_PASSED: Span = Span::from_millis(10);
 
 fn late_by_little(trial: &Trial) -> Checked {

@@ -1,4 +1,4 @@
-//! Cancelling, holding, and stops that arrive ahead of their command.
+//! Checks of cancelling, holding, and stops that arrive before the command that they refer to.
 
 use urrcp::{ControlRequest, ErrorCode, Span, Status};
 
@@ -40,7 +40,7 @@ pub(super) const ALL: [Requirement; 5] = [
     },
 ];
 
-/// Sends an empty script and waits until it is confirmed.
+/// Sends an empty script and waits until the robot confirms it.
 pub(super) fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
     let ticket = line.ask(cancel)?;
     let answer = line.answer(ticket)?;
@@ -51,7 +51,7 @@ pub(super) fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -
     }
 }
 
-/// Expects the report of the request that an empty script has ended, if the robot reports.
+/// Waits for the report that an empty script has cancelled the request, if the robot sends reports.
 fn is_cancelled(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
     if trial.reports() {
         line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;
@@ -65,7 +65,7 @@ fn cancel_pending(trial: &Trial) -> Checked {
     let pending = line.held(&trial.pending(actor))?;
     cancels(trial, &mut line, &trial.cancel(actor))?;
     is_cancelled(trial, &mut line, pending)?;
-    // The device no longer holds anything, so the same time is free again.
+    // The device no longer holds any command, so it can accept one for the same time again.
     line.held(&trial.pending(actor))?;
     pass()
 }

@@ -1,4 +1,4 @@
-//! The byte stream of a connection of the test client: plain, TLS, or authenticated records. Blocking, and accessible enough to alter
+//! The byte stream of a test client's connection: plain TCP, TLS, or authenticated records. It is blocking, and lets checks alter
 //! messages in transit.
 
 use std::io::{self, ErrorKind, Read, Write};
@@ -17,17 +17,17 @@ use rustls::{ClientConfig, ClientConnection, SignatureScheme, StreamOwned};
 
 use downbeat_runtime::link::{Security, Tls};
 
-/// Maximum length of a handshake line in bytes.
+/// Maximum length in bytes of a line of the handshake.
 const LINE_BYTES_MAX: usize = 8 * 1024;
 
-/// A connection to a robot.
+/// The byte stream of a connection to a robot.
 pub(super) enum Stream {
     Plain(TcpStream),
     Tls(Box<StreamOwned<ClientConnection, TcpStream>>),
     Hmac(Box<Sealed>),
 }
 
-/// A stream of records with authentication codes.
+/// A byte stream in records, each with an authentication code.
 pub(super) struct Sealed {
     socket: TcpStream,
     sealing: Sealing,
@@ -37,7 +37,7 @@ pub(super) struct Sealed {
 }
 
 impl Stream {
-    /// Connects and proves its identity, within the patience.
+    /// Connects to a robot and proves the client's identity, within the timeout `patience`.
     pub(super) fn connect(address: SocketAddr, security: &Security, patience: Duration) -> io::Result<Self> {
         let socket = dial(address, patience)?;
         match security {
@@ -48,7 +48,7 @@ impl Stream {
         }
     }
 
-    /// Like [`Stream::connect`], by TLS and without a client certificate.
+    /// Connects by TLS like [`Stream::connect`], but presents no client certificate.
     pub(super) fn without_certificate(
         address: SocketAddr,
         tls: &Tls,
@@ -75,7 +75,7 @@ impl Stream {
         }
     }
 
-    /// These bytes in their wire format; the encryption treats them as sent.
+    /// Returns `bytes` as they would be sent, after encryption. The state of the encryption advances as if they had been sent.
     pub(super) fn wrapped(&mut self, bytes: &[u8]) -> io::Result<Vec<u8>> {
         let mut wrapped = Vec::new();
         match self {
@@ -92,7 +92,7 @@ impl Stream {
     }
 }
 
-/// Presents no client certificate.
+/// A certificate resolver that presents no client certificate.
 #[derive(Debug)]
 struct NoCertificate;
 
@@ -161,7 +161,7 @@ impl Read for Sealed {
     }
 }
 
-/// A connection without any messages.
+/// Opens a TCP connection, without sending anything.
 pub(super) fn dial(address: SocketAddr, patience: Duration) -> io::Result<TcpStream> {
     let socket = TcpStream::connect_timeout(&address, patience)?;
     socket.set_nodelay(true)?;
@@ -170,7 +170,7 @@ pub(super) fn dial(address: SocketAddr, patience: Duration) -> io::Result<TcpStr
     Ok(socket)
 }
 
-/// The next line of the handshake, including its newline. Does not read beyond it.
+/// Reads the next line of the handshake, including the newline, and nothing beyond it.
 pub(super) fn line(socket: &mut TcpStream) -> io::Result<String> {
     let (mut line, mut byte) = (Vec::new(), [0]);
     while line.last() != Some(&b'\n') && line.len() < LINE_BYTES_MAX {
@@ -180,7 +180,7 @@ pub(super) fn line(socket: &mut TcpStream) -> io::Result<String> {
     String::from_utf8(line).map_err(|_| io::Error::other(NotSealed::NotSpoken))
 }
 
-/// The first line for a robot, according to this pass.
+/// Creates the first line of the handshake from the pass `held`.
 pub(super) fn hello(held: &Held) -> io::Result<Hello> {
     Ok(Hello { nonce: fresh_nonce()?, robot: held.robot.clone(), claim: held.claim.clone() })
 }
@@ -196,7 +196,7 @@ fn greet(mut socket: TcpStream, held: &Held) -> io::Result<Sealed> {
     Ok(Sealed { socket, sealing, opening, opened: Vec::new(), read: 0 })
 }
 
-/// Selects the pass for the robot at this address, by the robot's own id, if there is one.
+/// Asks the robot at `address` for its id, and selects the pass for that robot if there is one.
 pub(super) fn for_robot_at(address: SocketAddr, security: Security, patience: Duration) -> Security {
     let Security::Hmac(hmac) = &security else { return security };
     let named = || {

@@ -1,4 +1,4 @@
-//! The environment of every check: the robot's address and block, clocks, connections, requests.
+//! The environment of the checks: the robot's address and initialization block, clocks, connections and requests.
 
 use std::cell::Cell;
 use std::net::SocketAddr;
@@ -20,9 +20,9 @@ use super::stream::Stream;
 use downbeat_runtime::link::{Security, denial};
 use downbeat_runtime::server_clock::ServerClock;
 
-/// A start that is never reached, because the check ends earlier.
+/// Time in milliseconds to a start that is never reached, because the check ends earlier.
 pub(super) const LATER_MS: f64 = 20_000.0;
-/// The lease of commands that are held briefly: commands that a check cannot cancel end soon.
+/// Lease in milliseconds of commands that are held briefly, so that commands that a check cannot cancel end soon.
 pub(super) const LEASE_MS: f64 = 1_500.0;
 /// Interval between checks for an interruption by the operator.
 const SLICE: Duration = Duration::from_millis(50);
@@ -34,14 +34,14 @@ pub(super) struct Trial {
     options: Options,
     clock: ServerClock,
     interrupted: Arc<AtomicBool>,
-    /// Added to the server's time in every request.
+    /// Time that is added to the server's clock in the timestamp of every request.
     pub(super) shift: Span,
     /// Whether the robot requires a greeting on every connection.
     pub(super) greets: bool,
-    /// The block, if the robot has sent one.
+    /// The robot's initialization block; `None` until the robot has sent it.
     pub(super) block: Option<InitializationBlock>,
     actor: Option<Actor>,
-    /// Distinguishes requests of this run from those of an earlier one.
+    /// Part of the request ids that distinguishes this run from earlier ones.
     run: u64,
     next_id: Cell<u64>,
     left_held: Cell<bool>,
@@ -85,17 +85,17 @@ impl Trial {
         &self.options
     }
 
-    /// The time by the monotonic clock.
+    /// The current time by the server's monotonic clock.
     pub(super) fn now(&self) -> Timestamp<Server> {
         self.clock.now()
     }
 
-    /// The current time as stated in requests.
+    /// The current time as stated in the timestamps of requests.
     pub(super) fn stamp(&self) -> Timestamp<Server> {
         self.now() + self.shift
     }
 
-    /// Deadline for an answer to a message sent now.
+    /// Deadline for the response to a message that is sent now.
     pub(super) fn patience(&self) -> Timestamp<Server> {
         self.now() + self.options.patience
     }
@@ -121,7 +121,7 @@ impl Trial {
         }
     }
 
-    /// Opens a connection. Greets a robot that requires it on every connection, so that only the check of the greeting fails.
+    /// Opens a connection. If the robot requires a greeting on every connection, sends it, so that only the check of the greeting fails.
     pub(super) fn connect(&self) -> Result<Line<'_>, Unmet> {
         let mut line = self.connect_silently()?;
         if self.greets {
@@ -131,12 +131,12 @@ impl Trial {
         Ok(line)
     }
 
-    /// Opens a connection without any messages.
+    /// Opens a connection without sending any message.
     pub(super) fn connect_silently(&self) -> Result<Line<'_>, Unmet> {
         self.connect_as(&self.options.security)
     }
 
-    /// Like [`Trial::connect_silently`], with another proof of identity.
+    /// Like [`Trial::connect_silently`], but proves the identity given by `security`.
     pub(super) fn connect_as(&self, security: &Security) -> Result<Line<'_>, Unmet> {
         let connected = Stream::connect(self.address, security, self.options.patience.to_duration());
         connected.map(|stream| Line::over(self, stream)).map_err(|error| {
@@ -151,7 +151,8 @@ impl Trial {
         })
     }
 
-    /// Whether the robot accepts a connection and answers on it. Waits for the patience, because the robot may be restarting.
+    /// Whether the robot accepts a connection and responds on it. Retries until the response timeout, because the robot may be
+    /// restarting.
     pub(super) fn is_alive(&self) -> bool {
         let until = self.patience();
         loop {
@@ -164,7 +165,7 @@ impl Trial {
         }
     }
 
-    /// Opens an additional connection, if the robot serves several.
+    /// Opens an additional connection. The requirement is not applicable if the robot serves only one.
     pub(super) fn connect_second(&self) -> Result<Line<'_>, Unmet> {
         let second = self.connect().and_then(|mut line| line.availability().map(|_| line));
         second.map_err(|unmet| match unmet {
@@ -202,7 +203,7 @@ impl Trial {
         }
     }
 
-    /// Checks that the robot reports on accepted commands.
+    /// Makes a requirement not applicable unless the robot reports on accepted commands.
     pub(super) fn reporting(&self) -> Result<(), Unmet> {
         if self.block()?.reports {
             Ok(())
@@ -220,7 +221,7 @@ impl Trial {
         format!("conformance/{:x}/{}", self.run, self.next_id.get())
     }
 
-    /// A request to this device with the current time as its timestamp, which starts on receipt.
+    /// Creates a request to `device` that has the current time as its timestamp and starts on receipt.
     pub(super) fn request(&self, device: &DeviceId, command: Command) -> ControlRequest {
         ControlRequest {
             timestamp: Some(self.stamp()),
@@ -233,7 +234,7 @@ impl Trial {
         self.request(&actor.device.id, Command::Set(Setpoint::new(actor.control_type, value)))
     }
 
-    /// A script of steps, each with its offset in milliseconds and its value.
+    /// Creates a request with a script. Each step is given as its offset in milliseconds and its value.
     pub(super) fn script(&self, actor: &Actor, steps: &[(f64, f64)]) -> ControlRequest {
         let step = |(millis, value): &(f64, f64)| Step {
             offset: millis_of(*millis),
@@ -244,19 +245,19 @@ impl Trial {
         self.request(&actor.device.id, Command::Script(script))
     }
 
-    /// A script that moves slightly and back within this time.
+    /// Creates a request with a script that moves the device slightly and back within `millis` milliseconds.
     pub(super) fn there_and_back(&self, actor: &Actor, millis: f64) -> ControlRequest {
         self.script(actor, &[(0.0, actor.rest), (millis / 2.0, actor.near), (millis, actor.rest)])
     }
 
-    /// A command that is held until the end of the check: a script if the device accepts scripts.
+    /// Creates a command that the robot holds until the end of the check: a script if the device accepts scripts, otherwise a value.
     pub(super) fn pending(&self, actor: &Actor) -> ControlRequest {
         let request =
             if actor.in_script { self.there_and_back(actor, 500.0) } else { self.set(actor, actor.rest) };
         request.starting_in(LATER_MS).leased(LEASE_MS)
     }
 
-    /// The empty script.
+    /// Creates a request with the empty script.
     pub(super) fn cancel(&self, actor: &Actor) -> ControlRequest {
         let cancel = self.request(&actor.device.id, Command::Script(Script::cancel()));
         ControlRequest { timestamp: None, ..cancel }
@@ -266,7 +267,7 @@ impl Trial {
         self.round_trip.set(self.round_trip.get().max(span));
     }
 
-    /// Maximum delay before an event becomes known: the longest observed round trip plus the tolerance.
+    /// Maximum time until the client learns of an event on the robot: the longest observed round trip plus the tolerance.
     pub(super) fn slack(&self) -> Span {
         self.round_trip.get() + self.options.tolerance
     }
@@ -276,8 +277,8 @@ impl Trial {
         self.left_held.set(true);
     }
 
-    /// Whether this answer to an empty script confirms that the device rests. That is `OK`, or from a device without scripts the error
-    /// that it lacks this control type, which also sends it to its default state.
+    /// Whether `answer`, the response to an empty script, confirms that the device is at rest. `OK` confirms it. On a device without
+    /// scripts, the error that it lacks the control type also does, because the device then goes to its default state.
     pub(super) fn confirms_rest(&self, answer: &ControlResponse) -> bool {
         let scripts =
             self.actor.as_ref().is_some_and(|actor| actor.device.available_control_types.script().is_some());
@@ -286,7 +287,7 @@ impl Trial {
         answer.status == Status::Ok || !scripts && lacking
     }
 
-    /// Brings the robot to rest, so that every check starts from the same state. Returns whether the robot confirmed it.
+    /// Brings the robot to rest, so that every check starts from the same state. Returns whether the robot confirmed that it is at rest.
     pub(super) fn settle(&self) -> bool {
         let Some(actor) = &self.actor else { return true };
         let until = self.patience();
@@ -325,9 +326,9 @@ pub(super) fn millis_of(millis: f64) -> Millis {
 
 /// Sets the start and the lease of a request.
 pub(super) trait Shaped {
-    /// Starts this many milliseconds after its timestamp.
+    /// Sets the start to `millis` milliseconds after the request's timestamp.
     fn starting_in(self, millis: f64) -> Self;
-    /// Ends after this many milliseconds of silence.
+    /// Sets a lease that ends the command after `millis` milliseconds of silence.
     fn leased(self, millis: f64) -> Self;
 }
 

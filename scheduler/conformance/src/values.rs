@@ -1,4 +1,4 @@
-//! The declared values of a robot's devices, and the values that it accepts.
+//! Checks of the values that a robot declares for its devices, and of the values that it accepts.
 
 use urrcp::{Command, ControlType, DeviceId, ErrorCode, Message, Script, Setpoint, Status, Step, encode};
 
@@ -63,7 +63,7 @@ pub(super) const ALL: [Requirement; 9] = [
     },
 ];
 
-/// Checks that a value is accepted for later, and cancels it at once, so that nothing moves.
+/// Checks that the device accepts a value for a later start, and cancels the command at once, so that nothing moves.
 fn takes(trial: &Trial, line: &mut Line, value: f64) -> Result<(), Unmet> {
     let actor = trial.actor()?;
     line.held(&trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS))?;
@@ -148,7 +148,7 @@ fn unknown_control_type(trial: &Trial) -> Checked {
     note
 }
 
-/// A command of a control type that the device lacks is refused, and ends what the device held.
+/// Checks that the robot refuses a command of a control type that the device lacks, and ends the commands that the device holds.
 fn lacking(trial: &Trial, control_type: &str, value: &str) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
@@ -158,7 +158,7 @@ fn lacking(trial: &Trial, control_type: &str, value: &str) -> Checked {
     let id = request.request_id.as_ref().map(ToString::to_string);
     let mut text = Vec::new();
     encode(&Message::ControlRequest(request), &mut text);
-    // Only the name and the value differ, even if no type of ours could represent them.
+    // Replaces only the control type and the value in the text, because no Rust type can represent them.
     let named = format!("\"control_type\":\"{control_type}\"");
     let valued = format!("\"control_value\":{value}");
     let text = String::from_utf8_lossy(&text).replace("\"control_type\":\"position\"", &named);

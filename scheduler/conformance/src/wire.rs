@@ -1,4 +1,4 @@
-//! Lines that no server sends: the robot answers or ignores them and continues to work.
+//! Checks with lines that no server sends: the robot answers or ignores them and continues to work.
 
 use serde_json::{Value, json};
 use urrcp::{Message, STRING_CHARS_MAX};
@@ -83,7 +83,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
 ];
 
-/// A valid control request that is accepted and held, as a base for invalid ones.
+/// A valid control request that the robot accepts and holds, as a base for invalid requests.
 fn sound(trial: &Trial) -> Result<Value, Unmet> {
     let actor = trial.actor()?;
     Ok(json!({
@@ -97,7 +97,7 @@ fn line_of(request: &Value) -> Vec<u8> {
     format!("{}\n", json!({"control_request": request})).into_bytes()
 }
 
-/// Checks that each of the lines is answered with `malformed`, and that the connection continues afterwards.
+/// Checks that the robot answers each line with `malformed` and keeps the connection open.
 fn all_malformed(line: &mut Line, lines: &[Vec<u8>]) -> Checked {
     for bytes in lines {
         line.is_malformed(bytes)?;

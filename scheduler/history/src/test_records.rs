@@ -1,10 +1,10 @@
-//! Records of missions, for tests.
+//! Creates records of missions for tests.
 
 use downbeat_mission::report::{ActFate, ActReport, DeviceReport, DeviceState};
 use downbeat_mission::{ActFlaws, ActOver, LeadTime, Promise, PromisedScript, Record};
 use urrcp::{ContentHash, Millis, Span, Timestamp};
 
-/// A script of `r/d`.
+/// A promised script for the device `d` of the robot `r`.
 pub(crate) fn script(request: &str, content_hash: ContentHash) -> PromisedScript {
     PromisedScript {
         robot: "r".parse().unwrap(),
@@ -18,7 +18,7 @@ pub(crate) fn script(request: &str, content_hash: ContentHash) -> PromisedScript
     }
 }
 
-/// An act that is sent at the beginning of 1970.
+/// The record of an act that is sent at the start of 1970.
 pub(crate) fn prepared(number: u32, scripts: Vec<PromisedScript>) -> Record {
     Record::Prepared(Promise {
         number,
@@ -31,7 +31,7 @@ pub(crate) fn prepared(number: u32, scripts: Vec<PromisedScript>) -> Record {
     })
 }
 
-/// An act that was played.
+/// The record of an act that was played.
 pub(crate) fn ended(report: ActReport) -> Record {
     Record::ActEnded {
         over: ActOver { act: report.number as usize, fate: ActFate::Played },
@@ -41,7 +41,7 @@ pub(crate) fn ended(report: ActReport) -> Record {
     }
 }
 
-/// The report of an act without robots.
+/// The report of an act in which no robot plays.
 pub(crate) fn report(act: &str, number: u32) -> ActReport {
     ActReport {
         act: act.to_owned(),
@@ -64,7 +64,7 @@ pub(crate) fn report(act: &str, number: u32) -> ActReport {
     }
 }
 
-/// A script that has not begun.
+/// The report of a script that has not begun.
 pub(crate) fn device(id: &str, state: DeviceState) -> DeviceReport {
     DeviceReport {
         device: id.parse().unwrap(),

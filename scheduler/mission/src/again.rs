@@ -11,10 +11,10 @@ use super::{Mission, Outcome, Phase};
 
 /// The maximum number of times that an act is prepared again.
 const AGAIN_MAX: u32 = 2;
-/// The minimum delay to allow for. A machine that was late by less may be late by this much the next time.
+/// The minimum delay that the next attempt allows for. A machine that was late by less may be late by this much the next time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
-/// An act that is overdue by more than this, or was in the last few seconds, has missed a round. If leases end then, this machine is the
-/// cause.
+/// An act that is overdue by more than this, or was so in the last few seconds, has missed a round. If leases end then, this machine is
+/// the cause.
 const OVERDUE: Span = Span::from_millis(5);
 
 /// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the act
@@ -23,7 +23,7 @@ const OVERDUE: Span = Span::from_millis(5);
 pub(super) struct Again {
     act: usize,
     attempts: u32,
-    /// The fixed start of the act.
+    /// The fixed start of the act; `None` if the start is not fixed.
     start: Option<Timestamp<Server>>,
     /// Robots that would have failed if this machine were not suspected. They fail if they do not confirm their stop.
     suspended: Vec<(usize, FailureKind)>,
@@ -84,8 +84,8 @@ impl Mission {
         }
     }
 
-    /// Whether the act has attempts left and may start later than at a fixed time. While another act plays, all its robots must also drop
-    /// it by themselves.
+    /// Whether an act may be prepared again: it has attempts left, and may start later than at a fixed time. While another act plays, all
+    /// robots of the act must also drop it by themselves.
     pub(super) fn may_be_prepared_again(&self, now: Timestamp<Server>, number: u32) -> bool {
         let drops = |member: &Member| self.robots[member.robot].drops_undecided();
         let (act, drops) = match self.acts.as_slice() {

@@ -12,16 +12,16 @@ use urrcp::{
 use super::Participant;
 use super::robot_state::RobotState;
 
-/// The reports of a robot about its scripts.
+/// How a test robot reports about its scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Tells {
-    /// It reports by itself, and answers inquiries.
+    /// The robot reports by itself, and answers inquiries.
     Everything,
-    /// It reports by itself.
+    /// The robot reports by itself.
     Reports,
-    /// It answers inquiries.
+    /// The robot answers inquiries.
     Answers,
-    /// It does neither.
+    /// The robot neither reports by itself nor answers inquiries.
     Nothing,
 }
 
@@ -35,7 +35,7 @@ pub(super) fn ms(millis: i64) -> Span {
     Span::from_millis(millis)
 }
 
-/// An instant, in milliseconds after the beginning.
+/// An instant, in milliseconds after a fixed one.
 pub(super) fn at(millis: i64) -> Timestamp<Server> {
     Timestamp::from_nanos(0) + ms(1_000_000 + millis)
 }
@@ -105,7 +105,7 @@ pub(super) fn played(scripts: &[&[Planned]]) -> Arc<Choreography> {
     Arc::new(choreography(scripts))
 }
 
-/// The time of a robot's clock that shows the server's time.
+/// The given time as a time of a robot's clock that agrees with the server's.
 pub(super) fn by_robot(at: Timestamp<Server>) -> Timestamp<Robot> {
     at.assume_clock()
 }

@@ -23,12 +23,12 @@ pub enum Claim {
         /// The number of steps of the script.
         planned: u32,
     },
-    /// Fewer steps than it had stated before.
+    /// Fewer steps than the robot had stated before.
     #[error("{claimed} steps done, after reporting {before}")]
     FewerSteps {
         /// The stated number of steps.
         claimed: u32,
-        /// The number stated before.
+        /// The number of steps that the robot had stated before.
         before: u32,
     },
     /// More late steps than executed steps.
@@ -39,7 +39,7 @@ pub enum Claim {
         /// The stated number of executed steps.
         done: u32,
     },
-    /// Completion before its last step.
+    /// Completion before the last step of the script.
     #[error("completed with {claimed} steps done, of {planned} planned")]
     Completed {
         /// The stated number of steps.
@@ -52,30 +52,30 @@ pub enum Claim {
     BeforeSent {
         /// The stated start.
         claimed: Timestamp<Robot>,
-        /// The minimum time by which it is too early.
+        /// The minimum time by which the start is too early.
         #[serde(rename = "by_ms")]
         by: Span,
     },
     /// A start before the script can have arrived.
     #[error("started {by} earlier than possible")]
     StartedEarly {
-        /// The minimum time by which it is too early.
+        /// The minimum time by which the start is too early.
         #[serde(rename = "by_ms")]
         by: Span,
     },
-    /// An event in the future.
+    /// A stated time in the future.
     #[error("the reported time is {by} in the future")]
     Ahead {
-        /// The stated time.
+        /// The time that the robot states.
         claimed: Timestamp<Robot>,
-        /// The minimum time by which it is later than the arrival of its report.
+        /// The minimum time by which the stated time is later than the arrival of the report.
         #[serde(rename = "by_ms")]
         by: Span,
     },
     /// Completion before the script can have been played.
     #[error("completed {by} earlier than possible")]
     EndedEarly {
-        /// The minimum time by which it is too early.
+        /// The minimum time by which the completion is too early.
         #[serde(rename = "by_ms")]
         by: Span,
     },
@@ -88,9 +88,9 @@ pub(crate) struct Told {
     said_at: Timestamp<Robot>,
     steps_done: Option<u32>,
     late_steps: Option<u32>,
-    /// Whether it states that the script has begun.
+    /// Whether the robot states that the script has begun.
     begun: bool,
-    /// Whether it states that the script has completed.
+    /// Whether the robot states that the script has completed.
     completed: bool,
     started_at: Option<Timestamp<Robot>>,
     ended_at: Option<Timestamp<Robot>>,
@@ -129,7 +129,7 @@ impl Told {
         }
     }
 
-    /// The arrival time.
+    /// The arrival time of the statement.
     pub(crate) const fn arrived(&self) -> Timestamp<Server> {
         self.arrived
     }
@@ -138,16 +138,16 @@ impl Told {
         self.begun || self.steps_done.is_some_and(|steps| steps > 0)
     }
 
-    /// The stated number of steps, with its time.
+    /// The stated number of steps, with the time of the statement.
     pub(crate) fn steps(&self) -> Option<(Timestamp<Robot>, u32)> {
         self.steps_done.map(|steps| (self.said_at, steps))
     }
 }
 
-/// The possible values for a script.
+/// The values that a robot's statement about a script can have.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Possible {
-    /// The number of its steps.
+    /// The number of steps of the script.
     pub(crate) planned: u32,
     /// The latest report of executed steps, with its time by the robot's clock.
     pub(crate) before: Option<(Timestamp<Robot>, u32)>,
@@ -158,12 +158,12 @@ pub(crate) struct Possible {
 /// The instants of a script, and the accuracy of the robot's clock.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Times {
-    /// The act was sent at this time or later.
+    /// The earliest time at which the act may have been sent.
     pub(crate) sent: Timestamp<Server>,
     /// The start of the script by the robot's clock, and its playing time.
     pub(crate) start: Timestamp<Robot>,
     pub(crate) duration: Span,
-    /// The offset, robot minus server, and its uncertainty.
+    /// The offset of the robot's clock, robot minus server, and its uncertainty.
     pub(crate) offset: Span,
     pub(crate) uncertainty: Span,
     /// The permitted distance of a start from the plan.

@@ -1,5 +1,5 @@
-//! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). No clock is read here.
-//! The method and its sources are in `docs/clocks.md`.
+//! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). This module reads no clock. The method and
+//! its sources are in `docs/clocks.md`.
 
 mod round_trips;
 
@@ -14,39 +14,39 @@ use round_trips::RoundTrips;
 /// free-running computer. It applies until the drift has been measured.
 pub const DRIFT_BOUND: f64 = 100e-6;
 
-/// How much a measured drift changes while it is tracked, as a fraction: PHI, the frequency tolerance of RFC 5905, section 7.2.
+/// The maximum change of a measured drift while it is tracked, as a fraction: PHI, the frequency tolerance of RFC 5905, section 7.2.
 pub const DRIFT_WANDER: f64 = 15e-6;
 
 /// The largest uncertainty of a drift that is reported and tracked. A worse estimate adds little to the bound.
 const DRIFT_KNOWN: f64 = DRIFT_BOUND / 2.0;
 
-/// The number of bins for the drift. They widen until together they span the window.
+/// The number of bins in which exchanges are collected to measure the drift. The bins widen until together they span the window.
 const BINS: usize = 64;
 const WINDOW: Span = Span::from_millis(3_600_000);
-/// The bins are doubled at most this often: from 220 ms to 56 s.
+/// The width of the bins is doubled at most this often: from 220 ms to 56 s.
 const DOUBLINGS_MAX: u32 = 8;
 const FIRST_BIN_NANOS: i64 = (WINDOW.as_nanos() / 64) >> DOUBLINGS_MAX;
 
-/// One exchange with a robot.
+/// One exchange of timestamps with a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockSample {
-    /// The robot's clock minus the server's, if both ways took the same time.
+    /// The robot's clock minus the server's, if both directions took the same time.
     pub offset: Span,
     /// Round trip without the robot's processing time.
     pub delay: Span,
-    /// The minimum offset at `at`, because the way back took at least zero time.
+    /// The minimum offset at `at`: the answer travelled for at least zero time.
     pub lower: Span,
-    /// The maximum offset at `sent`, because the way there took at least zero time.
+    /// The maximum offset at `sent`: the question travelled for at least zero time.
     pub upper: Span,
-    /// The time at which the server asked.
+    /// The time at which the server sent the question.
     pub sent: Timestamp<Server>,
     /// The time at which the server received the answer.
     pub at: Timestamp<Server>,
 }
 
 impl ClockSample {
-    /// Offset ((T2-T1)+(T3-T4))/2 and delay (T4-T1)-(T3-T2), RFC 5905 section 8; bounds T3-T4 and T2-T1, widened by the resolution of the
-    /// robot's timestamps.
+    /// Computes a sample from the four timestamps of an exchange. Offset ((T2-T1)+(T3-T4))/2 and delay (T4-T1)-(T3-T2), RFC 5905 section
+    /// 8; bounds T3-T4 and T2-T1, widened by the resolution of the robot's timestamps.
     #[must_use]
     pub fn from_exchange(
         sent: Timestamp<Server>,
@@ -69,8 +69,8 @@ impl ClockSample {
     }
 }
 
-/// The resolution of two timestamps of a robot. Many robots write milliseconds or microseconds. On a fast link, this is longer than the
-/// travel time.
+/// The resolution of two timestamps of a robot. Many robots write milliseconds or microseconds. On a fast link, the resolution is longer
+/// than the travel time.
 #[must_use]
 pub fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
     let counts_in = |step: &i64| one.as_nanos() % step == 0 && other.as_nanos() % step == 0;
@@ -89,12 +89,12 @@ impl Bound {
         self.value + Span::from_millis_f64((now - self.at).as_millis_f64() * rate)
     }
 
-    /// The value of a lower bound at another instant.
+    /// The value of this lower bound at another instant.
     fn least(self, now: Timestamp<Server>, rates: Rates) -> Span {
         self.drifted(now, rates.least).min(self.drifted(now, rates.most))
     }
 
-    /// The value of an upper bound at another instant.
+    /// The value of this upper bound at another instant.
     fn most(self, now: Timestamp<Server>, rates: Rates) -> Span {
         self.drifted(now, rates.least).max(self.drifted(now, rates.most))
     }
@@ -106,7 +106,7 @@ impl Bound {
     }
 }
 
-/// The range of the drift rate of the offset.
+/// The range in which the drift rate of the offset lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rates {
     least: f64,
@@ -126,7 +126,7 @@ impl Rates {
     }
 }
 
-/// The tightest lower and upper bound of several exchanges, possibly from different ones.
+/// The tightest lower bound and the tightest upper bound of several exchanges, each possibly from a different exchange.
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
     lower: Bound,
@@ -186,26 +186,26 @@ pub struct ClockEstimate {
     steps: u32,
 }
 
-/// A robot's clock as reported.
+/// The estimate of a robot's clock, as reported.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockReading {
     /// The robot's clock minus the server's, in milliseconds.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// The true offset lies within this of `offset`, whatever the asymmetry of the path.
+    /// The true offset differs from `offset` by at most this, whatever the asymmetry of the path.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
-    /// The shortest round trip.
+    /// The shortest of all round trips.
     #[serde(rename = "delay_min_ms")]
     pub delay_min: Span,
     /// The longest of all round trips.
     #[serde(rename = "delay_max_ms")]
     pub delay_max: Span,
-    /// The current duration of round trips without isolated outliers, from which times are computed. Unlike the longest of all, it
-    /// forgets.
+    /// The current duration of round trips without isolated outliers, from which times are computed. Unlike `delay_max`, it forgets old
+    /// round trips.
     #[serde(rename = "delay_high_ms")]
     pub delay_high: Span,
-    /// The number of exchanges.
+    /// The number of exchanges so far.
     pub samples: u32,
     /// The number of exchanges that contradicted earlier ones: a clock was set, or is wrong.
     pub steps: u32,
@@ -214,7 +214,7 @@ pub struct ClockReading {
     pub drift: Option<Drift>,
 }
 
-/// The reason why a reading indicates a start at the wrong time.
+/// The reason why, according to a clock reading, a robot may start at the wrong time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockDoubt {
@@ -243,16 +243,16 @@ impl ClockReading {
 /// The rate at which one clock gains on another, in parts per million.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Drift {
-    /// The rate.
+    /// The rate, in parts per million.
     #[serde(rename = "drift_ppm")]
     pub ppm: f64,
-    /// The true rate lies within this of `ppm`.
+    /// The true rate differs from `ppm` by at most this.
     #[serde(rename = "drift_uncertainty_ppm")]
     pub uncertainty_ppm: f64,
 }
 
 impl ClockEstimate {
-    /// Takes an exchange. If it contradicts the earlier ones, they are discarded: only the new one certainly reflects the current clock.
+    /// Adds an exchange. If it contradicts the earlier ones, they are discarded: only the new one certainly reflects the current clock.
     pub fn add(&mut self, sample: ClockSample) {
         self.delay_min = if self.samples == 0 { sample.delay } else { self.delay_min.min(sample.delay) };
         self.delay_max = self.delay_max.max(sample.delay);
@@ -266,7 +266,7 @@ impl ClockEstimate {
             (Some(bounds), Some(all)) if !all.and(told).is_empty() => {
                 bounds.tighten(new, now, Rates::ANY);
                 if self.history.narrow(all, now).and(told).is_empty() {
-                    // Within the bound, but not at the measured rate: NTP may have begun to correct the clock.
+                    // The clock drifted within the bound, but not at the measured rate: NTP may have begun to correct it.
                     self.history = History::default();
                 }
             }
@@ -332,7 +332,7 @@ impl ClockEstimate {
 struct History {
     bins: VecDeque<Bin>,
     doublings: u32,
-    /// The range of the mean rate over any stretch from one bin to another.
+    /// The range in which the mean rate from any bin to any later one lies.
     means: Rates,
     narrowest: Option<Narrowest>,
 }
@@ -345,7 +345,7 @@ struct Narrowest {
     since: Timestamp<Server>,
 }
 
-/// The tightest bounds of a stretch of time; `index` numbers the stretch.
+/// The tightest bounds of the exchanges in one bin of time; `index` is the number of the bin.
 #[derive(Clone, Copy, Debug)]
 struct Bin {
     index: i64,
@@ -440,7 +440,7 @@ impl History {
         })
     }
 
-    /// The rest of an interval after the bounds of the window are extrapolated to `now` by the drift.
+    /// The part of an interval within the bounds of the window, which are extrapolated to `now` by the drift.
     fn narrow(&self, interval: Interval, now: Timestamp<Server>) -> Interval {
         let Some(rates) = self.rates() else { return interval };
         if let Some(narrowest) = self.narrowest.filter(|narrowest| narrowest.since <= now) {
@@ -456,7 +456,7 @@ pub struct NtpState {
     /// NTP time minus the server's clock. The clock was set to NTP time when it was anchored, so this is the change since then.
     #[serde(rename = "offset_change_ms")]
     pub offset_change: Span,
-    /// The true change lies within this of `offset_change`, if the NTP server is right; `None` before the first answer.
+    /// The true change differs from `offset_change` by at most this, if the NTP server is right; `None` before the first answer.
     #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Span>,
     /// The rate at which NTP time gains on the server's clock, once known.

@@ -1,4 +1,4 @@
-//! The course of a mission through its acts: each act is advanced, followed by the next one, and closed.
+//! Controls the course of a mission through its acts: each act is advanced, followed by the next one, and closed.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -39,7 +39,7 @@ impl Mission {
         }
     }
 
-    /// Continues after an event that may permit an act to progress.
+    /// Continues the mission after an event that may permit an act to progress.
     pub(super) fn goes_on(&mut self, now: Timestamp<Server>) {
         match self.phase {
             Phase::Performing => self.perform(now),
@@ -131,7 +131,8 @@ impl Mission {
         }
     }
 
-    /// Makes a failure lead to another act. An act that waits behind the playing one, and was not sent, is removed.
+    /// Makes the mission continue with another act after a failure. An act that waits behind the playing one, and was not sent, is
+    /// removed.
     pub(super) fn lead_elsewhere(&mut self, act: usize) {
         self.detour = Some(act);
         if let [.., _, waiting] = self.acts.as_slice()
@@ -142,7 +143,7 @@ impl Mission {
         }
     }
 
-    /// Continues after an act that has ended without a following one.
+    /// Continues the mission after an act that has ended without a following one.
     fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
         let way = self.detour.take().map_or(follow, Way::Act);
         self.go_way(now, way);
@@ -242,7 +243,7 @@ impl Mission {
         announcement.into_iter().for_each(|waiting| self.tell(waiting));
     }
 
-    /// Takes the operator's go. It applies to the act that waits for it now, not to a later one.
+    /// Processes the operator's go. It applies to the act that waits for it now, not to a later one.
     pub(super) fn go(&mut self, now: Timestamp<Server>, named: Option<&str>, by: Option<String>) {
         let answer = match self.awaits_go(named) {
             Ok(index) => {
@@ -416,7 +417,7 @@ impl Mission {
         self.stopped_at.zip(end).is_some_and(|(stopped, end)| stopped >= end)
     }
 
-    /// Takes the flaws of an act that ended here or before another process died.
+    /// Notes the flaws of an act that ended here or before another process died.
     pub(super) fn is_flawed(&mut self, flaws: &ActFlaws) {
         if let Some(OutOfTolerance { spread, tolerance }) = flaws.out_of_tolerance {
             self.flaw_of_times.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
@@ -472,7 +473,7 @@ impl Mission {
 
     fn account(&mut self, now: Timestamp<Server>, act: &Act) {
         for member in act.members() {
-            // Its scripts of an earlier act are over, and were followed.
+            // The robot's scripts of an earlier act are over, and were followed.
             if !self.robots[member.robot].stop_was_sent() {
                 self.robots[member.robot].left.clear();
             }

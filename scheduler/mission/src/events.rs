@@ -12,10 +12,10 @@ use super::robot_state::Rest;
 use super::{LeadTime, Preflight, Record, SkewBudget};
 use crate::clock::NtpState;
 
-/// Something that happened outside.
+/// An event outside the mission.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// A link was made.
+    /// A link to a robot was made.
     LinkUp {
         /// Index of the robot.
         robot: usize,
@@ -24,26 +24,26 @@ pub enum Event {
     Proven {
         /// Index of the robot.
         robot: usize,
-        /// The expiry of its certificate, if it has presented one.
+        /// The expiry of the robot's certificate, if the robot has presented one.
         until: Option<Timestamp<Server>>,
     },
-    /// A link broke or could not be made.
+    /// A link to a robot broke or could not be made.
     LinkDown {
         /// Index of the robot.
         robot: usize,
-        /// The certain facts about the loss.
+        /// What the loss shows about the robot.
         loss: Loss,
-        /// The reason, for users.
+        /// The reason for the loss, as text for users.
         reason: String,
     },
-    /// A message arrived.
+    /// A message from a robot arrived.
     Received {
         /// Index of the robot.
         robot: usize,
         /// The message.
         message: Message,
     },
-    /// Bytes arrived that are not a message.
+    /// Bytes from a robot arrived that are not a message.
     Garbled {
         /// Index of the robot.
         robot: usize,
@@ -54,19 +54,19 @@ pub enum Event {
     StopRequested {
         /// How the robots come to rest.
         rest: Rest,
-        /// The operator who requests it, for users, if another operator started the mission.
+        /// The operator who requests the stop, for users, if another operator started the mission.
         by: Option<String>,
     },
-    /// The operator permits the waiting act to begin. Answered by [`Action::Answer`].
+    /// The operator permits the waiting act to begin. The mission answers with [`Action::Answer`].
     Go {
         /// The name of the act; `None` for any act that waits.
         act: Option<String>,
-        /// The operator who sent it, for users, if another operator started the mission.
+        /// The operator who sent the go, for users, if another operator started the mission.
         by: Option<String>,
     },
-    /// The current state of this machine's clock according to NTP.
+    /// A report of the current state of this machine's clock according to NTP.
     ServerTime(NtpState),
-    /// The first `count` durable records of this mission are on disk. A driver without a journal sends this at once.
+    /// The first `count` durable records of this mission are on disk. A driver without a journal sends this event at once.
     Recorded {
         /// The number of records, counted from 1.
         count: u64,
@@ -75,19 +75,19 @@ pub enum Event {
     JournalWrittenAgain,
     /// The journal no longer accepts records.
     JournalLost {
-        /// The reason, for users.
+        /// The reason why the journal was lost, as text for users.
         reason: String,
     },
 }
 
-/// Information that the end of a link gives about the robot.
+/// What the loss of a link shows about the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loss {
     /// An established link was closed or reset.
     Closed,
-    /// Connecting was refused: no process listens there.
+    /// The connection was refused: no process listens at the address.
     Refused,
-    /// One side does not prove its identity, or is not admitted. Another attempt changes nothing.
+    /// One side has not proven its identity, or is not admitted. Another attempt changes nothing.
     Denied,
     /// No route, no answer in time, or any other loss that does not show whether the robot is alive.
     Unreachable,
@@ -95,12 +95,12 @@ pub enum Loss {
     Flooding {
         /// Number of messages received on the link.
         messages: u64,
-        /// Number of bytes received on it.
+        /// Number of bytes received on the link.
         bytes: u64,
     },
 }
 
-/// A task of the driver.
+/// An action that the driver must perform.
 #[derive(Clone, Debug)]
 pub enum Action {
     /// Send a message on the robot's link.
@@ -109,7 +109,7 @@ pub enum Action {
         robot: usize,
         /// The message.
         message: Message,
-        /// Whether it goes ahead of all messages that wait to be sent.
+        /// Whether the message goes ahead of all messages that wait to be sent.
         urgent: bool,
     },
     /// Connect to the robot again.
@@ -120,15 +120,15 @@ pub enum Action {
         after: Span,
     },
     /// Write this record. [`Event::Recorded`] confirms a durable record once it is on disk. The following actions are performed without
-    /// waiting for that.
+    /// waiting for that confirmation.
     Record(Record),
     /// Report this to the operator.
     Tell(Progress),
-    /// Answer the operator's go: the act that it permits to begin, or the reason why it is ignored.
+    /// Answer the operator's go: with the act that the go permits to begin, or with the reason why the go is ignored.
     Answer(Result<String, String>),
 }
 
-/// Progress for the operator while the mission runs.
+/// Progress that is reported to the operator while the mission runs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "progress", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
@@ -150,9 +150,9 @@ pub enum Progress {
     Waiting {
         /// Name of the act.
         act: String,
-        /// The condition, for users.
+        /// The condition that the act waits for, as text for users.
         awaits: String,
-        /// The intended start, if it waits for a time.
+        /// The intended start, if the act waits for a time.
         #[serde(skip_serializing_if = "Option::is_none")]
         at: Option<Timestamp<Server>>,
     },
@@ -164,7 +164,7 @@ pub enum Progress {
         timestamp: Timestamp<Server>,
         /// The start of the first cue.
         start: Timestamp<Server>,
-        /// The components of the time until the start.
+        /// The components of the lead time.
         lead: LeadTime,
         /// How far apart the robots may start.
         skew: Option<SkewBudget>,
@@ -177,18 +177,18 @@ pub enum Progress {
         /// Id of the robot.
         robot: RobotId,
     },
-    /// All have accepted. The act starts, unless a lease cannot be extended beyond the start.
+    /// All robots of an act have accepted. The act starts, unless a lease cannot be extended beyond the start.
     Decided {
         /// Name of the act.
         act: String,
         /// The start of the first cue.
         start: Timestamp<Server>,
-        /// The playing time.
+        /// The playing time of the act.
         #[serde(rename = "duration_ms")]
         duration: Span,
-        /// All leases end here unless the act is committed.
+        /// The time at which all leases end, unless the act is committed.
         leases_end: Timestamp<Server>,
-        /// A failure that is known by this time is withdrawn before anything has moved. Later, only stopping is possible.
+        /// The latest time at which a known failure can be withdrawn before anything has moved. Later, only stopping is possible.
         no_return: Timestamp<Server>,
         /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
         #[serde(rename = "doubt_ms")]
@@ -198,8 +198,8 @@ pub enum Progress {
     Committed {
         /// Name of the act.
         act: String,
-        /// Time between sending the first renewal and the last confirmation. If this machine had died in it, only some robots would have
-        /// started.
+        /// Time between sending the first renewal and the last confirmation. If this machine had died during this time, only some robots
+        /// would have started.
         #[serde(rename = "window_ms")]
         window: Option<Span>,
     },
@@ -207,7 +207,7 @@ pub enum Progress {
     Started {
         /// Id of the robot.
         robot: RobotId,
-        /// Actual minus planned start.
+        /// The script's actual minus its planned start.
         #[serde(rename = "error_ms")]
         error: Option<Span>,
     },
@@ -215,9 +215,9 @@ pub enum Progress {
     Heard {
         /// Id of the robot.
         robot: RobotId,
-        /// Executed steps of the act under way.
+        /// Number of executed steps of the act under way.
         steps_done: u64,
-        /// Its clock's offset, robot minus server.
+        /// The offset of the robot's clock, robot minus server.
         #[serde(rename = "clock_offset_ms")]
         clock_offset: Option<Span>,
     },
@@ -244,7 +244,7 @@ pub enum Progress {
     ActSkipped {
         /// Name of the act.
         act: String,
-        /// The reason why it is not played.
+        /// The reason why the act is not played.
         #[serde(flatten)]
         fate: ActFate,
     },
@@ -259,9 +259,9 @@ pub enum Progress {
     LinkLost {
         /// Id of the robot.
         robot: RobotId,
-        /// The reason, for users.
+        /// The reason why the link broke, as text for users.
         reason: String,
-        /// The time at which the robot is given up; `None` if it holds nothing that could still move it.
+        /// The time at which the mission gives up the robot; `None` if the robot holds nothing that could still move it.
         until: Option<Timestamp<Server>>,
     },
     /// A robot has reconnected.
@@ -283,7 +283,7 @@ pub enum Progress {
     Approaching {
         /// The name of the act.
         act: String,
-        /// The name of the act that follows.
+        /// The name of the act that follows the failure.
         to: String,
         /// The choreography with this act. Recordings leave it out.
         #[serde(skip)]
@@ -293,12 +293,12 @@ pub enum Progress {
     NotApproached {
         /// The name of the act.
         act: String,
-        /// The reason, for users.
+        /// The reason why no approach can be planned, as text for users.
         reason: String,
     },
     /// The devices stay where they came to rest, instead of moving to their default positions.
     NotHome {
-        /// The reason, for users.
+        /// The reason why the devices stay, as text for users.
         reason: String,
     },
     /// A robot is left out from now on.
@@ -308,7 +308,7 @@ pub enum Progress {
     },
     /// The NTP server no longer answers. This machine's clock runs without correction.
     NtpLost {
-        /// The time of the loss.
+        /// The time since which the NTP server has not answered.
         since: Timestamp<Server>,
     },
     /// The NTP server answers again.
@@ -321,7 +321,7 @@ pub enum Progress {
     JournalWrittenAgain,
     /// The journal cannot be written, and all robots are stopped.
     JournalLost {
-        /// The reason, for users.
+        /// The reason why the journal was lost, as text for users.
         reason: String,
     },
     /// An act was withdrawn before anything moved, and is prepared again.
@@ -331,7 +331,7 @@ pub enum Progress {
     },
     /// Stop requests are being sent.
     Stopping {
-        /// The reason, for users.
+        /// The reason for the stop, as text for users.
         reason: String,
         /// How the robots come to rest.
         rest: Rest,

@@ -1,4 +1,4 @@
-//! Accepts only valid answers of a robot: each answers an open question once, with possible times.
+//! Accepts only valid answers of a robot: each valid answer answers an open question once, with possible times.
 //!
 //! The times in an answer decide how long all robots wait for each other. An answer to a question that was never asked could contain any
 //! instant.
@@ -11,23 +11,23 @@ use crate::clock::{ClockSample, resolution};
 
 /// Number of questions that are remembered. More are open only on a stalled link; then the newest are kept.
 const OPEN_MAX: usize = 1_024;
-/// No answer is expected after this time.
+/// No answer to a question is expected after this time.
 const OPEN_FOR: Span = Span::from_millis(60_000);
 
 /// The questions to one robot that it has not answered.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Exchanges {
-    /// The sending times with the number of messages at that instant, oldest first.
+    /// The sending times of open questions, oldest first, each with the number of messages that were sent at that time.
     open: VecDeque<(Timestamp<Server>, usize)>,
     ignored: u64,
 }
 
-/// The times in an answer.
+/// The times in a robot's answer to a question.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Times {
     /// The sending time of the question, as the robot repeats it; `None` if the robot does not repeat it.
     pub(crate) originate: Option<Timestamp<Server>>,
-    /// The time at which the robot received it.
+    /// The time at which the robot received the question.
     pub(crate) received: Timestamp<Robot>,
     /// The time at which the robot answered.
     pub(crate) answered: Timestamp<Robot>,
@@ -47,8 +47,9 @@ impl Exchanges {
         }
     }
 
-    /// Takes an answer. Returns `None` if it answers no open question or its times are impossible; such an answer is counted and ignored.
-    /// An answer that repeats no question answers the oldest one, so that nothing that was sent later is considered received.
+    /// Processes an answer. Returns `None` if it answers no open question or its times are impossible; such an answer is counted and
+    /// ignored. An answer that repeats no sending time answers the oldest question, so that nothing that was sent later is considered
+    /// received.
     pub(crate) fn answered(&mut self, times: Times) -> Option<ClockSample> {
         let sample = self.settle(times.originate).and_then(|sent| plausible(sent, times));
         self.ignored += u64::from(sample.is_none());
@@ -69,7 +70,7 @@ impl Exchanges {
         Some(sent)
     }
 
-    /// The place of the open question with this instant, within the resolution of the robot's clock.
+    /// The index of the open question that was sent at this instant, within the resolution of the robot's clock.
     fn place_of(&self, originate: Timestamp<Server>) -> Option<usize> {
         if let Ok(place) = self.open.binary_search_by_key(&originate, |(at, _)| *at) {
             return Some(place);
@@ -96,7 +97,8 @@ impl Exchanges {
     }
 }
 
-/// The sample of an exchange, if the robot's processing time is at least zero and at most the whole exchange.
+/// The clock sample of an exchange; `None` unless the robot's processing time is at least zero and at most the duration of the whole
+/// exchange.
 fn plausible(sent: Timestamp<Server>, times: Times) -> Option<ClockSample> {
     let Times { received, answered, arrived, .. } = times;
     let step = resolution(received, answered);

@@ -15,20 +15,21 @@ use super::{LeadTime, SkewBudget};
 /// The report of one act.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ActReport {
-    /// Its name.
+    /// The name of the act.
     pub act: String,
     /// The number of the act in the mission, starting at 0.
     pub number: u32,
-    /// The sending timestamp that all its requests shared.
+    /// The sending timestamp that all requests of the act shared.
     pub timestamp: Timestamp<Server>,
-    /// Planned start.
+    /// The planned start.
     pub start: Timestamp<Server>,
-    /// The components of the time until the start.
+    /// The components of the lead time.
     pub lead: LeadTime,
     /// The robot whose link determines the lead.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowest: Option<RobotId>,
-    /// The delay of its start against the intended one: the end of the previous act, or the time that it waited for.
+    /// How much later than intended the act started. The intended start is the end of the previous act, or the time that the act waited
+    /// for.
     #[serde(rename = "gap_ms")]
     pub gap: Option<Span>,
     /// The spread of the starts that the clocks allowed, before the decision.
@@ -36,11 +37,11 @@ pub struct ActReport {
     /// Largest minus smallest start error, by the robots' own clocks.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
-    /// Time left at the decision after the last acceptance.
+    /// The time that was left until the decision when the last acceptance arrived.
     #[serde(rename = "margin_left_ms")]
     pub margin_left: Option<Span>,
     /// Time between sending the first renewal that extends a lease beyond the start and the last confirmation. If the scheduler had died
-    /// in it, only some robots would have started.
+    /// during this time, only some robots would have started.
     #[serde(rename = "window_ms")]
     pub window: Option<Span>,
     /// The interval before the start in which a robot that went silent without notice may not have been noticed in time.
@@ -49,16 +50,16 @@ pub struct ActReport {
     /// How often the act was withdrawn before anything moved, and prepared again, because this machine was too slow.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub prepared_again: u32,
-    /// Readings that the scenario requested.
+    /// The readings that the scenario requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<TakenReading>,
-    /// The starts of motions, if they were verified.
+    /// The starts of motions; empty if they were not verified.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionReport>,
-    /// The spread of these motions.
+    /// The spread of the verified motions.
     #[serde(rename = "motion", skip_serializing_if = "Option::is_none")]
     pub motion_spread: Option<MotionSpread>,
-    /// Robots in the order of the plan.
+    /// The results of each robot, in the order of the plan.
     pub robots: Vec<ActRobot>,
 }
 
@@ -72,9 +73,9 @@ pub(super) const fn is_zero(count: &u32) -> bool {
 pub struct ActRobot {
     /// The robot's id.
     pub robot: RobotId,
-    /// Whether it was left out.
+    /// Whether the robot was left out.
     pub left_out: bool,
-    /// The results of each device.
+    /// The results of the scripts of each device.
     pub devices: Vec<DeviceReport>,
 }
 
@@ -83,19 +84,19 @@ pub struct ActRobot {
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum DeviceState {
-    /// It was not sent.
+    /// The script was not sent.
     Planned,
-    /// It was sent, and the robot has not answered.
+    /// The script was sent, and the robot has not answered.
     Sent,
-    /// The robot holds it, and has not started it.
+    /// The robot holds the script, and has not started it.
     Accepted,
-    /// It has started.
+    /// The script has started.
     Started,
-    /// All its steps were done.
+    /// All steps of the script were executed.
     Ended,
-    /// It was refused or ended early.
+    /// The robot refused the script, or ended it early.
     Failed,
-    /// It was sent, and its fate is unknown.
+    /// The script was sent, and its fate is unknown.
     Unknown,
 }
 
@@ -121,20 +122,21 @@ pub struct DeviceReport {
     pub device: DeviceId,
     /// Progress of the script.
     pub state: DeviceState,
-    /// The planned start of the script: setting the first value or, on a device that moves linearly, beginning to move to it.
+    /// The planned start of the script: the time at which it sets its first value or, on a device that moves linearly, begins to move to
+    /// this value.
     pub planned_start: Option<Timestamp<Server>>,
-    /// Actual start by the robot's clock.
+    /// The actual start by the robot's clock.
     pub started_at: Option<Timestamp<Robot>>,
-    /// Actual minus planned start.
+    /// The actual minus the planned start.
     #[serde(rename = "start_error_ms")]
     pub start_error: Option<Span>,
-    /// Steps executed.
+    /// Number of executed steps.
     pub steps_done: u32,
-    /// Steps planned.
+    /// Number of planned steps.
     pub steps_planned: usize,
-    /// Steps that came more than a millisecond late.
+    /// Number of steps that were more than a millisecond late.
     pub late_steps: u32,
-    /// The largest lateness of those steps, if the robot reports it.
+    /// The largest lateness of the late steps; `None` if the robot does not report it.
     #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
     pub late_max: Option<Span>,
 }
@@ -172,7 +174,7 @@ impl ActReport {
 }
 
 impl ActReport {
-    /// Adds the scripts of a robot to its totals, for an act that ended before this process resumed the mission.
+    /// Adds the scripts of a robot to the robot's totals, for an act that ended before this process resumed the mission.
     pub(super) fn add_to(&self, totals: &mut Totals, robot: &ActRobot) {
         use DeviceState::{Accepted, Ended, Failed, Planned, Sent, Started, Unknown};
         let all_accepted = self.margin_left.is_some();

@@ -1,4 +1,4 @@
-//! The effects of a robot's failure on the others, and robots whose link breaks in mid-mission.
+//! Handles the effects of a robot's failure on the other robots, and robots whose link breaks in mid-mission.
 
 use downbeat_plan::OnFailure;
 use downbeat_yaml::render::counted;
@@ -11,7 +11,7 @@ use super::robot_state::{Link, Lost, Rest, Standing};
 use super::script::{Script, ScriptRef, ScriptState};
 use super::{Action, Greeting, Join, Loss, Mission, Outcome, Phase, Progress};
 
-/// How long a robot that refuses connections may still be starting during the greeting.
+/// During the greeting, a robot that refuses connections may still be starting up for this long.
 const STARTS_WITHIN: Span = Span::from_millis(500);
 
 impl Mission {
@@ -26,7 +26,7 @@ impl Mission {
         let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
         let lost = Lost { reason: reason.clone(), loss, since, failed: now, connecting: false, give_up };
         state.link = Link::Lost(lost);
-        // An act may have waited for an attempt to reach it.
+        // An act may have waited for an attempt to reach the robot.
         self.acts.iter_mut().for_each(|act| act.look_again_at(None));
         match self.phase {
             Phase::Greeting { deadline } => self.link_down_in_greeting(now, deadline, robot, reason),
@@ -42,8 +42,8 @@ impl Mission {
         }
     }
 
-    /// Handles a robot that sends far more messages than requested. It is considered lost, and the mission reconnects to it only to stop
-    /// it.
+    /// Handles a robot that sends far more messages than requested. The robot is considered lost, and the mission reconnects to it only
+    /// to stop it.
     fn flooded(
         &mut self,
         now: Timestamp<Server>,
@@ -76,7 +76,7 @@ impl Mission {
         }
     }
 
-    /// Tries a robot again that was reached, or may still be starting, as long as the patience permits.
+    /// Reconnects, during the greeting, to a robot that was reached before or may still be starting up, as long as the patience permits.
     fn link_down_in_greeting(
         &mut self,
         now: Timestamp<Server>,
@@ -98,7 +98,7 @@ impl Mission {
         }
     }
 
-    /// Re-establishes a link, one attempt at a time.
+    /// Reconnects to a robot, one attempt at a time.
     pub(super) fn reconnect(&mut self, robot: usize) {
         let state = &mut self.robots[robot];
         let to_be_stopped = state.awaits_stop();
@@ -111,15 +111,15 @@ impl Mission {
         }
     }
 
-    /// Reconnects immediately, instead of an attempt that may have to wait.
+    /// Replaces a pending attempt to reconnect, which may still be pausing, with an immediate one.
     pub(super) fn reconnect_at_once(&mut self, robot: usize) {
         if matches!(&self.robots[robot].link, Link::Lost(lost) if lost.connecting) {
             self.actions.push(Action::Reconnect { robot, after: Span::ZERO });
         }
     }
 
-    /// Handles a broken link. The robot continues with its script as far as its lease permits. It may come back until that has certainly
-    /// ended. If connections are refused, no process of the robot runs, and its scripts have ended.
+    /// Handles a broken link. The robot continues with its script as far as its lease permits. It may come back until its scripts have
+    /// certainly ended. If connections are refused, no process of the robot runs, and its scripts have ended.
     fn link_lost(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
         self.reconnect(robot);
         let gone = self.robots[robot].is_gone();
@@ -164,7 +164,7 @@ impl Mission {
         self.robots.iter().filter_map(|robot| robot.lost()?.give_up).min()
     }
 
-    /// Handles a new link: asks about missed reports, which renews the leases.
+    /// Handles a new link: asks the robot for missed reports. The question also renews the leases.
     pub(super) fn reattach(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].standing == Standing::Absent {
             return match self.options.greeting {
@@ -199,7 +199,8 @@ impl Mission {
         self.refill(now, robot);
     }
 
-    /// Notes the first message from a robot on a new link. For a robot that was absent, this is reported when it joins.
+    /// Notes the first message from a robot on a new link, and reports that the robot is back. For an absent robot, this is reported when
+    /// it joins.
     pub(super) fn is_back(&mut self, robot: usize) {
         self.give_up = self.earliest_give_up();
         if self.phase == Phase::Performing && self.robots[robot].standing != Standing::Absent {
@@ -208,8 +209,8 @@ impl Mission {
         }
     }
 
-    /// Repeats the scripts that a robot without inquiries may not have received. It recognizes duplicates by their ids. Scripts that have
-    /// begun are not repeated.
+    /// Sends scripts again that a robot without inquiries may not have received. The robot recognizes duplicates by their ids. Scripts
+    /// that have begun are not repeated.
     fn send_held_again(&mut self, now: Timestamp<Server>, robot: usize) {
         let mut again = Vec::new();
         for act in self.acts.iter().filter(|act| act.is_open()) {
@@ -241,7 +242,7 @@ impl Mission {
         let is_absent = |robot: usize| performing && self.robots[robot].standing == Standing::Absent;
         let (absent, failing): (Vec<_>, Vec<_>) =
             failing.into_iter().partition(|(robot, _)| is_absent(*robot));
-        // The others play without it anyway, so it does not join.
+        // The other robots play without an absent robot anyway, so it does not join.
         for (robot, kind) in absent {
             self.note_failure(robot, kind);
             self.robots[robot].standing = Standing::Out;
@@ -303,7 +304,8 @@ impl Mission {
         }
     }
 
-    /// The policy of the scenario if this robot fails: that of the newest act in which it takes part, and the act that follows.
+    /// The scenario's policy for a failure of this robot: the policy of the newest act in which the robot takes part, and the act that
+    /// follows the failure.
     pub(super) fn policy_of(&self, robot: usize) -> Option<(OnFailure, Option<usize>)> {
         let takes_part =
             |act: &&super::act::Act| act.was_sent() && !act.is_lapsing() && act.member(robot).is_some();
@@ -322,7 +324,7 @@ impl Mission {
         self.abort_because(now, (outcome, reason), rest, then);
     }
 
-    /// The latest failure, for users: of the first of these robots, and the number of the others.
+    /// The reason of a failure for users: the latest failure of the first of these robots, and the number of the other robots.
     fn reason_of(&self, robots: &[usize]) -> String {
         let failed = |robot: &usize| self.robots[*robot].failures.last();
         match robots.iter().find_map(failed) {
@@ -334,7 +336,7 @@ impl Mission {
         }
     }
 
-    /// Leaves a robot out. The others continue; it comes to rest, if it can be reached.
+    /// Leaves a robot out. The other robots continue. The robot that is left out comes to rest, if it can be reached.
     pub(super) fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].standing = Standing::Out;
         if let Some(lost) = self.robots[robot].lost_mut() {

@@ -42,30 +42,30 @@ pub enum FailureKind {
         /// The reason given by the system or the robot.
         reason: String,
     },
-    /// It sends far more messages than requested. The mission reconnects to it only to stop it.
+    /// The robot sends far more messages than requested. The mission reconnects to it only to stop it.
     #[error(
         "flooding: the robot sent {messages} messages and {bytes} bytes, far more than requested; in this mission it is reconnected only to be stopped"
     )]
     Flooding {
         /// Number of messages received on the link before it was closed for this reason.
         messages: u64,
-        /// Number of bytes received on it.
+        /// Number of bytes received on the link.
         bytes: u64,
     },
-    /// Its answers are too slow, or leave its clock too uncertain: all others would have to wait for it.
+    /// The robot's answers are too slow, or leave its clock too uncertain: all others would have to wait for it.
     #[error("the link to it is too slow: {slow}; use a faster or steadier link, and check its clock")]
     TooSlow {
-        /// The slow value and the possible one.
+        /// The value that is too slow, and the longest accepted value.
         #[serde(flatten)]
         slow: Slow,
     },
-    /// It sent bytes that are not a message, or a message at the wrong time.
+    /// The robot sent bytes that are not a message, or a message at the wrong time.
     #[error("garbled: {reason}")]
     Garbled {
-        /// The fault.
+        /// The fault in the bytes or the message.
         reason: String,
     },
-    /// Another robot answers at its address. Nothing is sent to that robot.
+    /// Another robot answers at the robot's address. Nothing is sent to that other robot.
     #[error("another robot answers at its address: its id is `{told}`, expected `{expected}`")]
     AnotherRobot {
         /// The id by which the intended robot identifies itself.
@@ -73,34 +73,34 @@ pub enum FailureKind {
         /// The id by which the other robot identifies itself.
         told: RobotId,
     },
-    /// It did not answer in time.
+    /// The robot did not answer in time.
     #[error("silent: no {awaited} within {within}{}", remedy_of_silence(awaited))]
     Silent {
         /// The awaited answer or report.
         awaited: String,
-        /// The time allowed for it.
+        /// The time allowed for the answer or report.
         #[serde(rename = "within_ms")]
         within: Span,
     },
-    /// Its availability check failed.
+    /// The robot's availability check failed.
     #[error("not available: {error}{}", remedy_of_busy(error))]
     NotAvailable {
         /// The robot's reason.
         error: ControlError,
     },
-    /// It speaks another version of the protocol.
+    /// The robot speaks another version of the protocol.
     #[error("URRCP version `{version}` is not supported, expected version 1")]
     WrongVersion {
         /// The version, as the robot states it.
         version: String,
     },
-    /// Its own description does not fit the plan.
+    /// The robot's own description does not fit the plan.
     #[error("does not fit the plan: {reason}")]
     Unfit {
-        /// The difference.
+        /// The difference between the description and the plan.
         reason: String,
     },
-    /// Its link is too slow for a script for which its device initially has no room.
+    /// The robot's link is too slow for a script for which its device initially has no room.
     #[error(
         "script {} of `{device}`{} cannot be sent in time: the robot has room for it only {} before its start, but sending takes {needed}; use fewer steps, or a robot that holds more scripts (`script_queue`)",
         script + 1, act.as_ref().map(|act| format!(" in act `{act}`")).unwrap_or_default(), (*time).max(Span::ZERO)
@@ -110,16 +110,16 @@ pub enum FailureKind {
         device: DeviceId,
         /// Name of the act; `None` for a single act without a name.
         act: Option<String>,
-        /// Index of the script among those of this device in this act, starting at 0.
+        /// Index of the script among the scripts of this device in this act, starting at 0.
         script: usize,
-        /// How long before its start there is room for it; negative if after its start.
+        /// How long before the script's start the device has room for it; negative if only after that start.
         #[serde(rename = "time_ms")]
         time: Span,
         /// The minimum time for a round trip and the robot's processing.
         #[serde(rename = "needed_ms")]
         needed: Span,
     },
-    /// Its clock is further off than the scenario tolerates, or not known well enough.
+    /// The robot's clock is further off than the scenario tolerates, or not known well enough.
     #[error("{}", clock_text(*offset, *uncertainty, *tolerance))]
     Clock {
         /// The robot's clock minus the server's.
@@ -132,13 +132,13 @@ pub enum FailureKind {
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
-    /// Its devices begin to move at instants that vary by more than the scenario tolerates.
+    /// The robot's devices begin to move at instants that vary by more than the scenario tolerates.
     #[error(
         "the latency of its devices varies by +-{spread}, but the scenario tolerates {tolerance}, including clock errors: measure it again with \
          `downbeat calibrate`, or raise start_tolerance"
     )]
     LatencySpread {
-        /// 95 % of the motions begin within the latency ± this.
+        /// 95 % of the motions begin within the latency ± this time.
         #[serde(rename = "spread_ms")]
         spread: Span,
         /// The scenario's `start_tolerance`.
@@ -152,7 +152,7 @@ pub enum FailureKind {
         sensor: DeviceId,
         /// The value; `None` without a reading.
         reading: Option<f64>,
-        /// The required range.
+        /// The range that the fleet file requires.
         range: SensorRange,
     },
     /// A device is at a position that its first keyframe does not expect.
@@ -166,24 +166,25 @@ pub enum FailureKind {
     Position {
         /// Id of the device.
         device: DeviceId,
-        /// Its position.
+        /// The position of the device.
         reading: f64,
         /// The expected position.
         expected: f64,
-        /// The act before which the mission found this; `None` if an approach before the mission could have moved the device there.
+        /// The act before which the mission found the device there; `None` if an approach before the mission could have moved the device
+        /// to the expected position.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         act: Option<String>,
     },
-    /// Its statement about a script is impossible.
+    /// The robot's statement about a script is impossible.
     #[error("device `{device}` sent an impossible report: {claim}")]
     Claim {
         /// Id of the device.
         device: DeviceId,
-        /// The statement, and the possible values.
+        /// The impossible statement, and the possible values.
         #[serde(flatten)]
         claim: Claim,
     },
-    /// It refused or ended a script.
+    /// The robot refused or ended a script.
     #[error("device `{device}`: {error}")]
     Script {
         /// Id of the device.
@@ -194,7 +195,7 @@ pub enum FailureKind {
     /// The robot was missing when the mission began, and took no part in it until its end.
     #[error("it never joined: {reason}")]
     NeverJoined {
-        /// The reason, for users.
+        /// The reason why the robot did not join, as text for users.
         reason: String,
     },
 }
@@ -204,40 +205,40 @@ pub enum FailureKind {
 #[serde(tag = "slow", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Slow {
-    /// Its round trips.
+    /// The robot's round trips are too long.
     #[error("a round trip takes {round_trip}, expected at most {longest}")]
     RoundTrip {
-        /// The round trip that its link nearly always keeps.
+        /// The round trip that the robot's link nearly always keeps.
         #[serde(rename = "round_trip_ms")]
         round_trip: Span,
         /// The longest accepted round trip.
         #[serde(rename = "longest_ms")]
         longest: Span,
     },
-    /// The lease before the start that the act would need because of the link.
+    /// The lease before the start that the act would need because of the link is too long.
     #[error(
         "the act would need a lease of {lease} before the start, but at most {longest} is possible: a round trip takes {round_trip}, and the robot's clock may start it {early} early or {late} late"
     )]
     Lease {
-        /// The lease that would be needed.
+        /// The lease that the act would need.
         #[serde(rename = "lease_ms")]
         lease: Span,
         /// The longest permitted lease.
         #[serde(rename = "longest_ms")]
         longest: Span,
-        /// The round trip of its link.
+        /// The round trip of the robot's link.
         #[serde(rename = "round_trip_ms")]
         round_trip: Span,
-        /// How much earlier than planned it may start.
+        /// How much earlier than planned the robot may start.
         #[serde(rename = "early_ms")]
         early: Span,
-        /// How much later than planned it may start.
+        /// How much later than planned the robot may start.
         #[serde(rename = "late_ms")]
         late: Span,
     },
 }
 
-/// A hint if a program never identifies itself: it may not be a robot.
+/// A hint for users if a program never identifies itself: it may not be a robot.
 fn remedy_of_silence(awaited: &str) -> &'static str {
     match awaited {
         "initialization block" => "; check that the program at its address is a robot that speaks URRCP",
@@ -254,7 +255,7 @@ fn remedy_of_busy(error: &ControlError) -> &'static str {
     }
 }
 
-/// Names the cause: NTP for a clock that is off, the link for one that is only poorly known.
+/// Text for users that names the cause: NTP for a clock that is off, the link for a clock that is only poorly known.
 fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
     match ClockDoubt::of(offset, uncertainty) {
         ClockDoubt::Clock => format!(
@@ -270,7 +271,7 @@ fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
 mod tests {
     use super::*;
 
-    /// The kind that follows another one in the enumeration. A new kind must be added here.
+    /// The kind that follows `kind` in the enumeration. A new kind must be added here.
     fn after(kind: Option<&FailureKind>) -> Option<FailureKind> {
         let text = String::new;
         let id = || RobotId::new("r").unwrap();

@@ -5,7 +5,7 @@ use std::ops::Deref;
 
 use super::failure_kind::Failure;
 
-/// The maximum number of failures per robot that are kept. Beyond it, only the first failure of each kind and the number of the
+/// The maximum number of failures that are kept per robot. Of further failures, only the first one of each kind and the number of the
 /// others are kept.
 const KEPT_MAX: usize = 64;
 
@@ -20,7 +20,7 @@ pub(crate) struct Failures {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Noted {
     Kept,
-    /// It was only counted.
+    /// The failure was only counted.
     Omitted,
 }
 
@@ -36,7 +36,7 @@ impl Failures {
         Noted::Kept
     }
 
-    /// Number of failures that are not listed.
+    /// Number of failures that were only counted and are not listed.
     pub(crate) const fn omitted(&self) -> u64 {
         self.omitted
     }

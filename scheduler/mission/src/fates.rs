@@ -8,47 +8,47 @@ use urrcp::Span;
 
 use super::act::Act;
 
-/// The fate of an act of the scenario. If it occurred several times, that of the last occurrence.
+/// The fate of an act of the scenario. If the act occurred several times, the fate of its last occurrence.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "fate")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum ActFate {
-    /// The mission did not reach it.
+    /// The mission did not reach the act.
     #[default]
     NotReached,
-    /// It was waiting when the mission ended.
+    /// The act was waiting when the mission ended.
     StillWaiting,
-    /// Its condition was not met, and the mission continued according to `otherwise`.
+    /// The act's condition was not met, and the mission continued according to `otherwise`.
     TimedOut {
-        /// The condition, for users.
+        /// The condition that the act waited for, as text for users.
         awaited: String,
-        /// The time allowed for it.
+        /// The time allowed for the condition.
         #[serde(rename = "within_ms")]
         within: Span,
     },
-    /// All its robots had been left out.
+    /// All robots of the act had been left out.
     NobodyLeft,
-    /// It was sent and withdrawn before anything moved.
+    /// The act was sent and withdrawn before anything moved.
     Withdrawn,
-    /// It was stopped after it had begun.
+    /// The act was stopped after it had begun.
     Stopped,
-    /// Its time is over, and none of its robots has reported its fate.
+    /// The act's time is over, and none of its robots has reported its fate.
     Unknown,
-    /// It was played to its end.
+    /// The act was played to its end.
     Played,
 }
 
-/// An act of the scenario with its fate.
+/// An act of the scenario, with its fate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ActCourse {
-    /// Its name; empty for a single act without a name.
+    /// The name of the act; empty for a single act without a name.
     pub act: String,
-    /// How often it was played to its end.
+    /// How often the act was played to its end.
     pub played: u32,
     /// The fate of the act.
     #[serde(flatten)]
     pub fate: ActFate,
-    /// Whether robots have moved, or may have moved, in any of its occurrences.
+    /// Whether robots have moved, or may have moved, in any occurrence of the act.
     #[serde(skip)]
     pub(super) moved: bool,
 }
@@ -60,7 +60,7 @@ impl ActCourse {
         self.fate = fate;
     }
 
-    /// Whether it was to be played and was not, and the mission continued.
+    /// Whether the act was to be played and was not, and the mission continued.
     pub(crate) const fn was_skipped(&self) -> bool {
         matches!(self.fate, ActFate::TimedOut { .. } | ActFate::NobodyLeft)
     }

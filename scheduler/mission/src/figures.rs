@@ -9,30 +9,30 @@ use crate::clock::ClockReading;
 /// The phase of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PhaseName {
-    /// Robots are asked and checked.
+    /// The mission queries and checks the robots.
     Greeting,
-    /// Acts wait, are prepared and play.
+    /// Acts wait, are prepared, or play.
     Performing,
-    /// Robots are stopped.
+    /// The mission stops the robots.
     Stopping,
-    /// The report is ready.
+    /// The mission has ended, and its report is ready.
     Ended,
 }
 
 /// The figures of one robot over all acts, including those under way.
 #[derive(Clone, Debug)]
 pub struct RobotFigures {
-    /// Whether it has a link.
+    /// Whether the robot has a link.
     pub is_linked: bool,
-    /// Whether it takes part in the mission.
+    /// Whether the robot takes part in the mission.
     pub takes_part: bool,
-    /// The estimate of its clock, relative to the server's clock.
+    /// The estimate of the robot's clock, relative to the server's clock.
     pub clock: Option<ClockReading>,
-    /// The round trip that its link nearly always keeps.
+    /// The round trip that the robot's link nearly always keeps.
     pub round_trip: Span,
-    /// The counts of its scripts and steps.
+    /// The counts of the robot's scripts and steps.
     pub totals: Totals,
-    /// Whether a stop was sent to it and it has not confirmed that it is at rest.
+    /// Whether a stop was sent to the robot and the robot has not confirmed that it is at rest.
     pub awaits_stop: bool,
 }
 

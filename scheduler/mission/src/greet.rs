@@ -1,5 +1,5 @@
-//! Steps 1 to 4 of the protocol with all robots at once: links, availability and clocks, initialization blocks; then the sensor readings
-//! that the fleet file requires, and the positions of devices.
+//! Performs steps 1 to 4 of the protocol with all robots at once: links, availability and clocks, initialization blocks; then the sensor
+//! readings that the fleet file requires, and the positions of devices.
 
 use urrcp::{
     AvailabilityResponse, Command, ControlRequest, ControlResponse, DeviceId, InitializationBlock, Message,
@@ -18,12 +18,13 @@ use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, error_
 
 /// Number of timestamp exchanges with each robot before any decision.
 const CLOCK_SAMPLES: u32 = 8;
-/// How long clocks are sampled further while the possible spread of the fleet exceeds the tolerance, or a link seems too slow.
+/// The maximum time for which clocks are sampled further while the possible spread of the fleet exceeds the tolerance, or a link seems
+/// too slow.
 const SAMPLING: Span = Span::from_millis(4_000);
-/// The age after which a clock is checked again.
+/// The age of a clock measurement after which the clock is checked again.
 const STALE: Span = Span::from_millis(500);
-/// Interval between checks of whether a robot may be asked again. Questions are sent one at a time, because on a link that keeps the
-/// order of messages several would wait for each other.
+/// Interval between checks whether a robot may be asked again. Questions are sent one at a time, because several would wait for each
+/// other on a link that keeps the order of messages.
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 
 /// Whether a robot's answers take longer than any lease.
@@ -88,7 +89,7 @@ impl Mission {
         }
     }
 
-    /// Compares a robot's own description with the plan when it arrives for the first time.
+    /// Compares a robot's own description with the plan when the description arrives for the first time.
     pub(super) fn introduced(&mut self, now: Timestamp<Server>, robot: usize, block: InitializationBlock) {
         if std::mem::replace(&mut self.robots[robot].introduced, true) {
             return;
@@ -110,7 +111,7 @@ impl Mission {
         }
     }
 
-    /// The points at which a robot's own description does not allow the commands of an act.
+    /// The reasons why a robot's own description does not allow the commands of an act.
     fn unfit(&self, robot: usize, block: &InitializationBlock) -> Vec<String> {
         let state = &self.robots[robot];
         let mut reasons = Vec::new();
@@ -146,7 +147,7 @@ impl Mission {
         self.send(now, robot, Message::ControlRequest(request));
     }
 
-    /// Takes the answer to a reading, if it is one.
+    /// Processes a response if it answers a reading.
     pub(super) fn reading_taken(
         &mut self,
         now: Timestamp<Server>,
@@ -194,7 +195,7 @@ impl Mission {
         true
     }
 
-    /// Continues once every robot has answered or failed.
+    /// Continues the greeting once every robot has answered or failed.
     pub(super) fn greeting_progress(&mut self, now: Timestamp<Server>) {
         if !matches!(self.phase, Phase::Greeting { .. }) {
             return;
@@ -247,7 +248,7 @@ impl Mission {
         }
     }
 
-    /// Refuses robots that could start a script that was not decided, if the scenario requires `all_or_none: strict`. This is for
+    /// Refuses robots that could start a script that was not decided, if the scenario requires `all_or_none: strict`. This check is for
     /// `handshake: skip`; otherwise each robot's own description decides.
     fn check_strictness(&mut self) {
         if self.options.greeting == Greeting::Full || self.choreography.requirements.all_or_none.is_none() {
@@ -437,7 +438,7 @@ impl Mission {
         self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
     }
 
-    /// Ends the mission before anything has been sent that could move a robot.
+    /// Ends the mission with this outcome before anything has been sent that could move a robot.
     pub(super) fn refuse(&mut self, outcome: Outcome) {
         self.outcome = Some(outcome);
         if self.has_moved() {
@@ -455,7 +456,7 @@ const ENCODINGS_SHOWN: usize = 8;
 /// The maximum number of listed faults per robot. One robot with another unit would bury the others.
 const UNFIT_SHOWN: usize = 12;
 
-/// The points at which a robot's own description does not allow the commands of a script.
+/// The reasons why a robot's own description does not allow the commands of a script.
 pub(super) fn unfit(script: &downbeat_plan::DeviceScript, block: &InitializationBlock) -> Vec<String> {
     let id = &script.device;
     let Some(device) = block.device(id.as_str()) else {

@@ -1,9 +1,9 @@
 //! The identity of the robot on a link: requested on each new link, before anything else is sent on it.
 //!
 //! An address may lead to the wrong robot: two addresses were swapped in the fleet file, or another robot has taken over the address
-//! since. A robot states its identity in its initialization block. Stops wait only briefly for that. A robot that does not identify
-//! itself is sent stops nevertheless, but only the right robot can confirm them. A robot that identifies itself as another one is sent
-//! none.
+//! since. A robot states its identity in its initialization block. Stops wait only briefly for the identity. A robot that does not
+//! identify itself is sent stops nevertheless, but only the right robot can confirm them. A robot that identifies itself as another one
+//! is sent no stops.
 
 use urrcp::{AvailabilityResponse, InitializationRequest, Message, RobotId, Server, Span, Status, Timestamp};
 
@@ -42,7 +42,7 @@ impl Mission {
 
     fn ask_name(&mut self, now: Timestamp<Server>, robot: usize) {
         let message = Message::InitializationRequest(InitializationRequest { timestamp: Some(now) });
-        // Before the stops, because its answer must precede theirs.
+        // The question is sent before the stops, because its answer must precede theirs.
         let urgent = self.robots[robot].awaits_stop();
         self.actions.push(Action::Send { robot, message, urgent });
         let again = now + ASK_AGAIN;
@@ -103,7 +103,7 @@ impl Mission {
         }
     }
 
-    /// Continues with a link on which the right robot answers.
+    /// Continues with a link once the right robot has answered on it.
     pub(super) fn link_serves(&mut self, now: Timestamp<Server>, robot: usize) {
         match self.phase {
             Phase::Greeting { .. } if self.asks_names() => self.greet(now, robot),
@@ -127,7 +127,7 @@ impl Mission {
             return;
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
-            // The link is kept for the table, because it works.
+            // The link is kept, so that the table shows that it works.
             return self.fail(now, robot, kind);
         }
         let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));

@@ -7,11 +7,11 @@ use super::act::Act;
 use super::robot_state::{RobotState, Standing, Stop};
 use super::{Action, Mission, Phase};
 
-/// The maximum number of robots. In larger fleets, the checks would take most of the time.
+/// The maximum number of robots for which invariants are checked. In larger fleets, the checks would take most of the time.
 const ROBOTS_MAX: usize = 64;
 
 impl Mission {
-    /// Panics if a statement does not hold after an event at `now` has led to `self.actions`.
+    /// Panics if an invariant does not hold after an event at `now` has led to `self.actions`.
     pub(super) fn check(&self, now: Timestamp<Server>) {
         if !self.options.check_invariants || self.robots.len() > ROBOTS_MAX {
             return;
@@ -99,7 +99,7 @@ impl Mission {
         }
     }
 
-    /// While the others continue, a robot that was left out takes no part.
+    /// Checks that a robot that was left out takes no part while the others continue.
     fn check_left_out(&self, act: &Act) {
         for member in act.present().filter(|_| act.was_sent() && !act.is_over()) {
             let robot = &self.robots[member.robot];
@@ -180,7 +180,7 @@ impl Mission {
     }
 }
 
-/// The request of a script or of a stop.
+/// The request in a message, if it contains a script or a stop.
 const fn script_in(message: &Message) -> Option<&ControlRequest> {
     match message {
         Message::ControlRequest(request) if matches!(request.command, Command::Script(_)) => Some(request),

@@ -25,73 +25,73 @@ pub struct Kept {
     pub failures: Vec<Failure>,
     /// Robots that were left out.
     pub dropped: Vec<RobotId>,
-    /// Robots that do not know requests by their ids.
+    /// Robots that do not recognize requests by their ids.
     pub unnamed: Vec<RobotId>,
     /// The latest stop that was being sent; `None` also after the stop of an attempt that was repeated.
     pub stopping: Option<Stopping>,
-    /// When the first stop after the latest promise was sent; `None` if none was. No lease has been renewed since then.
+    /// The time at which the first stop after the latest promise was sent; `None` if none was. No lease has been renewed since then.
     pub stopping_since: Option<Timestamp<Server>>,
     /// Robots that have confirmed their stop.
     pub stopped: Vec<RobotId>,
-    /// The outcome; `None` if the mission was cut off.
+    /// The outcome of the mission; `None` if the mission was cut off.
     pub outcome: Option<Outcome>,
-    /// The part from the first incomplete line on; `None` if all lines are complete.
+    /// The records from the first incomplete line on; `None` if all lines are complete.
     pub torn: Option<Torn>,
-    /// Every robot to which anything was ever sent, with its devices.
+    /// Every robot to which anything was ever sent, with the devices to which it was sent.
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
     /// The doubt that was stated at the decision of each act, by its number.
     pub(crate) doubts: HashMap<u32, Span>,
-    /// The offset last added to timestamps for a robot's clock.
+    /// For each robot: the offset last added to timestamps for its clock.
     shifts: BTreeMap<RobotId, Span>,
     /// The offsets of scripts that were sent with another offset than their promise states.
     translated: HashMap<RequestId, Span>,
-    /// Length of the complete lines at the beginning, in bytes.
+    /// Length of the complete lines at the beginning of the journal, in bytes.
     whole: usize,
 }
 
 /// A stop that was being sent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stopping {
-    /// The outcome that the mission was going to have.
+    /// The outcome that the mission would have had after the stop.
     pub outcome: Outcome,
     /// How the stop brings robots to rest.
     pub rest: Rest,
 }
 
-/// The remains of a mission on its robots, which another process withdraws.
+/// What a mission has left on its robots, to be withdrawn by another process.
 #[derive(Clone, Debug, Default)]
 pub struct Left {
     /// The robots to which anything was sent.
     pub robots: BTreeMap<RobotId, LeftOn>,
     /// The ids by which robots identify themselves, if these differ from their ids in the fleet file.
     pub own_ids: BTreeMap<RobotId, RobotId>,
-    /// No lease was renewed after this instant; `None` if leases may have been renewed until now.
+    /// The instant after which no lease was renewed; `None` if leases may have been renewed until now.
     pub renewed_until: Option<Timestamp<Server>>,
-    /// Whether robots may have moved.
+    /// Whether robots may have moved in the mission.
     pub moved: bool,
     /// The failures of robots.
     pub failures: Vec<Failure>,
 }
 
-/// The remains of a mission on a robot.
+/// What a mission has left on one robot.
 #[derive(Clone, Debug, Default)]
 pub struct LeftOn {
     /// The devices to which anything was sent.
     pub devices: BTreeSet<DeviceId>,
-    /// The offset added to timestamps for its clock.
+    /// The offset added to timestamps for the robot's clock.
     pub shift: Span,
     /// The running leases of scripts whose acts have not ended; `None` for a script that continues without a link.
     pub leases: Vec<Option<Millis>>,
 }
 
-/// The progress of an act that was promised.
+/// How far an act that was promised has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progressed {
-    /// Its requests were sent, or were about to be.
+    /// The act's requests were sent, or were about to be.
     Prepared,
-    /// All robots had accepted.
+    /// All robots had accepted the act.
     Decided,
-    /// Leases were extended beyond its start, or were about to be.
+    /// Leases were extended beyond the act's start, or were about to be.
     Committed,
 }
 
@@ -100,9 +100,9 @@ pub enum Progressed {
 pub struct Torn {
     /// The number of the line, counted from 1.
     pub line: usize,
-    /// Bytes from there to the end.
+    /// Number of bytes from this line to the end.
     pub bytes: usize,
-    /// Complete lines after it. If there are any, the file was damaged, not only cut off.
+    /// Number of complete lines after this line. If there are any, the file was damaged, not only cut off.
     pub whole_after: usize,
 }
 
@@ -138,12 +138,12 @@ struct Touched<'a> {
     shift: Span,
 }
 
-/// The action of `resume` for a mission that was cut off.
+/// What `resume` does with a mission that was cut off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
-    /// It plays the mission to its end, because the promised acts were decided.
+    /// `resume` plays the mission to its end, because the promised acts were decided.
     Resume,
-    /// It withdraws the promised acts, for this reason.
+    /// `resume` withdraws the promised acts. Contains the reason.
     Withdraw(&'static str),
 }
 
@@ -170,13 +170,13 @@ impl Kept {
         kept
     }
 
-    /// Length of the complete lines at the beginning, in bytes.
+    /// Length of the complete lines at the beginning of the journal, in bytes.
     #[must_use]
     pub const fn whole(&self) -> usize {
         self.whole
     }
 
-    /// The action of `resume` for the mission, if it was cut off here.
+    /// What `resume` does with the mission, if the mission was cut off after these records.
     #[must_use]
     pub fn fate(&self) -> Fate {
         if self.stopping.is_some() {
@@ -191,8 +191,8 @@ impl Kept {
         if self.promises.is_empty() { Fate::Withdraw("no act was under way") } else { Fate::Resume }
     }
 
-    /// The outcome of the mission if `resume` withdraws it, and its reason for users: the outcome of the stop that was being sent,
-    /// otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
+    /// The outcome of the mission if `resume` withdraws it, and the reason for users. The outcome is that of the stop that was being
+    /// sent, otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
     #[must_use]
     pub fn ending(&self, why: &str) -> (Outcome, String) {
         let outcome = self.stopping.as_ref().map_or(Outcome::Failed, |stopping| stopping.outcome.clone());
@@ -212,7 +212,7 @@ impl Kept {
             || self.torn.is_some_and(|torn| torn.whole_after > 0)
     }
 
-    /// The remains of the mission on its robots.
+    /// What the mission has left on its robots.
     #[must_use]
     pub fn left(&self) -> Left {
         let mut left = Left {
@@ -253,7 +253,7 @@ impl Kept {
         }
     }
 
-    /// Takes a line. A promise is parsed in full only later, if its act has not ended.
+    /// Processes a line. A promise is parsed in full only later, if its act has not ended.
     fn take<'a>(&mut self, json: &'a [u8], under_way: &mut Vec<UnderWay<'a>>) {
         if is_promise(json) {
             let Ok(promise) = serde_json::from_slice::<Touching<'_>>(json) else { return };
@@ -278,7 +278,8 @@ impl Kept {
                 self.unnamed.extend(unnamed);
             }
             Record::Committed { number } => came_to(Progressed::Committed, number),
-            // Its robots drop it. If another act continues to play, this act is prepared again after that one has ended.
+            // The robots of a lapsing act drop it. If another act continues to play, the lapsing act is prepared again after that one has
+            // ended.
             Record::Lapsing { number } => came_to(Progressed::Prepared, number),
             Record::ActSkipped(over) => self.course.push(over),
             Record::Failed(failure) => self.failures.push(failure),

@@ -1,4 +1,4 @@
-//! Robots that declare other latencies than those with which their motions were planned.
+//! Finds robots that declare latencies other than those with which their motions were planned.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -9,20 +9,20 @@ use downbeat_yaml::duration::written;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
-/// The maximum difference of latencies that are considered the same.
+/// Latencies that differ by at most this are considered equal.
 const SAME: Span = Span::from_millis(1);
-/// The maximum number of listed devices per robot.
+/// The maximum number of devices that are listed per robot.
 const SHOWN_MAX: usize = 12;
 
-/// Devices of one robot that declare another latency than the compensated one.
+/// The devices of one robot that declare a latency other than the compensated one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct LatencyDiffers {
-    /// The devices, at least one.
+    /// The devices; never empty.
     pub devices: Vec<OtherLatency>,
 }
 
-/// A device that declares another latency than the compensated one.
+/// A device that declares a latency other than the compensated one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OtherLatency {
     /// Id of the device.

@@ -5,11 +5,12 @@ use urrcp::{Server, Span, Timestamp};
 
 /// The interval at which the mission asks to be called during the greeting, so that it knows the lateness before the first act.
 const PROBED_EVERY: Span = Span::from_millis(10);
-/// The largest lateness applies for at least this time, and for at most twice this time.
+/// The time for which the largest lateness applies at least; it applies for at most twice this time.
 const COUNTS_FOR: Span = Span::from_millis(5_000);
-/// Shorter delays are usual, and the shortest leases already allow for them.
+/// The shortest delay that counts as lateness. Shorter delays are usual, and the shortest leases already allow for them.
 const LATENESS_MIN: Span = Span::from_millis(5);
-/// A longer delay is a stall, not the usual delay of a busy machine. An act that fails because of a stall is prepared again.
+/// The largest lateness that is assumed. A longer delay is a stall, not the usual delay of a busy machine. An act that fails because of a
+/// stall is prepared again.
 const LATENESS_MAX: Span = Span::from_millis(100);
 
 /// The largest lateness of recent calls.
@@ -17,10 +18,10 @@ const LATENESS_MAX: Span = Span::from_millis(100);
 pub(super) struct Lateness {
     /// The time at which the mission asked to be called; `None` once it has been called.
     due: Option<Timestamp<Server>>,
-    /// The next call that only measures the lateness.
+    /// The time of the next call that only measures the lateness.
     probe: Timestamp<Server>,
     since: Timestamp<Server>,
-    /// The largest lateness since `since`, and that of the previous period.
+    /// The largest lateness since `since`, and the largest lateness of the previous period.
     largest: [Span; 2],
 }
 
@@ -63,7 +64,7 @@ mod tests {
     use super::*;
     use crate::bench::{at, ms};
 
-    /// Asks to be called at `due`, and is called at `now`.
+    /// The mission asks to be called at `due`, and is called at `now`.
     fn is_called(lateness: &mut Lateness, due: i64, now: i64) {
         lateness.asks(at(due - 1), Some(at(due)));
         lateness.called(at(now));

@@ -1,4 +1,4 @@
-//! The time until the start, and its components.
+//! The lead time of an act: the time from sending to the start, and its components.
 
 use serde::{Deserialize, Serialize};
 use urrcp::Span;
@@ -10,15 +10,15 @@ use super::act::timing::Pace;
 pub const LEAD_MARGIN_MIN: Span = Span::from_millis(50);
 /// Minimum pending lease: a few renewals must fit into it on the scheduler's millisecond timer.
 const LEASE_MIN: Span = Span::from_millis(240);
-/// Longer round trips are treated like this one. If a lead and a lease followed every delay, a show would wait for one bad link. The
-/// preparation time and the leases still leave room for at least twice as much.
+/// The longest round trip that leads and leases allow for; longer ones are treated like it. If a lead and a lease followed every delay, a
+/// show would wait for one bad link. The preparation time and the leases still leave room for at least twice as much.
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
-/// A robot whose round trips are longer is refused: it could keep none of the leases.
+/// The longest accepted round trip. A robot with longer ones is refused: it could keep none of the leases.
 pub(crate) const ROUND_TRIP_LONGEST: Span = Span::from_millis(3_000);
 /// The longest pending lease of an act, and the longest margin after it. Round trips need at most 3 s; the rest is for early and late
 /// starts because of clocks.
 pub(crate) const LEASE_MAX: Span = Span::from_millis(10_000);
-/// Bytes per second that any link and robot is assumed to receive, even on a host whose cores are all busy.
+/// The number of bytes per second that any link and robot is assumed to receive, even on a host whose cores are all busy.
 const BYTES_A_SECOND: i64 = 10_000_000;
 /// Time to encode, send, check and answer one request, in addition to the transfer time of its bytes.
 const EACH_REQUEST: Span = Span::from_micros(500);
@@ -39,13 +39,13 @@ pub struct LeadTime {
 }
 
 impl LeadTime {
-    /// The number of renewals per lease. A renewal may take up to one such part of a lease to arrive without being noticed.
+    /// The number of renewals per lease. A renewal may take as long as the interval between renewals to arrive, without being noticed.
     pub(crate) const RENEWALS_A_LEASE: i64 = 3;
 
     /// The lead time that this fleet needs.
     ///
-    /// `round_trip` is the longest that links nearly always keep, `requests` and `bytes` are the total to send, `lease` is the pending
-    /// lease that requests carry.
+    /// `round_trip` is the longest round trip that links nearly always keep. `requests` and `bytes` are the total to send. `lease` is the
+    /// pending lease that requests carry.
     #[must_use]
     pub(crate) fn needed(round_trip: Span, requests: usize, bytes: usize, pace: &Pace, lease: Span) -> Self {
         let requests = i64::try_from(requests).unwrap_or(i64::MAX);
@@ -78,7 +78,7 @@ impl LeadTime {
     }
 }
 
-/// A round trip, limited to the maximum that is considered.
+/// A round trip, limited to `ROUND_TRIP_MAX`.
 pub(crate) fn counted(round_trip: Span) -> Span {
     round_trip.min(ROUND_TRIP_MAX)
 }

@@ -7,8 +7,9 @@ use super::robot_state::RobotState;
 use super::script::{Ending, ScriptState};
 
 impl Act {
-    /// The end of a robot's remaining script by its own lease when its act is closed, if the robot receives nothing more: by the pending
-    /// lease while it waits, otherwise by the running one. `None` if nothing remains, `Some(None)` if it continues without a lease.
+    /// When a robot's remaining script of a closed act ends by its own lease, if the robot receives nothing more: by the pending lease
+    /// while the script waits, otherwise by the running lease. `None` if no script remains, `Some(None)` if the script continues without
+    /// a lease.
     pub(super) fn left_behind(
         &self,
         member: &Member,

@@ -1,7 +1,7 @@
 //! Room in the queues of devices, across all acts in order of their start.
 //!
-//! A device holds as many scripts as its queue has places. When a place becomes free, the next script in order of start follows, of any
-//! act.
+//! A device holds as many scripts as its queue has slots. When a slot becomes free, the next script in order of start is sent, whatever
+//! its act.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use super::act::Act;
 use super::robot_state::RobotState;
 use super::script::{Script, ScriptRef};
 
-/// The scripts that may be sent to a robot now, in order of start. `acts` are in order of their start.
+/// The scripts that may be sent to a robot now, in order of start. `acts` must be in order of start.
 pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<ScriptRef> {
     let mut room = room_of(acts, robot, state);
     let mut sendable = Vec::new();
@@ -43,17 +43,17 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
     sendable
 }
 
-/// Whether a script is sent later, when the drift of its robot's clock is known. It can wait because its device holds two others, which a
-/// lease would end anyway without this machine.
+/// Whether to send a script later, when the drift of its robot's clock is known. The script can wait because its device holds two other
+/// scripts. Without this machine, a lease would end those anyway.
 fn waits_for_its_clock(ahead: &[&Script]) -> bool {
     let [.., _, last] = ahead else { return false };
     last.duration() >= LONG_ENOUGH && last.longest_lease().is_some_and(|lease| lease <= last.duration())
 }
 
-/// While a script of this length plays, the next one is certainly sent.
+/// The minimum length of a script during which the next one is certainly sent.
 const LONG_ENOUGH: Span = Span::from_millis(5_000);
 
-/// The number of free places on each device with scripts to send.
+/// The number of free queue slots of each device for which scripts remain to be sent.
 fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a DeviceId, usize> {
     let mut room = HashMap::new();
     let members = || acts.iter().filter_map(|act| act.member(robot));
@@ -69,8 +69,7 @@ fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a
     room
 }
 
-/// Whether every device of an act has room for its first script after all scripts of earlier acts that it holds or that are still to be
-/// sent.
+/// Whether every device has room for its first script of an act, behind all scripts of earlier acts that it holds or will be sent.
 pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
     let (before, act) = (&acts[..index], &acts[index]);
     act.present().all(|member| {
@@ -80,7 +79,7 @@ pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
         let left = |script: &&Script| script.is_out() || script.is_planned();
         let mut waiting = earlier.clone().flat_map(|member| member.scripts());
         if robot.settings.clock == ClockMode::Measured && waiting.any(Script::is_planned) {
-            // Its start may still be corrected, and this act begins after it by the same clock.
+            // The start of the waiting script may still be corrected, and this act begins after that script by the same clock.
             return false;
         }
         for script in earlier.flat_map(|member| member.scripts()).filter(left) {

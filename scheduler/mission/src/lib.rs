@@ -1,8 +1,8 @@
 //! The mission machine: greet, check, prepare an act, decide once, commit, watch, continue with the next act, stop, report.
 //!
-//! It takes events with their time and returns actions; it reads no clock and does no I/O, so the same machine runs a
-//! real fleet (`downbeat-runtime`), a dry run (`downbeat-rehearsal`) and the fault simulation. Each act is a machine of its own
-//! (`act/`): the mission passes it events, and performs the actions that it returns. `docs/mission.md` draws both.
+//! The machine takes events with their time and returns actions. It reads no clock and does no I/O, so the same machine runs a real fleet
+//! (`downbeat-runtime`), a dry run (`downbeat-rehearsal`) and the fault simulation. Each act is a machine of its own (`act/`): the
+//! mission passes it events, and performs the actions that it returns. `docs/mission.md` draws both.
 //!
 //! Events of one instant are handled in the order in which the driver passes them. Timers of that instant come last, so an answer that
 //! arrives just in time is accepted.
@@ -91,20 +91,20 @@ pub use requests::may_be_for_a_stop;
 use robot_state::RobotState;
 pub use robot_state::{Rest, Standing, Totals};
 
-/// Phase of the mission. The timers of each phase are in its file.
+/// Phase of the mission. The file of each phase handles its timers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
-    /// Links, availability, initialization blocks, clocks, sensors.
+    /// The mission greets the robots: links, availability, initialization blocks, clocks, sensors.
     Greeting { deadline: Timestamp<Server> },
     /// Acts wait, are prepared, start and play.
     Performing,
-    /// Cancels are sent; their confirmations are pending.
+    /// Stops are sent; their confirmations are pending.
     Stopping { deadline: Timestamp<Server>, resend: Timestamp<Server>, by: StoppedBy },
-    /// The report is ready.
+    /// The mission has ended, and its report is ready.
     Ended,
 }
 
-/// Trigger of a stop.
+/// What triggered a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StoppedBy {
     Operator,
@@ -114,7 +114,7 @@ enum StoppedBy {
 /// Durable records that are being written to disk.
 #[derive(Debug, Default)]
 struct Recording {
-    /// Number of durable records so far.
+    /// Number of durable records that were passed to the journal so far.
     count: u64,
     /// Records that an act waits for, or that measure the disk: the record number, the act, and the time of the request.
     awaited: VecDeque<(u64, Option<u32>, Timestamp<Server>)>,
@@ -133,10 +133,10 @@ pub struct Mission {
     /// For each robot: the first script of each device from the first act on, and the device's largest speed in that act.
     first_uses: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     phase: Phase,
-    /// In order of their start; the last one may still wait.
+    /// The acts under way, in order of their start; the last one may still wait.
     acts: Vec<Act>,
     acts_begun: u32,
-    /// The number of those acts that repeat a withdrawn act.
+    /// The number of acts in `acts_begun` that repeat a withdrawn act.
     acts_repeated: u32,
     /// Whether `acts_max` prevented a further act.
     bounded: bool,
@@ -157,13 +157,13 @@ pub struct Mission {
     next_round: Option<Timestamp<Server>>,
     /// Number of rounds that this machine started too late.
     rounds_held_up: u64,
-    /// Next check whether a robot has been silent for too long.
+    /// The time of the next check whether a robot has been silent for too long.
     next_silence: Option<Timestamp<Server>>,
-    /// Next check whether a robot has not identified itself.
+    /// The time of the next check whether a robot has not identified itself.
     next_name: Option<Timestamp<Server>>,
-    /// When stops were last sent.
+    /// The time at which stops were last sent.
     stopped_at: Option<Timestamp<Server>>,
-    /// The earliest instant at which a lost robot is given up.
+    /// The earliest instant at which the mission gives up a lost robot.
     give_up: Option<Timestamp<Server>>,
     /// Messages that must not be sent before an act is committed or withdrawn.
     deferred: Vec<(usize, Message)>,
@@ -174,20 +174,20 @@ pub struct Mission {
     moved_before: bool,
     /// Number of consecutive acts without a robot left to play them.
     skipped: usize,
-    /// The end of additional clock sampling, and the time of the next sample.
+    /// The time at which additional clock sampling ends, and the time of the next sample.
     sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
     preflight: Option<Preflight>,
     ntp: Option<NtpState>,
     outcome: Option<Outcome>,
-    /// The reason of the stop, if neither the outcome nor a failure of a robot states it.
+    /// The reason for the stop, if neither the outcome nor a failure of a robot states it.
     because: Option<String>,
     /// How often the journal was removed or replaced while this process was writing it.
     journal_written_again: u64,
     /// The operator who stopped the mission, if another operator started it.
     said_stop: Option<String>,
-    /// The first failure on the way, regardless of what follows.
+    /// The first failure in the course of the mission, regardless of what follows.
     flawed: Option<Outcome>,
-    /// Set by the first act whose starts were too far apart or whose steps were too late.
+    /// The outcome because of the first act whose starts were too far apart or whose steps were too late.
     flaw_of_times: Option<Outcome>,
     reports: VecDeque<ActReport>,
     reports_omitted: usize,
@@ -197,7 +197,7 @@ pub struct Mission {
 }
 
 impl Mission {
-    /// A mission of this choreography, beginning now.
+    /// A mission that plays this choreography and begins now.
     ///
     /// # Errors
     /// Fails if a robot of the choreography has no participant.
@@ -275,10 +275,10 @@ impl Mission {
         }
     }
 
-    /// A mission of one act.
+    /// A mission that plays a single act.
     ///
     /// # Errors
-    /// As [`Mission::new`].
+    /// Fails if a robot of the plan has no participant.
     pub fn of_plan(
         plan: Plan,
         participants: Vec<Participant>,
@@ -288,15 +288,15 @@ impl Mission {
         Self::new(Choreography::of_plan(plan), participants, options, now)
     }
 
-    /// Takes an event that happened at `now`. [`Mission::advance`] must follow at the same instant, once no further event of that instant
-    /// is pending. It may decide the consequences of the event.
+    /// Processes an event that happened at `now`. [`Mission::advance`] must follow at the same instant, once no further event of that
+    /// instant is pending. It may decide the consequences of the event.
     #[must_use]
     pub fn handle(&mut self, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.happened(now, now, event)
     }
 
-    /// Takes at `now` an event that happened at `at`, because a message may have waited on this machine. Decisions and sends depend on
-    /// `now`, measurements on `at`. As after [`Mission::handle`], [`Mission::advance`] must follow.
+    /// Processes at `now` an event that happened at `at`, because a message may have waited on this machine. Decisions and sends depend
+    /// on `now`, measurements on `at`. As after [`Mission::handle`], [`Mission::advance`] must follow.
     #[must_use]
     pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.arrived = at;
@@ -374,7 +374,7 @@ impl Mission {
         due.into_iter().chain(self.next_name).chain(elsewhere).min()
     }
 
-    /// The pending timers, for a trace.
+    /// The pending timers, as text for a trace.
     #[must_use]
     pub fn due(&self) -> String {
         let acts: Vec<_> = self.acts.iter().map(|act| (act.number(), act.wakeup())).collect();
@@ -407,12 +407,12 @@ impl Mission {
         self.journal_written_again
     }
 
-    /// The reason of the stop, if neither the outcome nor a failure of a robot states it.
+    /// The reason for the stop, if neither the outcome nor a failure of a robot states it.
     pub(crate) fn because(&self) -> Option<&str> {
         self.because.as_deref()
     }
 
-    /// The outcome of the move to the default positions. `None` if no way home was requested.
+    /// The outcome of the move to the default positions. `None` if no move home was requested.
     pub(crate) const fn home(&self) -> Option<&TransferReport> {
         self.transfer.home.as_ref()
     }
@@ -421,7 +421,7 @@ impl Mission {
         self.transfer.approach.as_ref()
     }
 
-    /// The maximum number of acts, if it prevented a further act.
+    /// The maximum number of acts, if this limit prevented a further act.
     pub(crate) fn bound_reached(&self) -> Option<u32> {
         self.options.acts_max.filter(|_| self.bounded)
     }
@@ -470,7 +470,7 @@ impl Mission {
         self.preflight.as_ref()
     }
 
-    /// The choices of the operator.
+    /// The operator's choices.
     #[must_use]
     pub const fn options(&self) -> &MissionOptions {
         &self.options
@@ -502,13 +502,13 @@ impl Mission {
     }
 }
 
-/// The reason of a refusal, or a default error if the robot gave none.
+/// The error in a robot's refusal, or a default error if the robot gave none.
 fn error_of_status(error: Option<&ControlError>) -> ControlError {
     let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
     error.cloned().unwrap_or_else(without)
 }
 
-/// A robot of the choreography has no participant.
+/// Error: a robot of the choreography has no participant.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("robot `{robot}` of the plan is not part of the mission")]
 pub struct MissingParticipant {

@@ -9,10 +9,10 @@ use urrcp::{Server, Timestamp};
 use super::ActReport;
 use super::record::{ENDED_ACT, EndedAct};
 
-/// The line of a record of any type, with its time.
+/// The journal line of a record of any type, with the time of the record.
 ///
 /// # Errors
-/// If it cannot be written as JSON.
+/// Fails if the record cannot be written as JSON.
 pub fn dated_line(at: Timestamp<Server>, record: &impl Serialize) -> io::Result<Vec<u8>> {
     #[derive(Serialize)]
     struct Dated<'a, T> {
@@ -23,10 +23,10 @@ pub fn dated_line(at: Timestamp<Server>, record: &impl Serialize) -> io::Result<
     line(&Dated { at, record })
 }
 
-/// A line: the checksum, then the JSON.
+/// The journal line of a value: the checksum, then the JSON.
 ///
 /// # Errors
-/// If it cannot be written as JSON.
+/// Fails if the value cannot be written as JSON.
 pub fn line(json: &impl Serialize) -> io::Result<Vec<u8>> {
     let json = serde_json::to_vec(json)?;
     let mut bytes = format!("{:08x} ", crc32fast::hash(&json)).into_bytes();
@@ -35,7 +35,7 @@ pub fn line(json: &impl Serialize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Length of the complete lines at the beginning, in bytes.
+/// Length of the complete lines at the beginning of a journal, in bytes.
 pub fn whole_length(bytes: &[u8]) -> usize {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n');
     lines.take_while(|line| sound(line).is_some()).map(<[u8]>::len).sum()
@@ -54,7 +54,7 @@ pub fn sound(line: &[u8]) -> Option<&[u8]> {
     (crc32fast::hash(json) == sum).then_some(json)
 }
 
-/// Whether a line is of this kind. The kind follows the time of the line.
+/// Whether the JSON of a line is of the kind `kind`, which follows the time of the line.
 pub fn begins_with(json: &[u8], kind: &[u8]) -> bool {
     let begin = &json[..json.len().min(128)];
     begin.windows(kind.len()).any(|bytes| bytes == kind)

@@ -1,5 +1,5 @@
-//! The starts of motions, as sensors show them while a mission plays (`run --verify-motion`): which readings are requested around the
-//! first movement of each device in an act, and their evaluation.
+//! Verifies the starts of motions by sensors while a mission plays (`run --verify-motion`): which readings are requested around the first
+//! movement of each device in an act, and how they are evaluated.
 
 use std::collections::VecDeque;
 
@@ -13,13 +13,13 @@ use urrcp::{
 use super::act::Act;
 use super::robot_state::RobotState;
 
-/// A device is watched from this long before its movement, if the act is committed by then.
+/// How long before its movement the mission starts to watch a device, if the act is committed by then.
 const BEFORE: Span = Span::from_millis(80);
 /// A device is watched for this long after the planned start of its movement, unless it receives another command before.
 const AFTER: Span = Span::from_millis(400);
 /// Interval between two questions to one sensor.
 const EVERY: Span = Span::from_millis(4);
-/// The maximum time to wait for an answer.
+/// The maximum time to wait for a sensor's answer.
 const ANSWERED: Span = Span::from_millis(250);
 /// The uncertainty of an onset in standard errors: 95 % of a normal distribution.
 const STANDARD_ERRORS: f64 = 2.0;
@@ -32,34 +32,34 @@ pub(crate) struct Watched {
     sensor: DeviceId,
     taken: Taken,
     sensor_delay: Span,
-    /// In the unit of the device.
+    /// Displacement from which motion is visible, in the unit of the device.
     visible: f64,
     range: Option<(f64, f64)>,
     movement: Movement,
     /// The compensated latency: the planned time from the command to the motion.
     latency: Span,
-    /// The measured lag.
+    /// The measured lag of the device; `None` if unknown.
     lag: Option<Lag>,
     readings: Vec<(Timestamp<Server>, Timestamp<Server>, f64)>,
     /// The time of the last question, and whether its answer is pending.
     asked: Option<(Timestamp<Server>, bool)>,
 }
 
-/// The first command of a device.
+/// The first movement that the steps of a device command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Movement {
-    /// The time of the movement from the start of the act.
+    /// The start of the movement, from the start of the act.
     due: Span,
     /// The duration of the movement; zero for a step.
     lasts: Span,
-    /// The start position; `None` for the current position at that time.
+    /// The start position; `None`: the position at the start of the movement.
     from: Option<f64>,
     to: f64,
-    /// The time of the next command.
+    /// The time of the next command, from the start of the act.
     until: Option<Span>,
 }
 
-/// The start of a device's motion.
+/// The start of a device's motion, as its sensor shows it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionReport {
     /// Id of the robot.
@@ -68,26 +68,26 @@ pub struct MotionReport {
     pub device: DeviceId,
     /// The planned start of the motion by the scheduler's clock: its command plus the compensated latency.
     pub planned: Timestamp<Server>,
-    /// Actual minus planned start; `None` if the readings do not show it.
+    /// The actual minus the planned start; `None` if the readings do not show the start.
     #[serde(rename = "error_ms")]
     pub error: Option<Span>,
     /// The uncertainty of the start.
     #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<Span>,
-    /// The number of readings.
+    /// The number of readings by which the motion was verified.
     pub readings: usize,
-    /// The reason why the readings do not show it.
+    /// The reason why the readings do not show the start.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unclear: Option<String>,
 }
 
-/// The spread of motions, relative to their plans.
+/// The spread of motions in time, relative to their plans.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionSpread {
     /// The latest minus the earliest error.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
-    /// The uncertainty of the spread: the sum of both.
+    /// The uncertainty of the spread: the sum of the uncertainties of the earliest and the latest motion.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
     /// The number of compared motions.
@@ -95,7 +95,7 @@ pub struct MotionSpread {
 }
 
 impl MotionSpread {
-    /// The spread; `None` for fewer than two motions with a known start.
+    /// The spread of motions; `None` for fewer than two motions with a known start.
     #[must_use]
     pub fn of(motions: &[MotionReport]) -> Option<Self> {
         let known = || motions.iter().filter_map(|motion| motion.error.zip(motion.uncertainty));
@@ -107,7 +107,7 @@ impl MotionSpread {
 }
 
 impl Watched {
-    /// For each device of an act with a sensor that shows its position.
+    /// What to watch in an act: the first movement of each device with a sensor that shows its position.
     pub(crate) fn of(act: &Act, robots: &[RobotState]) -> Vec<Self> {
         let mut all = Vec::new();
         for member in act.members() {
@@ -156,7 +156,7 @@ impl Watched {
         &self.sensor
     }
 
-    /// The next question in an act with this start; `None` after the last one.
+    /// The time of the next question to the sensor, in an act with this start; `None` after the last question.
     pub(crate) fn due(&self, start: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let due = start + self.movement.due;
         let next = match self.asked {
@@ -173,7 +173,7 @@ impl Watched {
         self.asked = Some((now, true));
     }
 
-    /// Takes an answer. An answer that was not pending belongs to an earlier question, whose time is unknown.
+    /// Processes an answer of the sensor. An answer that was not pending belongs to an earlier question, whose time is unknown.
     pub(crate) fn answered(&mut self, arrived: Timestamp<Server>, value: Option<f64>) {
         let Some((asked, true)) = self.asked else { return };
         self.asked = Some((asked, false));
@@ -248,7 +248,7 @@ fn first_movement(steps: &[(Span, &Step)], linear: bool) -> Option<Movement> {
                 Movement { due: ends, lasts: Span::ZERO, from: Some(from), to, until: next }
             })
         }
-        // A single value that is set and held.
+        // The device sets and holds a single value.
         None if !linear => {
             Some(Movement { due: *first, lasts: Span::ZERO, from: None, to: steps[0].1, until: None })
         }
@@ -371,7 +371,7 @@ mod tests {
             let mut watched = watched();
             watched.sensor_delay = Span::from_millis(delay);
             let due = start + watched.movement.due;
-            // It begins to follow after 60 ms, at the commanded 40 per second.
+            // The device begins to follow after 60 ms, at the commanded 40 per second.
             let shown = |millis: i64| 5.0 + 0.04 * (millis - 60).max(0) as f64;
             watched.readings = (-20..100)
                 .map(|k| (due + Span::from_millis(4 * k), due + Span::from_millis(4 * k), shown(4 * k)))

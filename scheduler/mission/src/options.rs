@@ -1,4 +1,4 @@
-//! The participants of a mission, and the choices of the operator.
+//! The participants of a mission, and the operator's choices.
 
 use std::sync::Arc;
 
@@ -10,21 +10,22 @@ use super::transfer::PlanTransfer;
 use crate::session::Session;
 use crate::zone::Zone;
 
-/// A robot that takes part. From here on, it is identified by its index in the mission.
+/// A robot that takes part in a mission. After the mission is created, the robot is identified by its index.
 #[derive(Clone, Debug)]
 pub struct Participant {
-    /// Its id in the fleet file.
+    /// The robot's id in the fleet file.
     pub id: RobotId,
-    /// Its static description, if the fleet file gives one, with the id by which it must identify itself.
+    /// The robot's static description, if the fleet file gives one, with the id by which the robot must identify itself.
     pub block: Option<InitializationBlock>,
-    /// Its settings in the fleet file.
+    /// The robot's settings in the fleet file.
     pub settings: MissionSettings,
-    /// Whether the robot runs in the process of the mission. It ends with that process, so no earlier one can still move it.
+    /// Whether the robot runs in the process of the mission. Such a robot ends with that process, so no earlier process can still move
+    /// it.
     pub in_process: bool,
 }
 
 impl Participant {
-    /// A robot of which only this is known, and that wakes up in time for a start.
+    /// A participant with this id and description, with default settings except that its robot wakes up in time for a start.
     #[must_use]
     pub fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
         let settings = MissionSettings { wake_up: Span::ZERO, ..MissionSettings::default() };
@@ -49,24 +50,24 @@ pub enum Greeting {
     Skip,
 }
 
-/// The treatment of a robot that is missing when the mission begins.
+/// How to treat a robot that is missing when the mission begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Join {
-    /// The mission does not start without it.
+    /// The mission does not start without the robot.
     #[default]
     Refuse,
-    /// The others begin, and it joins at the first act that begins after its arrival.
+    /// The other robots begin, and this robot joins at the first act that begins after its arrival.
     NextAct,
 }
 
-/// The choices of the operator.
+/// The operator's choices for a mission.
 #[derive(Clone, Debug)]
 pub struct MissionOptions {
-    /// Whether to perform steps 1 to 4.
+    /// Whether to perform steps 1 to 4 of the protocol.
     pub greeting: Greeting,
-    /// Overrides the scenario's lead time.
+    /// The lead time that overrides the scenario's lead time; `None`: the scenario's applies.
     pub lead: Option<Span>,
     /// How long to wait for links, greetings and stop confirmations.
     pub patience: Span,
@@ -74,33 +75,33 @@ pub struct MissionOptions {
     pub server_uncertainty: Span,
     /// The session for which robots are driven. Without one, a robot cannot distinguish this scheduler from another.
     pub session: Option<Session>,
-    /// The starts at fixed times.
+    /// The starts at fixed times, and their permitted delay.
     pub fixed: FixedStarts,
-    /// The index of the first act.
+    /// The index of the first act that the mission plays.
     pub first_act: usize,
     /// The maximum number of acts, including those that waited without success. After them, the mission ends as after its last act. The
     /// first act always begins. `None`: no limit.
     pub acts_max: Option<u32>,
-    /// The treatment of robots that are missing at first.
+    /// How to treat robots that are missing when the mission begins.
     pub join: Join,
-    /// Whether to take over robots that belong to other sessions, if these permit it: the robots have proven their identity, and this
-    /// operator has the role.
+    /// Whether to take over robots that belong to other sessions, if the robots permit it: they must have proven their identity, and this
+    /// operator must have the role.
     pub seize: bool,
     /// Whether to read the sensors that show positions around the first movement of each device in an act, and report when motions began.
     pub verify_motion: bool,
-    /// Whether to end once the fleet is checked.
+    /// Whether to end the mission once the fleet is checked.
     pub preflight_only: bool,
     /// The time zone of the times of day that acts wait for.
     pub zone: Zone,
-    /// Plans acts after a stop. Without it, each robot moves to its default positions on its own, and the act after a failure begins only
-    /// if its robots have come to rest at their first positions.
+    /// The planner of acts after a stop. Without it, each robot moves to its default positions on its own. The act after a failure then
+    /// begins only if its robots have come to rest at their first positions.
     pub transfer: Option<Arc<dyn PlanTransfer>>,
     /// Whether to check the invariants of the mission after every event, and panic if one is violated. By default, only unoptimized
     /// programs check them.
     pub check_invariants: bool,
 }
 
-/// The starts at fixed times: by the operator, or by acts that wait for a time.
+/// The starts that are fixed by the operator or by acts that wait for a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FixedStarts {
     /// The start that the operator fixes; `None` if the operator fixes none.

@@ -14,15 +14,15 @@ use super::LeadTime;
 pub enum Outcome {
     /// All robots started together and finished.
     Done,
-    /// The other robots finished. Robots that failed were left out, according to `on_failure`.
+    /// Robots that failed were left out, according to `on_failure`. The other robots finished.
     DoneWithout,
-    /// It finished, and acts were left out on the way because their condition was not met.
+    /// The mission finished, but acts were left out because their condition was not met.
     DoneSkipping {
-        /// The names of these acts.
+        /// The names of the acts that were left out.
         acts: Vec<String>,
     },
-    /// It was played to its end, but starts were further apart, or further off the plan, than the scenario tolerates, or clocks drifted
-    /// by more than that while it played.
+    /// The mission was played to its end, but starts were further apart, or further off the plan, than the scenario tolerates. Or clocks
+    /// drifted by more than that while the mission played.
     OutOfTolerance {
         /// The spread of the starts of an act, or the largest start error, by the robots' own clocks.
         #[serde(rename = "spread_ms")]
@@ -31,7 +31,7 @@ pub enum Outcome {
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
-    /// It was played to its end, but steps were later than the scenario tolerates.
+    /// The mission was played to its end, but steps were later than the scenario tolerates.
     StepsLate {
         /// The largest lateness of a step, by its robot's own clock.
         #[serde(rename = "late_ms")]
@@ -40,7 +40,7 @@ pub enum Outcome {
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
-    /// It was played to its end, as far as known. Some robots cannot report what they did.
+    /// The mission was played to its end, as far as known. Some robots cannot report what they did.
     Unknown,
     /// The fleet is checked and nothing was sent.
     Ready,
@@ -48,9 +48,9 @@ pub enum Outcome {
     NotReady,
     /// No robot started.
     NotStarted,
-    /// It started, then a robot failed, and all were stopped.
+    /// The mission started, then a robot failed, and all robots were stopped.
     Failed,
-    /// The operator stopped it.
+    /// The operator stopped the mission.
     Stopped,
     /// The operator left without waiting for the stop to be confirmed.
     Abandoned,
@@ -82,25 +82,25 @@ pub enum Outcome {
     },
     /// The journal cannot be written, or its disk has stalled. No further promise is possible, and all robots were stopped.
     JournalLost {
-        /// The reason, for users.
+        /// The reason why the journal was lost, as text for users.
         reason: String,
     },
     /// The scheduler itself was delayed before the decision; no robot started.
     DecisionLate {
-        /// The delay.
+        /// The delay of the decision.
         #[serde(rename = "by_ms")]
         by: Span,
     },
     /// The scheduler itself or its disk was delayed before the commitment; no robot started.
     CommitmentLate {
-        /// The minimum delay.
+        /// The minimum delay of the commitment.
         #[serde(rename = "by_ms")]
         by: Span,
     },
 }
 
 impl Outcome {
-    /// Whether it states that nothing was sent or that no robot started.
+    /// Whether the outcome states that nothing was sent or that no robot started.
     pub(super) const fn denies_any_start(&self) -> bool {
         matches!(
             self,
@@ -113,7 +113,7 @@ impl Outcome {
         )
     }
 
-    /// The cause of the scheduler's delay, for users, if an act was withdrawn for that reason.
+    /// The cause of the scheduler's delay, as text for users, if an act was withdrawn because of that delay.
     pub(crate) fn hold_up(&self) -> Option<String> {
         let (what, late) = match self {
             Self::DecisionLate { by } => ("this machine was delayed, and the decision", (*by, "")),

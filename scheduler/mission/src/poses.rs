@@ -15,7 +15,7 @@ use super::prepare::answers_within;
 use super::robot_state::{PositionsAsked, Reading, RobotState, Standing};
 use super::{Greeting, Join, Mission, Phase};
 
-/// The position that the first step of a device expects.
+/// The position that the first step of a device expects, with a tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Expected {
     pub(super) position: f64,
@@ -28,8 +28,8 @@ pub(super) struct Expected {
 const SLOWS_MAX: Span = Span::from_millis(4_000);
 /// Minimum time between two questions, from the second question on.
 const ASK_AGAIN: Span = Span::from_millis(100);
-/// The same for positions that a sensor reads. Within less time, the readings of a device that still moves may differ by less than the
-/// error of its sensor.
+/// Minimum time between two questions for positions that a sensor reads. Within less time, the readings of a device that still moves may
+/// differ by less than the error of its sensor.
 const READ_AGAIN: Span = Span::from_millis(1_000);
 
 /// Maximum number of sensors per robot that are read only for display.
@@ -39,7 +39,7 @@ const SHOWN_MAX: usize = 64;
 const NAMES_MAX: usize = 100;
 
 impl RobotState {
-    /// Twice the error of a position: the one that the device declares, or its granularity if that is larger.
+    /// Twice the error of a device's position. The error is the one that the device declares, or its granularity if that is larger.
     fn error_of(&self, device: &DeviceId) -> Option<f64> {
         let described = self.block.as_ref()?.device(device.as_str())?;
         let limits = described.available_control_types.limits(ControlType::Position)?;
@@ -81,7 +81,7 @@ impl RobotState {
         read.chain(commanded.map(|(device, position)| (device, *position)))
     }
 
-    /// Discards the known positions of its devices, and the answers that it owes.
+    /// Discards the known positions of the robot's devices, and the answers about positions that the robot owes.
     pub(super) fn forget_positions(&mut self) {
         self.reads.forget(|what| matches!(what, Reading::Position(_)));
         self.positions.clear();
@@ -133,7 +133,7 @@ impl Mission {
         }
     }
 
-    /// Handles the answer to an inquiry, which may state positions. Availability is checked separately.
+    /// Handles the answer to an inquiry, which may contain positions. Availability is checked separately.
     pub(super) fn positions_stated(
         &mut self,
         now: Timestamp<Server>,
@@ -288,16 +288,16 @@ impl Mission {
         hides.then(|| (robot, kind()))
     }
 
-    /// Members of an act that the mission asks for positions.
+    /// Members of an act that the mission asks for the positions of their devices.
     fn unplaced(&self, act: &Act) -> Vec<usize> {
         let members = act.present().map(|member| member.robot);
         members.filter(|robot| self.unplaced_of(act, *robot).next().is_some()).collect()
     }
 
-    /// The first scripts of the devices whose positions the mission asks for before an act: devices that a stop has left adrift,
-    /// and devices that may have to jump and that the mission has not moved yet, if no check of their positions applies to this
-    /// act. With `handshake: skip`, the mission asks only for devices adrift. It does not ask for a device whose position the robot
-    /// cannot report.
+    /// The first scripts of the devices whose positions the mission asks for before an act. These are devices that a stop has left
+    /// adrift. If no check of their positions applies to this act, they are also devices that may have to jump and that the mission has
+    /// not moved yet. With `handshake: skip`, the mission asks only for devices adrift. It does not ask for a device whose position the
+    /// robot cannot report.
     fn unplaced_of<'a>(&'a self, act: &'a Act, robot: usize) -> impl Iterator<Item = &'a DeviceScript> {
         let state = &self.robots[robot];
         let asks = self.options.greeting == Greeting::Full;
@@ -342,7 +342,7 @@ impl Mission {
             .collect()
     }
 
-    /// The start positions of an act in the future: where the last command has left a device, unless its sensor shows that it is
+    /// The positions from which a future act starts: where the last command has left a device, unless its sensor shows that it is
     /// elsewhere.
     pub(super) fn positions_to_leave(&self, index: usize) -> BTreeMap<DeviceId, f64> {
         let robot = &self.robots[index];
@@ -372,14 +372,14 @@ impl Mission {
         self.expected_of(index, script, || *speed)
     }
 
-    /// The same for the first script of a device in an act.
+    /// Like `expected_position`, but for the first script of a device in this act.
     fn expected_in(&self, act: &Act, robot: usize, script: &DeviceScript) -> Option<Expected> {
         let id = &self.robots[robot].id;
         let is_used = |used: &&DeviceUse| used.robot == *id && used.device == script.device;
         self.expected_of(robot, script, || act.written().devices.iter().find(is_used)?.speed_max)
     }
 
-    /// The same for the first script of a device in an act, in which the device has this largest speed.
+    /// Like `expected_position`, but for this first script of a device, in an act in which the device has this largest speed.
     fn expected_of(
         &self,
         index: usize,

@@ -19,23 +19,23 @@ use super::{ClockMode, Greeting, Mission};
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Check {
-    /// It is reachable.
+    /// The robot is reachable.
     Link,
-    /// It is the right robot.
+    /// The link leads to the right robot.
     Identity,
-    /// It uses this version of URRCP.
+    /// The robot uses this version of URRCP.
     Version,
-    /// It describes itself as the fleet file does, and the plan fits it.
+    /// The robot describes itself as the fleet file does, and the plan fits the robot.
     Description,
-    /// Its clock agrees with the fleet's.
+    /// The robot's clock agrees with the clocks of the fleet.
     Clock,
-    /// Its devices are where the first keyframes expect them.
+    /// The robot's devices are where the first keyframes expect them.
     Position,
-    /// Its hardware is available.
+    /// The robot's hardware is available.
     Hardware,
-    /// It belongs to no other session and its queues are free.
+    /// The robot belongs to no other session, and the queues of its devices are free.
     Free,
-    /// Its sensors read values that the fleet file permits.
+    /// The robot's sensors read values that the fleet file permits.
     Sensors,
 }
 
@@ -53,7 +53,7 @@ impl Check {
         Self::Sensors,
     ];
 
-    /// The head of its column.
+    /// The header of the check's column in the table.
     #[must_use]
     pub const fn title(self) -> &'static str {
         match self {
@@ -75,56 +75,56 @@ impl Check {
 #[serde(tag = "verdict", content = "detail", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Verdict {
-    /// Passed, with the observed value.
+    /// The check passed. Contains the observed value.
     Pass(String),
-    /// Unexpected, but no reason not to start.
+    /// The result is unexpected, but no reason not to start.
     Warning(String),
-    /// A reason not to start.
+    /// The result is a reason not to start.
     Failure(String),
     /// The check had no data.
     NotChecked,
 }
 
-/// A robot's row.
+/// A robot's row in the table of checks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PreflightRow {
     /// Id of the robot.
     pub robot: RobotId,
-    /// The results, in the order of [`Check::ALL`].
+    /// The result of each check, in the order of [`Check::ALL`].
     pub checks: Vec<(Check, Verdict)>,
-    /// Its clock's offset, robot minus server, if known. In JSON, machines find it in the data of the robot.
+    /// The offset of the robot's clock, robot minus server; `None` if unknown. JSON contains it in the data of the robot instead.
     #[serde(skip)]
     pub clock_offset: Option<Span>,
-    /// The positions of devices of the first act: the commanded position, or else the reading of the sensor.
+    /// The position of each device of the first act: the commanded position or, without one, the reading of its sensor.
     #[serde(skip)]
     pub positions: BTreeMap<DeviceId, f64>,
-    /// The readings of its sensors, and the positions of its devices.
+    /// The readings of the robot's sensors, and the positions of its devices.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<DeviceReading>,
 }
 
-/// The reading of a sensor, or of a device that can report its position.
+/// The reading of a sensor or of a device that can report its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceReading {
     /// Id of the device.
     pub device: DeviceId,
-    /// The reading in the device's unit; `None` if it gave none.
+    /// The reading in the device's unit; `None` if the device gave none.
     pub reading: Option<f64>,
-    /// The reason why it gave none, in the robot's words.
+    /// The reason why the device gave no reading, in the robot's words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
-    /// Its unit.
+    /// The unit of the reading.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// The required reading, for users.
+    /// The required reading, as text for users.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub expected: Option<String>,
 }
 
-/// The complete table.
+/// The complete table of the checks before a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Preflight {
-    /// Whether robots were asked at all.
+    /// The kind of greeting: whether the mission asked the robots at all.
     pub greeting: Greeting,
     /// One row per robot.
     pub rows: Vec<PreflightRow>,
@@ -136,14 +136,14 @@ pub struct Preflight {
     pub after_failures: Vec<AfterFailure>,
 }
 
-/// The movements that a failure in one of these acts may cause.
+/// The movements that a failure in one of the listed acts may cause.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AfterFailure {
-    /// The names of the acts.
+    /// The names of the acts in which a failure may cause these movements.
     pub acts: Vec<String>,
     /// Whether robots may move to their default positions.
     pub home: bool,
-    /// The act that follows. Unless robots have moved home, they first move to its first positions.
+    /// The name of the act that follows the failure. Unless robots have moved home, they first move to the first positions of that act.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub then: Option<String>,
 }
@@ -184,7 +184,7 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
     }
 }
 
-/// All readings: those that the fleet file requires, then the positions of devices, then those that are only displayed.
+/// All readings of a robot, in this order: those that the fleet file requires, the positions of devices, those that are only displayed.
 fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
     let robot = &mission.robots[index];
     let unit = |device: &DeviceId| {

@@ -1,4 +1,4 @@
-//! When an act is sent, and with which lead: the knowledge of the mission beyond the act itself.
+//! Decides when an act is sent, and with which lead. This depends on what the mission knows beyond the act itself.
 
 use urrcp::{Command, ControlRequest, Message, Millis, RobotId, Server, Span, Timestamp, encode};
 
@@ -10,25 +10,26 @@ use super::robot_state::{Link, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission, Outcome, ledger};
 
-/// The longest time before its latest sending time at which an act that follows another is sent.
+/// An act that follows another is sent at most this long before its latest sending time.
 const AHEAD: Span = Span::from_millis(2_000);
-/// The longest pending lease of an act that is sent that early. It then survives a link that freezes for a moment while other acts play.
+/// The longest pending lease of an act that is sent before its latest sending time. With it, the act survives a link that freezes for a
+/// moment while other acts play.
 const LEASE_AHEAD_MAX: Span = Span::from_millis(2_000);
 
-/// Interval between checks of whether the clocks of robots that still play allow the next act.
+/// Interval between checks whether the clocks of robots that still play allow the next act.
 const LOOK_AGAIN: Span = Span::from_millis(100);
 
-/// Shorter delays of a slow machine are not compensated.
+/// The shortest delay of a slow machine that is compensated.
 const HOLD_UP_LEAST: Span = Span::from_millis(5);
 
 /// Additional time to accept an act if no round trip of a robot's link is known, as with `handshake: skip`. The first answer of a
 /// robot may be slow.
 const UNMEASURED: Span = Span::from_millis(500);
 
-/// Additional time to answer before an act is promised, on top of three round trips.
+/// Time for robots to answer before an act is promised, in addition to three round trips.
 const ANSWERED_WITHIN: Span = Span::from_millis(200);
 
-/// Requirements of an act before it can start.
+/// What an act needs before it can start.
 struct Need {
     lead: LeadTime,
     pace: Pace,
@@ -47,7 +48,7 @@ impl Mission {
         }
         let fits = || ledger::fits(&self.acts, index, &self.robots) && !self.is_too_tight_behind(now, index);
         if !act.is_alone() && !fits() {
-            // Checked again whenever something ends.
+            // Room is checked again whenever something ends.
             return self.acts[index].look_again_at(Some(now + AHEAD));
         }
         let unknown = self.unknown_clocks(act);
@@ -98,8 +99,8 @@ impl Mission {
         self.send_act(now, index, need);
     }
 
-    /// Leaves out robots that joined late, whatever the policy, because the others could begin without them. Any other robot that would
-    /// jump fails.
+    /// Handles robots that would jump. Robots that joined late are left out, whatever the policy, because the others could begin without
+    /// them. Any other robot fails.
     fn refuse_jumps(&mut self, now: Timestamp<Server>, index: usize, jumping: Vec<(usize, FailureKind)>) {
         let (joined, failing): (Vec<_>, Vec<_>) =
             jumping.into_iter().partition(|(robot, _)| self.robots[*robot].joined_late);
@@ -151,8 +152,8 @@ impl Mission {
         slow.map(|(_, robot, kind)| (robot, kind)).collect()
     }
 
-    /// When the answers are due that distinguish a link that was slow once from a slow link. Waiting for them costs less time than they
-    /// may save in the lead.
+    /// The time by which answers are due that show whether a link is always slow or was slow once. Waiting for them costs less time than
+    /// they may save in the lead.
     fn links_known_at(&self, act: &Act) -> Option<Timestamp<Server>> {
         let members = act.present().map(|member| &self.robots[member.robot]);
         let unknown = members.filter(|robot| robot.is_up() && !robot.clock.tells_outliers());
@@ -161,13 +162,13 @@ impl Mission {
             .max()
     }
 
-    /// Whether a robot still has a part in an earlier act. The robot fits that act, whatever comes next.
+    /// Whether a robot still has a part in an act before this one. The robot fits that earlier act, whichever act comes next.
     fn plays_before(&self, index: usize, robot: usize) -> bool {
         self.acts[..index].iter().any(|act| act.has_something_on(robot))
     }
 
-    /// Whether a robot would lose its lease of an act that it still plays or holds, if it received nothing for `silence`. Its clock error
-    /// can cause this: it may even have to begin a script that the others have already ended.
+    /// Whether a robot would lose its lease of an earlier act that it still plays or holds, if it received nothing for `silence`. The
+    /// error of its clock can cause this: it may even have to begin a script that the others have already ended.
     fn leaves_alone(&self, index: usize, silence: Span) -> bool {
         let (before, act) = (&self.acts[..index], &self.acts[index]);
         let both = |other: &&Act| act.present().any(|member| other.has_something_on(member.robot));
@@ -175,7 +176,8 @@ impl Mission {
         leases.min().is_some_and(|lease| lease < silence)
     }
 
-    /// Waits for the disk, because a promise must be stored first. A disk that has stalled beyond the patience ends the mission.
+    /// Waits for the disk, because a promise must be stored before it is sent. A disk that has stalled beyond the patience ends the
+    /// mission.
     fn await_disk(&mut self, now: Timestamp<Server>, index: usize) {
         let (within, since) = (self.options.patience, self.acts[index].since());
         if now < since + within {
@@ -197,7 +199,7 @@ impl Mission {
         SkewBudget::ahead(act.present(), &self.robots, tolerance, (now, start))
     }
 
-    /// Members whose clock must be measured and has not been, as after a resumption.
+    /// The indices of members whose clock must be measured and has not been, as after a resumption.
     fn unknown_clocks(&self, act: &Act) -> Vec<usize> {
         let full = self.options.greeting == Greeting::Full;
         let unknown = |robot: &usize| {
@@ -294,13 +296,15 @@ impl Mission {
         }
     }
 
-    /// Allows for the lateness of this machine if the times that the scenario or the operator prescribes leave room for it.
+    /// The requirements of an act. They allow for the lateness of this machine if the times that the scenario or the operator prescribes
+    /// leave room for it.
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
         let need = |lateness| self.need_with_lateness(lateness, now, act, skew);
         need(self.lateness.largest()).or_else(|_| need(Span::ZERO))
     }
 
-    /// Allows for the delay of a slow machine, halved until it fits into a lease that the scenario prescribes.
+    /// The requirements of an act with this lateness. They also allow for the delay of a slow machine, halved until it fits into a lease
+    /// that the scenario prescribes.
     fn need_with_lateness(
         &self,
         lateness: Span,
@@ -393,7 +397,7 @@ impl Mission {
         self.options.lead.or(act.written().plan.lead).filter(|_| act.target().is_none())
     }
 
-    /// The operator's start or lead is kept or refused, never silently delayed.
+    /// Checks the start or lead that the operator prescribes. It is kept or refused, never silently delayed.
     fn check_start(&self, now: Timestamp<Server>, act: &Act, needed: &LeadTime) -> Result<(), Outcome> {
         let safe_start = now + needed.total();
         let wanted = self.wanted_lead(act).filter(|_| self.hold_up == Span::ZERO);
@@ -410,7 +414,7 @@ impl Mission {
     }
 
     fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: Need) {
-        // Later than any stop, because a stop takes back everything sent before it.
+        // The act is sent later than any stop, because a stop takes back everything sent before it.
         let now = self.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
         let act = &self.acts[index];
         let target = act.target();
@@ -441,8 +445,8 @@ impl Mission {
         self.quicken_rounds(now, lease);
     }
 
-    /// The largest slip of a robot with a measured clock that still has scripts of an act with an older measurement. The next act must
-    /// not overlap them by the difference.
+    /// The largest time by which a measured clock has gone back since its robot's scripts of another act were translated. The next act
+    /// must not overlap those scripts by that time.
     fn slip(&self, act: &Act, now: Timestamp<Server>) -> Span {
         let earlier = |member: &Member| {
             let robot = &self.robots[member.robot];
@@ -463,7 +467,7 @@ pub(super) fn answers_within(robot: &RobotState) -> Span {
     lead::counted(robot.round_trip()) * 3 + ANSWERED_WITHIN
 }
 
-/// The number of bytes to send, based on the real encoding of the largest script.
+/// The number of bytes in the requests of an act, estimated from the real encoding of its largest script.
 fn request_bytes(act: &Act, now: Timestamp<Server>) -> usize {
     let scripts = || act.present().flat_map(|member| member.scripts());
     let Some(largest) = scripts().max_by_key(|script| script.plan.script.steps().len()) else { return 0 };

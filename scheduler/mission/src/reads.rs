@@ -4,7 +4,7 @@ use urrcp::{ControlResponse, DeviceId, RequestId, Status};
 
 use super::robot_state::Reading;
 
-/// The readings of one robot.
+/// The readings that one robot owes, in the order of their requests.
 #[derive(Debug, Default)]
 pub(crate) struct OwedReadings(Vec<Owed>);
 
@@ -12,11 +12,13 @@ pub(crate) struct OwedReadings(Vec<Owed>);
 struct Owed {
     id: RequestId,
     device: DeviceId,
-    /// The purpose; `None` if the answer is no longer awaited. Without ids, a late answer must not be assigned to a later question.
+    /// The purpose of the reading; `None` if the answer is no longer awaited. Without ids, a late answer must not be assigned to a later
+    /// question.
     what: Option<Reading>,
 }
 
-/// Maximum number of readings that a robot owes. Beyond it, the readings for conditions of acts are discarded.
+/// Maximum number of readings that a robot owes. Beyond it, readings that are no longer awaited, and readings for conditions of acts, are
+/// discarded.
 const OWED_MAX: usize = 1_024;
 
 impl OwedReadings {
@@ -35,7 +37,8 @@ impl OwedReadings {
         self.0.len()
     }
 
-    /// Takes the reading that a response answers: the one with its id, or else the oldest one of its device.
+    /// Removes and returns the reading that a response answers: the reading with the id of the response, or else the oldest reading of
+    /// its device.
     pub(crate) fn take_answered(&mut self, response: &ControlResponse) -> Option<Reading> {
         let answers = matches!(response.status, Status::Provide | Status::Failed);
         let is_meant = |owed: &Owed| match &response.request_id {

@@ -13,36 +13,36 @@ use super::{ActFate, ActReport, Failure, Outcome, Rest};
 pub enum Record {
     /// The mission has begun.
     Begun,
-    /// The fleet is checked. Acts begin, or wait.
+    /// The fleet has been checked. Acts begin, or wait.
     Checked,
     /// The operator permits a waiting act to begin.
     Go {
         /// Name of the act.
         act: String,
-        /// The operator who sent it, if another operator started the mission.
+        /// The operator who sent the go, if another operator started the mission.
         #[serde(skip_serializing_if = "Option::is_none")]
         by: Option<String>,
     },
     /// Requests of an act are about to be sent.
     Prepared(Promise),
-    /// All have accepted.
+    /// All robots of an act have accepted their scripts.
     Decided {
         /// The number of the act.
         number: u32,
-        /// Robots that do not know requests by their ids.
+        /// Robots that do not recognize requests by their ids.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
         /// The interval before the start in which a robot that goes silent without notice may be noticed too late.
         #[serde(rename = "doubt_ms")]
         doubt: Span,
     },
-    /// From now on, leases may be extended beyond the start. Shortened leases end long before another process can read this record. It
-    /// may therefore be written before every robot has confirmed that it holds its scripts.
+    /// An act is committed: leases may now be extended beyond its start. Shortened leases end long before another process can read this
+    /// record. The record may therefore be written before every robot has confirmed that it holds its scripts.
     Committed {
         /// The number of the act.
         number: u32,
     },
-    /// An act lapses while another act plays. It is not committed, even if its commitment was recorded ahead of time.
+    /// An act lapses while another act plays. The lapsing act is not committed, even if its commitment was recorded ahead of time.
     Lapsing {
         /// The number of the act.
         number: u32,
@@ -51,7 +51,7 @@ pub enum Record {
     Translated {
         /// The request's id.
         request_id: RequestId,
-        /// The offset added to its timestamp.
+        /// The offset added to the request's timestamp.
         #[serde(rename = "shift_ms")]
         shift: Span,
     },
@@ -68,7 +68,7 @@ pub enum Record {
         outcome: Outcome,
         /// How robots come to rest.
         rest: Rest,
-        /// The operator who requested it, if another operator started the mission.
+        /// The operator who requested the stop, if another operator started the mission.
         #[serde(skip_serializing_if = "Option::is_none")]
         by: Option<String>,
     },
@@ -87,7 +87,7 @@ pub enum Record {
         /// The act's entry in the course of the mission.
         #[serde(flatten)]
         over: ActOver,
-        /// Whether it was withdrawn before anything moved, to be prepared again.
+        /// Whether the act was withdrawn before anything moved, to be prepared again.
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         again: bool,
     },
@@ -101,8 +101,8 @@ pub enum Record {
 }
 
 impl Record {
-    /// Whether it must be on disk to survive a power failure. This holds for promises and commitments, and for the stop and the end of a
-    /// mission.
+    /// Whether the record must be on disk to survive a power failure. This holds for promises and commitments, and for the stop and the
+    /// end of a mission.
     #[must_use]
     pub const fn is_durable(&self) -> bool {
         match self {
@@ -125,10 +125,10 @@ impl Record {
     }
 }
 
-/// The beginning of the JSON of [`Record::ActEnded`], after the time of its line.
+/// The text in the JSON of a [`Record::ActEnded`] that follows the time of its line.
 pub(super) const ENDED_ACT: &[u8] = br#","record":"act_ended","#;
 
-/// The fields of [`Record::ActEnded`], with as much of its report as `Report` reads.
+/// The fields of [`Record::ActEnded`], but only the part of the report that `Report` reads.
 #[derive(Deserialize)]
 pub(super) struct EndedAct<Report> {
     pub(super) report: Report,
@@ -143,17 +143,18 @@ pub(super) struct EndedAct<Report> {
 /// The fate of an ended act of the scenario, for another process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActOver {
-    /// Its index in the choreography.
+    /// Index of the act in the choreography.
     pub act: usize,
     /// The fate of the act.
     #[serde(flatten)]
     pub fate: ActFate,
 }
 
-/// Flaws that rule out the outcome `done`. Another process that takes over the mission has not observed them.
+/// Flaws of an act that rule out the outcome `done`. They are recorded because a process that takes over the mission has not observed
+/// them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ActFlaws {
-    /// Robots with a part in it for which the fate of a script is unknown.
+    /// Robots with a part in the act for which the fate of a script is unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unaccounted: Vec<RobotId>,
     /// Set if starts were further apart, or further off the plan, than the scenario allows.
@@ -167,7 +168,7 @@ pub struct ActFlaws {
 /// Starts that were further apart, or further off the plan, than allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutOfTolerance {
-    /// The actual spread.
+    /// The actual spread of the starts.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
     /// The allowed spread.
@@ -178,7 +179,7 @@ pub struct OutOfTolerance {
 /// Steps that were later than allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StepsLate {
-    /// The largest lateness.
+    /// The largest lateness of a step.
     #[serde(rename = "late_ms")]
     pub late: Span,
     /// The lateness that the scenario allows.
@@ -186,18 +187,18 @@ pub struct StepsLate {
     pub tolerance: Span,
 }
 
-/// The promise to the robots of an act.
+/// The promise that a mission makes to the robots of an act.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
     /// The number of the act in the mission.
     pub number: u32,
-    /// Its index in the choreography.
+    /// Index of the act in the choreography.
     pub act: usize,
-    /// The sending timestamp.
+    /// The sending timestamp that all requests share.
     pub timestamp: Timestamp<Server>,
     /// The start of the first cue.
     pub start: Timestamp<Server>,
-    /// The pending lease.
+    /// The pending lease of the requests.
     #[serde(rename = "lease_ms")]
     pub lease: Span,
     /// How often the act was withdrawn before this attempt.
@@ -216,16 +217,16 @@ pub struct PromisedScript {
     pub device: DeviceId,
     /// The request's id.
     pub request_id: RequestId,
-    /// The hash of the content to which the id was bound.
+    /// The hash of the content to which the request's id was bound.
     pub content_hash: ContentHash,
-    /// The offset added to the timestamp for this robot's clock.
+    /// The offset added to the request's timestamp for this robot's clock.
     #[serde(rename = "shift_ms")]
     pub shift: Span,
-    /// The start relative to the act's start.
+    /// The start of the script, relative to the act's start.
     pub start: Millis,
-    /// The playing time.
+    /// The playing time of the script.
     #[serde(rename = "duration_ms")]
     pub duration: Span,
-    /// The running lease; `None` if it continues without a link.
+    /// The running lease of the script; `None` if the script continues without a link.
     pub running: Option<Millis>,
 }

@@ -1,7 +1,7 @@
-//! Checks whether each script that initially has no room can be sent in time, on the links as measured.
+//! Checks whether each script that does not fit into its device's queue at first can be sent in time, on the links as measured.
 //!
-//! A robot refuses a script that comes late, in mid-show. `check` finds scripts that no link could deliver. Scripts that the current
-//! links cannot deliver are found here, before anything has moved.
+//! A robot refuses a script that arrives late, in mid-show. `check` finds scripts that no link could deliver in time. This module finds
+//! scripts that the current links cannot deliver in time, before anything has moved.
 
 use downbeat_plan::{Refill, RefillKind, Wait, refills_behind, refills_of_robots};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
@@ -29,8 +29,8 @@ impl Mission {
         }
     }
 
-    /// Whether one of the later scripts of an act could not be sent in time if it followed the act that still plays. The greeting
-    /// considered the devices empty, because the act waits for a time, and that has passed.
+    /// Whether a later script of an act could not be sent in time if the act followed the one that still plays. The greeting considered
+    /// the devices empty, because the act waits for a time. That time has passed.
     pub(super) fn is_too_tight_behind(&self, now: Timestamp<Server>, index: usize) -> bool {
         let act = &self.acts[index];
         let before = index.checked_sub(1).map(|before| &self.acts[before]);
@@ -48,7 +48,7 @@ impl Mission {
         })
     }
 
-    /// The number of scripts that a device holds, as its robot has reported.
+    /// The number of scripts that a device can hold, as its robot has reported.
     fn queue(&self, robot: &RobotId, device: &DeviceId) -> Option<u32> {
         let state = self.robots.iter().find(|state| state.id == *robot)?;
         Some(state.block.as_ref()?.device(device.as_str())?.script_queue)
@@ -59,10 +59,10 @@ impl Mission {
     }
 }
 
-/// The minimum time until a robot holds a script for which it has room: the end of the previous script is reported and the next one sent.
-/// If the robot does not report by itself, its end is awaited, as late as its clock may be, and requested.
+/// The minimum time to send a script for which a slot becomes free: the robot reports the end of the previous script, then receives the
+/// next one. If the robot does not report by itself, the scheduler waits for that end, as late as the robot's clock may be, and asks.
 fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
-    // A few exchanges rarely include the longest one, the less so the more they differ. Nothing of a late script is played.
+    // A few exchanges rarely include the longest one, especially if they differ a lot. A robot plays no part of a late script.
     let round_trip = robot.round_trip();
     let shortest = robot.clock_at(now).map_or(round_trip, |reading| reading.delay_min);
     let round_trip = round_trip + (round_trip / 4).max(round_trip - shortest);
@@ -73,7 +73,7 @@ fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
     }
 }
 
-/// The maximum delay of a script's end, by the robot's own clock.
+/// The maximum delay of a script's end because of its robot's clock and wake-up.
 fn late(robot: &RobotState, now: Timestamp<Server>) -> Span {
     let late = robot.clock_at(now).map(|reading| match robot.settings.clock {
         ClockMode::Ntp => reading.uncertainty - reading.offset,

@@ -1,4 +1,5 @@
-//! Messages to the robots and records for the journal, and the responses: requests by their ids, answers by their scripts.
+//! Sends messages to robots and records to the journal, and processes responses. Responses are assigned to requests by their ids or,
+//! without ids, by the state of the scripts.
 
 use std::cmp::Reverse;
 
@@ -45,7 +46,7 @@ impl Mission {
     fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
         let acts = &self.acts;
         let (reports, stopped) = (self.robots[robot].reports(), self.robots[robot].stop_was_sent());
-        // A stop also produces an OK. It is the end of a script only once the script can have ended.
+        // A stop also produces an `OK`. An `OK` is the end of a script only once the script can have ended.
         let meant = |script: &ScriptRef| {
             !stopped || response.status != Status::Ok || {
                 let act = acts.iter().find(|act| act.number() == script.act);
@@ -147,10 +148,10 @@ impl Mission {
         state.requests.extend(request.request_id.clone().map(|id| (id, script)));
         self.send(now, robot, Message::ControlRequest(request));
         if keeps_limit {
-            // A robot that already has it keeps the limit of the earlier request, and only an inquiry extends that.
+            // A robot that already has the script keeps the limit of the earlier request, and only an inquiry extends that limit.
             self.inquire(now, robot);
         }
-        // Its lease may require a round before the one for the earlier scripts.
+        // The script's lease may require a round before the one for the earlier scripts.
         self.quicken_rounds(now, lease);
     }
 
@@ -226,7 +227,7 @@ impl Mission {
         }
     }
 
-    /// Writes the first record, which measures the disk before anything depends on it.
+    /// Writes the first record, to measure the disk before anything depends on it.
     pub(super) fn measure_disk(&mut self, now: Timestamp<Server>) {
         if self.recording.count == 0 && matches!(self.phase, Phase::Greeting { .. } | Phase::Performing) {
             self.record(Record::Begun);
@@ -234,7 +235,7 @@ impl Mission {
         }
     }
 
-    /// Whether the duration of a record is known.
+    /// Whether it is known how long a record takes to reach the disk.
     pub(super) const fn disk_is_known(&self) -> bool {
         self.recording.longest.is_some()
     }
@@ -260,7 +261,7 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// The time allowed for a durable record.
+    /// The time allowed for a durable record to reach the disk.
     pub(super) fn recording_time(&self) -> Span {
         (self.recording.longest.unwrap_or_default() * 2).max(RECORDING).min(RECORDING_MAX)
     }
@@ -273,18 +274,19 @@ pub(super) enum Says {
     Answers,
 }
 
-/// Whether an answer contains neither the id of its request nor a result.
+/// Whether a response contains neither the id of its request nor a result.
 const fn names_nothing(response: &ControlResponse) -> bool {
     response.request_id.is_none() && may_be_for_a_stop(response)
 }
 
-/// Whether an `OK` may be the answer to a stop. The end of a script contains its last value, and a stop sets none.
+/// Whether an `OK` may answer a stop. The response at the end of a script contains the last value of the script, but a stop sets no
+/// value.
 #[must_use]
 pub const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
     matches!((&response.status_value, response.steps_done), (StatusValue::Null, None | Some(0)))
 }
 
-/// The script to which an answer without an id belongs. The answers of a device come in the order of its scripts.
+/// The script to which a response without an id belongs. The responses of a device arrive in the order of its scripts.
 pub(super) fn open_without_name(
     acts: &[Act],
     (robot, says): (usize, Says),
@@ -306,11 +308,11 @@ pub(super) fn open_without_name(
         }
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
         Status::Provide => false,
-        // A script that it has accepted fails without a report.
+        // A robot that only answers requests does not report the failure of a script that it has accepted.
         _ if says == Says::Answers => *state == ScriptState::Sent,
         _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
     };
-    // It repeats its last answer to a repeated request.
+    // A robot repeats its last response to a repeated request.
     let repeats =
         |script: &Script| is_start && *script.state() == ScriptState::Running && script.came_again();
     let mut open = all().filter(|(.., script)| fits(script, script.state()) || repeats(script));

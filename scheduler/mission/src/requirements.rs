@@ -5,20 +5,20 @@ use downbeat_plan::{Ceiling, Choreography, Floor, Requirements, Share};
 use serde::Serialize;
 use urrcp::Span;
 
-/// The figures of a scenario; `None` if unknown.
+/// The figures by which the requirements of a scenario are judged; `None` if unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
     /// Number of trials that were played. `None` for a single dry run, whose only spread may be in `spread_max`.
     pub trials: Option<u64>,
-    /// The true spread of starts that half of the trials do not exceed.
+    /// The median true spread of starts: half of the trials do not exceed it.
     pub spread_p50: Option<Span>,
-    /// The same for 99 of 100 trials.
+    /// The true spread of starts that 99 of 100 trials do not exceed.
     pub spread_p99: Option<Span>,
-    /// The largest true spread of starts.
+    /// The largest true spread of starts in any trial.
     pub spread_max: Option<Span>,
-    /// Trials in which the mission started.
+    /// Number of trials in which the mission started.
     pub starts: Option<u64>,
-    /// Trials whose mission was done.
+    /// Number of trials whose mission was done.
     pub finishes: Option<u64>,
     /// The closest approach of any two bodies, in metres from surface to surface.
     pub closest: Option<f64>,
@@ -27,19 +27,19 @@ pub struct Figures {
 /// A requirement with its result.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Judged {
-    /// Its key under `require`.
+    /// The key of the requirement under `require`.
     pub requirement: &'static str,
     /// The kind of the bound: `below`, `at most`, `above` or `at least`.
     pub bound: &'static str,
-    /// The bound, in `unit`.
+    /// The value of the bound, in `unit`.
     pub value: f64,
-    /// `ms`, `m`, or `%` of the trials.
+    /// The unit of `value` and `found`: `ms`, `m`, or `%` of the trials.
     pub unit: &'static str,
-    /// The figure in the same unit; `None` if unknown.
+    /// The figure that is compared with the bound, in `unit`; `None` if unknown.
     pub found: Option<f64>,
-    /// Whether it is satisfied.
+    /// Whether the requirement is satisfied.
     pub result: Judgement,
-    /// A limitation of the result, for users.
+    /// A limitation of the result, as text for users; `None` if there is no limitation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
@@ -62,7 +62,7 @@ impl Judgement {
         if holds { Self::Met } else { Self::NotMet }
     }
 
-    /// The text for users.
+    /// The judgement as text for users.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -73,8 +73,8 @@ impl Judgement {
     }
 }
 
-/// The closest approach, if it answers the requirement. `None` if it meets the requirement, but a body with an unknown place might come
-/// closer.
+/// The closest approach of any two bodies, if it answers the requirement. `None` if it meets the requirement, but a body at an unknown
+/// position might come closer.
 #[must_use]
 pub fn closest_of(choreography: &Choreography) -> Option<f64> {
     let (_, closest) = choreography.closest()?;
@@ -153,8 +153,8 @@ fn of_share(requirement: &'static str, bound: Floor<Share>, found: Option<(u64, 
     }
 }
 
-/// The rule of three: if none of n trials fails, the share of failures is below 3/n with 95 % confidence (Hanley and Lippman-Hand, JAMA
-/// 1983).
+/// A note if there are too few trials, by the rule of three: if none of n trials fails, the share of failures is below 3/n with 95 %
+/// confidence (Hanley and Lippman-Hand, JAMA 1983).
 fn too_few(bound: Share, trials: u64) -> Option<String> {
     let failing = u64::from(1_000_000_000 - bound.billionths());
     let needed = 3_000_000_000_u64.div_ceil(failing.max(1));

@@ -12,13 +12,13 @@ use super::record::{ActOver, Promise};
 use super::robot_state::{Rest, Standing, Stop};
 use super::{ActReport, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase, ledger};
 
-/// A promise does not fit the current choreography.
+/// Error: a promise does not match the current choreography.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{what}: the scenario or the fleet has changed; restore the files, or withdraw the mission with `downbeat stop`"
 )]
 pub struct Changed {
-    /// The difference.
+    /// The difference between the promise and the choreography, for users.
     pub what: String,
 }
 
@@ -81,7 +81,8 @@ impl Mission {
         }
     }
 
-    /// Adds the acts that ended before to the report and to the totals of their robots. `count` includes acts without a report.
+    /// Adds the acts that ended before the resumption to the report and to the totals of their robots. `count` includes acts without a
+    /// report.
     fn list_ended(&mut self, ended: impl Iterator<Item = ActReport>, count: u32) {
         let index_of = self.indices();
         let mut listed = 0;
@@ -111,7 +112,7 @@ impl Mission {
         self.robots.iter().enumerate().map(|(index, robot)| (robot.id.clone(), index)).collect()
     }
 
-    /// Marks the robots of an act that were not among its members as absent. They may join.
+    /// Marks robots of an act as absent that were not among the act's members. They may join.
     fn note_late_joiners(
         &mut self,
         act: usize,
@@ -125,7 +126,7 @@ impl Mission {
             let is_member = members.contains(index);
             match robot.standing {
                 Standing::In if !is_member => {
-                    // Otherwise the mission would not have begun without it.
+                    // Otherwise the mission would not have begun without the robot.
                     self.options.join = Join::NextAct;
                     (robot.standing, robot.joined_late, robot.unplaced) = (Standing::Absent, true, true);
                 }
@@ -166,7 +167,7 @@ impl Mission {
         }
     }
 
-    /// Notes the remains of another process on a robot, if any.
+    /// Notes what another process has left on a robot, if anything.
     fn holds_still(&mut self, robot: usize, left: &Left, now: Timestamp<Server>) {
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         let robot = &mut self.robots[robot];
@@ -180,7 +181,7 @@ impl Mission {
         }
     }
 
-    /// A mission that only withdraws the remains of another process on its robots. `scenario` is the name of the scenario that the other
+    /// A mission that only withdraws what another process has left on its robots. `scenario` is the name of the scenario that the other
     /// process played. An outcome that contradicts `left.moved` is corrected. The reason is for users.
     #[must_use]
     pub fn withdraw(

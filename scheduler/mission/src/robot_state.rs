@@ -24,14 +24,15 @@ use crate::clock::{ClockEstimate, ClockReading};
 /// The state of a robot's link.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Link {
-    /// A first connection is being made.
+    /// The first connection is being made.
     Connecting,
-    /// It is connected, but the robot has not identified itself yet. Only that question and stops are sent. `unheard` as below.
+    /// The link is connected, but the robot has not identified itself yet. Only the question for its identity, and stops, are sent.
+    /// `unheard` is as in [`Link::Up`].
     Unnamed { since: Timestamp<Server>, unheard: Option<Lost> },
-    /// It is connected to the right robot. `unheard` is the previous loss, until something is received on the new link. A link that is
-    /// accepted and closed again and again is equivalent to none.
+    /// The link is connected to the right robot. `unheard` is the previous loss, until something is received on the new link. A link that
+    /// is accepted and closed again and again is equivalent to none.
     Up { unheard: Option<Lost> },
-    /// It broke, or could not be made.
+    /// The link broke, or could not be made.
     Lost(Lost),
 }
 
@@ -46,20 +47,20 @@ pub(crate) struct Lost {
     pub(crate) failed: Timestamp<Server>,
     /// Whether a new connection is being made.
     pub(crate) connecting: bool,
-    /// The time at which the robot is given up; `None`: not scheduled.
+    /// The time at which the mission gives up the robot; `None`: not scheduled.
     pub(crate) give_up: Option<Timestamp<Server>>,
 }
 
-/// Whether a robot takes part.
+/// Whether a robot takes part in the mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Standing {
-    /// It takes part.
+    /// The robot takes part.
     In,
-    /// It was not available when the mission began. It may join at the next act.
+    /// The robot was not available when the mission began. It may join at the next act.
     Absent,
-    /// It failed, and the others continued or were stopped.
+    /// The robot failed, and the other robots continued or were stopped.
     Out,
 }
 
@@ -81,7 +82,8 @@ pub(crate) struct SentStop {
     pub(crate) at: Timestamp<Server>,
     pub(crate) rest: Rest,
     pub(crate) unconfirmed: HashMap<RequestId, DeviceId>,
-    /// The reason of the robot's refusal, if it belongs to another session. It no longer holds anything of this session.
+    /// The error with which the robot refused the stop, if it belongs to another session. Such a robot no longer holds anything of this
+    /// session.
     pub(crate) taken_over: Option<ControlError>,
     /// Whether the stop is no longer repeated, because this mission has lost the robot to another session and only this mission wants it
     /// to rest.
@@ -92,10 +94,10 @@ pub(crate) struct SentStop {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rest {
-    /// In place: it slows down, and nothing begins to move.
+    /// In place: the device slows down, and nothing begins to move.
     #[default]
     InPlace,
-    /// In its default state, to which it moves.
+    /// In its default state, to which the device moves.
     Home,
 }
 
@@ -106,44 +108,44 @@ pub(crate) enum Reading {
     Requirement(usize),
     /// The position of a device before the first act.
     Position(DeviceId),
-    /// Only displayed before a mission.
+    /// A reading that is only displayed before a mission.
     Shown(DeviceId),
-    /// An act waits for it: the number of the act.
+    /// An act waits for the reading. Contains the number of the act.
     Wait(u32),
-    /// The scenario reads it: the number of the act, and the index of the reading.
+    /// The scenario requests the reading. Contains the number of the act, and the index of the reading.
     Planned(u32, usize),
-    /// It detects when a device begins to move: the number of the act, and the index among its watched devices.
+    /// The reading detects when a device begins to move. Contains the number of the act, and the index among the act's watched devices.
     Motion(u32, usize),
 }
 
-/// Sums over the acts that have ended.
+/// A robot's sums over the acts that have ended.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Totals {
-    /// Scripts planned.
+    /// Number of planned scripts.
     pub scripts: usize,
-    /// Scripts sent.
+    /// Number of scripts that were sent.
     pub sent: usize,
-    /// Scripts accepted, including those that have begun without an acceptance.
+    /// Number of accepted scripts, including those that have begun without an acceptance.
     pub accepted: usize,
-    /// Scripts refused, or ended early.
+    /// Number of scripts that were refused or ended early.
     pub failed: usize,
-    /// Scripts started.
+    /// Number of scripts that have started.
     pub started: usize,
-    /// Steps executed.
+    /// Number of executed steps.
     pub steps_done: u64,
-    /// Steps planned.
+    /// Number of planned steps.
     pub steps_planned: u64,
-    /// Steps executed late.
+    /// Number of steps that were executed late.
     pub late_steps: u64,
     /// The largest lateness of a step.
     pub late_max: Option<Span>,
     /// The start error with the largest absolute value.
     pub start_error: Option<Span>,
-    /// Scripts that were sent and whose fate is unknown.
+    /// Number of scripts that were sent and whose fate is unknown.
     pub unaccounted: usize,
-    /// Requests sent again.
+    /// Number of requests that were sent again.
     pub retries: u32,
-    /// Number of times the link was re-established.
+    /// Number of times that the link to the robot was re-established.
     pub reconnects: u32,
 }
 
@@ -164,14 +166,14 @@ impl Totals {
     }
 }
 
-/// Questions for a robot's times, and their answers.
+/// The questions for a robot's times, and whether the robot has answered them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Questions {
     /// The sending times of the unanswered questions, oldest first.
     open: VecDeque<Timestamp<Server>>,
     /// The sending time of the newest answered question.
     answered: Option<Timestamp<Server>>,
-    /// Whether earlier questions remain unanswered, asked between the newest answered question and the one answered before it.
+    /// Whether a question remains unanswered that was asked between the newest answered question and the one answered before it.
     passed_over: bool,
     /// The sending time of the newest question whose answer is no longer expected, but which may have been received.
     forgiven: Option<Timestamp<Server>>,
@@ -187,7 +189,7 @@ impl Questions {
         }
     }
 
-    /// Takes the answer to the question that was sent at `sent`.
+    /// Notes the answer to the question that was sent at `sent`.
     pub(crate) fn answer(&mut self, sent: Timestamp<Server>) {
         if self.answered.is_none_or(|answered| answered < sent) {
             let forgiven = self.forgiven.filter(|forgiven| self.answered < Some(*forgiven));
@@ -222,7 +224,7 @@ impl Questions {
         self.open.back().copied()
     }
 
-    /// Discards the open questions: this machine itself was delayed, or the link is new. They indicate nothing about the robot.
+    /// Discards the open questions, because they indicate nothing about the robot: this machine itself was delayed, or the link is new.
     pub(crate) fn forgive(&mut self) {
         self.forgiven = self.forgiven.max(self.last_unanswered());
         self.open.clear();
@@ -235,7 +237,7 @@ pub(crate) struct RobotState {
     pub(crate) id: RobotId,
     /// The id with which the robot must identify itself.
     pub(crate) own_id: RobotId,
-    /// Whether the robot has proven its identity, and this mission its own to the robot.
+    /// Whether the robot and this mission have proven their identities to each other.
     pub(crate) proven: bool,
     /// The expiry of the robot's certificate, if it has presented one.
     pub(crate) certified_until: Option<Timestamp<Server>>,
@@ -244,23 +246,23 @@ pub(crate) struct RobotState {
     pub(crate) link: Link,
     /// The time at which the newest link was made, if an earlier one had broken.
     relinked_at: Option<Timestamp<Server>>,
-    /// Number of attempts to reach it since the last message from it.
+    /// Number of attempts to reach the robot since its last message.
     attempts: u32,
     pub(crate) standing: Standing,
-    /// Whether it joined after the mission had begun.
+    /// Whether the robot joined after the mission had begun.
     pub(crate) joined_late: bool,
-    /// Whether its devices may no longer be where the greeting found them, because it joined late or is on a new link.
+    /// Whether the robot's devices may no longer be where the greeting found them, because the robot joined late or is on a new link.
     pub(crate) unplaced: bool,
     /// Devices that a stop has left at positions that the next act with them may not expect.
     pub(crate) adrift: BTreeSet<DeviceId>,
     /// The last question about positions before an act on this link.
     pub(crate) positions_asked: Option<PositionsAsked>,
-    /// Whether it was missing when an act in which it has a part was sent.
+    /// Whether the robot was missing when an act in which it has a part was sent.
     pub(crate) has_missed_an_act: bool,
     pub(crate) block: Option<InitializationBlock>,
     /// Whether the robot has sent its own block in this mission.
     pub(crate) introduced: bool,
-    /// The latencies that it declares, if they differ from the compensated ones.
+    /// The latencies that the robot declares, if they differ from the compensated ones.
     pub(crate) latency_differs: Option<LatencyDiffers>,
     /// The robot's settings in the fleet file.
     pub(crate) settings: MissionSettings,
@@ -271,44 +273,45 @@ pub(crate) struct RobotState {
     pub(crate) questions: Questions,
     /// The time of the last report to the operator about the robot's own status.
     pub(crate) told_at: Option<Timestamp<Server>>,
-    /// The time of the last message from it.
+    /// The time of the last message from the robot.
     heard_at: Option<Timestamp<Server>>,
-    /// The time by its own clock at which it received the newest question that it has answered.
+    /// The time, by the robot's own clock, at which it received the newest question that it has answered.
     reached_at: Option<Timestamp<Robot>>,
-    /// For `settings.require`, in the same order.
+    /// The readings that `settings.require` requires, in the order of these requirements.
     pub(crate) readings: Vec<Option<f64>>,
-    /// The positions of devices before the first act.
+    /// The positions of devices before the first act, as their sensors read them.
     pub(crate) positions: Vec<(DeviceId, f64)>,
     /// The commanded positions of devices before the first act, as reported by the robot.
     pub(crate) commanded: BTreeMap<DeviceId, f64>,
-    /// Number of pending answers about them.
+    /// Number of pending answers about commanded positions.
     pub(crate) positions_owed: usize,
-    /// Readings of its other sensors, on which nothing depends.
+    /// Readings of the robot's other sensors, on which nothing depends.
     pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
-    /// Why a device gave no reading, in the robot's words.
+    /// The reason why a device gave no reading, in the robot's words.
     pub(crate) unread: BTreeMap<DeviceId, String>,
     pub(crate) reads: OwedReadings,
-    /// The requests sent to it, by their ids.
+    /// The requests that were sent to the robot, by their ids.
     pub(crate) requests: HashMap<RequestId, ScriptRef>,
     /// Devices to which this mission has sent anything that moves them.
     pub(crate) touched: BTreeSet<DeviceId>,
-    /// Whether it has confirmed its stop and has since been sent nothing that moves.
+    /// Whether the robot has confirmed its stop and has since been sent nothing that moves it.
     pub(crate) at_rest: bool,
     pub(crate) stop: Stop,
     /// Whether the mission has reported that the robot has confirmed its stop.
     pub(crate) rest_reported: bool,
-    /// Set once the robot has lost a script that another process may still run: the end of its lease, `None` without a lease.
+    /// Set once the robot has lost a script that another process may still run: the end of the script's lease, or `Some(None)` without a
+    /// lease.
     pub(crate) elsewhere: Option<Option<Timestamp<Server>>>,
-    /// For the requests that it still held at the end of an act: the end of their own leases; `None` for a request without a lease.
+    /// The ends of the leases of the requests that the robot still held at the end of an act; `None` for a request without a lease.
     pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
-    /// The time of the last message other than a question.
+    /// The time of the last message to the robot other than a question.
     spoken_at: Option<Timestamp<Server>>,
     pub(crate) failures: Failures,
-    /// The open questions to which its answers may belong.
+    /// The open questions to which the robot's answers may belong.
     pub(crate) exchanges: Exchanges,
     pub(crate) totals: Totals,
-    /// Whether the fate of a script of an ended act is unknown.
+    /// Whether the fate of a script of the robot in an ended act is unknown.
     pub(crate) was_lost_sight_of: bool,
 }
 
@@ -405,7 +408,7 @@ impl RobotState {
         }
     }
 
-    /// Notes that a message came from it. Returns whether it is the first since its link was lost.
+    /// Notes a message from the robot. Returns whether it is the first message since the robot's link was lost.
     pub(crate) fn heard(&mut self, now: Timestamp<Server>) -> bool {
         self.attempts = 0;
         self.heard_at = Some(now);
@@ -415,14 +418,14 @@ impl RobotState {
         }
     }
 
-    /// Notes that a question reached it at `at` by its own clock. Returns the previous such time, unless that was later.
+    /// Notes that a question reached the robot at `at` by its own clock. Returns the previous such time, unless that was later.
     pub(crate) fn reached(&mut self, at: Timestamp<Robot>) -> Option<Timestamp<Robot>> {
         let before = self.reached_at;
         self.reached_at = before.max(Some(at));
         before.filter(|before| *before < at)
     }
 
-    /// Notes that a message is sent to it.
+    /// Notes that a message is sent to the robot.
     pub(crate) fn is_sent(&mut self, now: Timestamp<Server>, message: &Message) {
         self.last_sent = Some(now);
         if let Message::ControlRequest(_) = message {
@@ -430,7 +433,7 @@ impl RobotState {
         }
     }
 
-    /// Whether a message other than a question may have reached it between two instants by its own clock.
+    /// Whether a message other than a question may have reached the robot between two instants by its own clock.
     pub(crate) fn was_spoken_to(
         &self,
         now: Timestamp<Server>,
@@ -440,12 +443,12 @@ impl RobotState {
         self.spoken_at.is_some_and(|spoken| spoken + UNDER_WAY >= before && spoken <= at)
     }
 
-    /// Notes that its clock was set. Times by its clock from before and after cannot be compared.
+    /// Notes that the robot's clock was set. Times by that clock from before and after cannot be compared.
     pub(crate) fn clock_was_set(&mut self) {
         self.reached_at = None;
     }
 
-    /// Notes a connection to its address. The robot that answers must first identify itself.
+    /// Notes a connection to the robot's address. The robot that answers must first identify itself.
     pub(crate) fn connected(&mut self, now: Timestamp<Server>) {
         let unheard = self.lost_mut().cloned();
         self.relinked_at = unheard.as_ref().map(|_| now);
@@ -456,21 +459,21 @@ impl RobotState {
         self.positions_asked = None;
     }
 
-    /// The time at which its link was made, if its clock was measured on an earlier link and it has not answered on this one yet. It may
-    /// be a new process with another clock.
+    /// The time at which the robot's link was made. `None` unless the clock was measured on an earlier link and the robot has not
+    /// answered on this link yet. The robot may be a new process with another clock.
     pub(crate) fn unmeasured_since(&self) -> Option<Timestamp<Server>> {
         let stands = matches!(self.link, Link::Unnamed { .. } | Link::Up { .. });
         let answered = self.questions.answered();
         self.relinked_at.filter(|at| stands && self.clock.samples() > 0 && answered < Some(*at))
     }
 
-    /// Whether scripts have to wait until it answers, because its clock is unknown or was measured on an earlier link.
+    /// Whether scripts have to wait until the robot answers, because its clock is unknown or was measured on an earlier link.
     pub(crate) fn owes_its_times(&self) -> bool {
         let unknown = self.clock.samples() == 0 && self.settings.clock == ClockMode::Measured;
         unknown || self.unmeasured_since().is_some()
     }
 
-    /// Whether scripts may be sent to it: no stop was sent, and it does not owe its times.
+    /// Whether scripts may be sent to the robot: no stop was sent, and the robot does not owe its times.
     pub(crate) fn may_be_sent_scripts(&self) -> bool {
         !self.stop_was_sent() && !self.owes_its_times()
     }
@@ -490,7 +493,7 @@ impl RobotState {
         }
     }
 
-    /// The same, but only on the first link of this process. A link that was lost before has its own deadline.
+    /// Like `unnamed_since`, but only for the first link of this process. A link that was lost before has its own deadline.
     pub(crate) const fn owes_its_name_since(&self) -> Option<Timestamp<Server>> {
         match self.link {
             Link::Unnamed { since, unheard: None } => Some(since),
@@ -502,7 +505,7 @@ impl RobotState {
         matches!(self.link, Link::Up { .. })
     }
 
-    /// The time at which its silence becomes a failure: it owes an answer, and `bound` has elapsed since the last message from it.
+    /// The time at which the robot's silence becomes a failure: it owes an answer, and `bound` has elapsed since its last message.
     pub(crate) fn silent_at(&self, bound: Span) -> Option<Timestamp<Server>> {
         let asked = self.questions.unanswered().or(self.owes_its_name_since())?;
         // After a delay of this machine, a question must have had its time.
@@ -524,7 +527,7 @@ impl RobotState {
         }
     }
 
-    /// The same, mutable: to give the link up or not.
+    /// Like `lost`, but mutable, to change whether and when the mission gives up the robot.
     pub(crate) const fn lost_mut(&mut self) -> Option<&mut Lost> {
         match &mut self.link {
             Link::Lost(lost) => Some(lost),
@@ -542,17 +545,17 @@ impl RobotState {
         !self.failures.is_empty()
     }
 
-    /// Whether it belongs to another session and is to be taken over from that.
+    /// Whether the robot belongs to another session and is to be taken over from that session.
     pub(crate) const fn is_of_another(&self) -> bool {
         matches!(self.ownership, Ownership::OfAnother(_))
     }
 
-    /// The reading of its clock at an instant.
+    /// The reading of the robot's clock at an instant.
     pub(crate) fn clock_at(&self, at: Timestamp<Server>) -> Option<ClockReading> {
         self.clock.reading_at(at)
     }
 
-    /// The round trip that its link nearly always keeps.
+    /// The round trip that the robot's link nearly always keeps.
     pub(crate) const fn round_trip(&self) -> Span {
         self.clock.delay_high()
     }
@@ -563,12 +566,12 @@ impl RobotState {
         (timestamp - offset).assume_clock::<Server>().min(now)
     }
 
-    /// Whether it reports the start and end of scripts.
+    /// Whether the robot reports the start and end of scripts.
     pub(crate) fn reports(&self) -> bool {
         self.block.as_ref().is_some_and(|block| block.reports)
     }
 
-    /// Whether it answers inquiries.
+    /// Whether the robot answers inquiries.
     pub(crate) fn takes_inquiries(&self) -> bool {
         self.block.as_ref().is_some_and(|block| block.inquiry)
     }
@@ -583,13 +586,13 @@ impl RobotState {
         self.reports() || self.takes_inquiries()
     }
 
-    /// The number of scripts that a device holds.
+    /// The number of scripts that a device can hold.
     pub(crate) fn queue_of(&self, device: &DeviceId) -> usize {
         let device = self.block.as_ref().and_then(|block| block.device(device.as_str()));
         device.map_or(1, |device| device.script_queue as usize)
     }
 
-    /// Ends its stop. A robot that was left out stays stopped.
+    /// Ends the robot's stop. A robot that was left out stays stopped.
     pub(crate) fn plays_again(&mut self) {
         if self.standing != Standing::Out {
             (self.stop, self.at_rest) = (Stop::None, true);
@@ -606,28 +609,28 @@ impl RobotState {
         matches!(self.stop, Stop::Sent(SentStop { given_up: false, .. }))
     }
 
-    /// Whether it has refused its stop because it belongs to another session, and is left to that session.
+    /// Whether the robot has refused its stop because it belongs to another session, and the mission leaves it to that session.
     pub(crate) const fn is_left_to_others(&self) -> bool {
         matches!(self.stop, Stop::Sent(SentStop { given_up: true, .. }))
     }
 
-    /// Whether one of its messages could not be read.
+    /// Whether a message of the robot could not be read.
     pub(crate) fn is_garbled(&self) -> bool {
         self.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }))
     }
 
-    /// Whether it was stopped with another kind of rest than this.
+    /// Whether the robot was stopped with another kind of rest than `rest`.
     pub(crate) fn stops_otherwise(&self, rest: Rest) -> bool {
         match &self.stop {
-            // An earlier stop brought it to rest.
+            // An earlier stop brought the robot to rest.
             Stop::None => rest == Rest::Home && !self.touched.is_empty(),
             Stop::Sent(sent) => sent.rest != rest,
             Stop::Confirmed(confirmed) => *confirmed != rest,
         }
     }
 
-    /// Whether nothing that this mission sent can still move it: it was sent nothing, or it has confirmed its stop. A process
-    /// that replaced another one cannot confirm the stop of that one.
+    /// Whether nothing that this mission sent can still move the robot: it was sent nothing, or it has confirmed its stop. A process that
+    /// replaced another one cannot confirm the stop of that process.
     pub(crate) fn is_settled(&self) -> bool {
         match self.stop {
             Stop::None => self.holds_nothing(),
@@ -636,26 +639,26 @@ impl RobotState {
         }
     }
 
-    /// Whether a script of this mission may still move it: its stop is not confirmed, it is not gone, and a lease has not ended.
+    /// Whether a script of this mission may still move the robot: its stop is not confirmed, it is not gone, and a lease has not ended.
     pub(crate) fn may_move_at(&self, now: Timestamp<Server>) -> bool {
         let ended = |lease: &Option<Timestamp<Server>>| lease.is_some_and(|ends| ends <= now);
         let rests = !self.left.is_empty() && self.left.iter().all(ended);
         !self.is_settled() && !self.is_gone() && !rests
     }
 
-    /// Whether it was sent nothing that moves, at least since it confirmed a stop.
+    /// Whether the robot was sent nothing that moves it, at least since it confirmed a stop.
     pub(crate) fn holds_nothing(&self) -> bool {
         self.touched.is_empty() || self.at_rest
     }
 
-    /// Notes that the process that answers has lost a script. Another process may run it until its lease ends.
+    /// Notes that the process that answers has lost a script. Another process may run that script until its lease ends.
     pub(super) fn runs_elsewhere(&mut self, until: Option<Timestamp<Server>>) {
         let before = self.elsewhere.unwrap_or(until);
         self.elsewhere = Some(before.zip(until).map(|(before, until)| before.max(until)));
     }
 
-    /// Takes the answer to a stop request, if it is one. An answer without an id is one only if it cannot belong to a script of its
-    /// device: `open_on` returns whether one is open. A process that only withdraws a mission knows no scripts.
+    /// Processes a response if it answers a stop request. A response without an id does so only if it cannot belong to a script of its
+    /// device: `open_on` returns whether such a script is open. A process that only withdraws a mission knows no scripts.
     pub(crate) fn stop_answered(
         &mut self,
         now: Timestamp<Server>,

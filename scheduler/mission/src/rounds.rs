@@ -17,7 +17,7 @@ use super::seize::Ownership;
 use super::{Greeting, Mission, Phase, Progress, error_of_status};
 use crate::clock::ClockSample;
 
-/// Interval between two rounds if no lease requires a shorter one.
+/// Interval between two rounds of questions if no lease requires a shorter one.
 const KEEP_ALIVE: Span = Span::from_millis(1_000);
 /// The maximum time for which a robot may owe an answer, if it has no lease that limits it.
 pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
@@ -27,11 +27,11 @@ const TOLD_INTERVAL: Span = Span::from_millis(900);
 pub(super) const HELD_UP: Span = Span::from_millis(100);
 /// The minimum interval between two checks for silent robots.
 const LOOK_AGAIN: Span = Span::from_millis(1);
-/// The same per robot of the fleet: 10 ms for 10,000.
+/// The minimum interval between two checks for silent robots, per robot of the fleet: 10 ms for 10,000 robots.
 const LOOK_A_ROBOT: Span = Span::from_micros(1);
 
 impl Mission {
-    /// Asks all robots when the next round is due. Slightly delayed if the round would disturb robots that start.
+    /// Asks all robots when the next round is due. The round is slightly delayed if it would disturb robots that start.
     pub(super) fn renew_if_due(&mut self, now: Timestamp<Server>) {
         if now < *self.next_round.get_or_insert(now + KEEP_ALIVE) {
             return;
@@ -73,12 +73,12 @@ impl Mission {
         asked && self.acts.iter().any(|act| act.approaches(robot))
     }
 
-    /// A third of the shortest lease.
+    /// Interval between two rounds: a third of the shortest lease, within limits.
     fn round_interval(&self) -> Span {
         interval_for(self.acts.iter().filter_map(Act::shortest_lease).min())
     }
 
-    /// Schedules the next round in time for a message that is sent under this lease.
+    /// Schedules the next round early enough for a message that is sent under this lease.
     pub(super) fn quicken_rounds(&mut self, now: Timestamp<Server>, lease: Option<Span>) {
         let next = now + interval_for(lease);
         self.next_round = Some(self.next_round.map_or(next, |at| at.min(next)));
@@ -103,14 +103,14 @@ impl Mission {
         }
     }
 
-    /// Asks a robot about all its scripts, and makes it shorten their leases as far as acts approach their start.
+    /// Asks a robot about all its scripts, and makes it shorten the leases of acts that approach their start.
     pub(super) fn inquire(&mut self, now: Timestamp<Server>, robot: usize) {
         if !self.acts.iter().any(|act| act.holds_messages_to(robot, now)) {
             self.inquire_now(now, robot);
         }
     }
 
-    /// The same before an urgent message.
+    /// Like `inquire`, but also asks while messages to the robot are held back. Used before an urgent message.
     pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: usize) {
         let ahead = self.robots[robot].clock_at(now).map(|reading| reading.offset);
         let named = self.acts.iter().flat_map(|act| {
@@ -146,8 +146,8 @@ impl Mission {
         }
     }
 
-    /// Asks for the robot's times and claims it for the session, which also renews all leases. Takes it over from another session if that
-    /// was requested.
+    /// Asks a robot for its times and claims it for the session. This also renews all leases. If requested, takes the robot over from
+    /// another session.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].questions.asked(now);
         self.robots[robot].exchanges.asked(now, 1);
@@ -157,7 +157,7 @@ impl Mission {
         self.post(now, robot, Message::AvailabilityRequest(request));
     }
 
-    /// Takes the times in an answer.
+    /// Processes the times in a robot's answer.
     pub(super) fn take_times(&mut self, now: Timestamp<Server>, robot: usize, sample: ClockSample) {
         let state = &mut self.robots[robot];
         let (steps, known) = (state.clock.steps(), state.clock.tells_outliers());
@@ -171,7 +171,7 @@ impl Mission {
             self.clock_is_new(now, robot);
         }
         if !known {
-            // An act may have waited for its times.
+            // An act may have waited for the robot's times.
             self.acts.iter_mut().for_each(|act| act.look_again_at(None));
         }
         if let Some(kind) = self.acts.iter().find_map(|act| act.clock_was_set(now, robot, &self.robots)) {
@@ -182,10 +182,11 @@ impl Mission {
         }
     }
 
-    /// Handles a new clock. A robot whose clock was set since an act was sent to it may start long before the others.
+    /// Handles a clock that was set or that this process sees for the first time. A robot whose clock was set since an act was sent to it
+    /// may start long before the others.
     fn clock_is_new(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].clock_was_set();
-        // An act may have waited for it.
+        // An act may have waited for the new clock.
         self.acts.iter_mut().for_each(Act::look_again);
         let plays = |act: &&Act| act.place_of(robot).is_some();
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
@@ -219,7 +220,7 @@ impl Mission {
         }
     }
 
-    /// Takes a robot's report about its scripts.
+    /// Processes a robot's answer to an inquiry about its scripts.
     pub(super) fn inquiry_answered(
         &mut self,
         now: Timestamp<Server>,
@@ -234,7 +235,8 @@ impl Mission {
         };
         let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
         let asked_at = sample.sent;
-        // No sample: the robot may belong to another session, and a robot with many devices sends several answers at once.
+        // The times are not used as a clock sample: the robot may belong to another session, and a robot with many devices sends several
+        // answers at once.
         if matches!(self.phase, Phase::Greeting { .. }) {
             return self.positions_stated(now, robot, &response.devices);
         }
@@ -266,7 +268,7 @@ impl Mission {
     }
 
     /// Asks again at each answer until outliers can be distinguished. A process that took over the mission initially knows a robot's link
-    /// by one exchange, which may have been slow once.
+    /// by a single exchange, which may have been unusually slow.
     pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         let known = state.clock.tells_outliers() || state.stop_was_sent();
@@ -307,7 +309,7 @@ impl Mission {
         Some(lease.unwrap_or(SILENCE_MAX) + state.round_trip())
     }
 
-    /// The time at which the first robot will have been silent for too long, or another lease applies with its next script.
+    /// The time of the next check for silence: a robot will have been silent for too long, or another lease applies with its next script.
     fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let due = |robot: usize| {
             let silent = self.robots[robot].silent_at(self.silence_bound(now, robot)?)?;
@@ -344,7 +346,7 @@ impl Mission {
 /// session yet, such as a new one after an interruption.
 const NAMES_BYTES: usize = 32 * 1024;
 
-/// Splits the same ids into as many groups as their length requires.
+/// Splits the ids of a question into as many groups as the limit `NAMES_BYTES` requires.
 fn in_parts(named: Vec<NamedScripts>) -> Vec<NamedScripts> {
     let mut parts = Vec::with_capacity(named.len());
     for NamedScripts { lease, until, requests } in named {
@@ -365,7 +367,7 @@ fn in_parts(named: Vec<NamedScripts>) -> Vec<NamedScripts> {
     parts
 }
 
-/// A third of a lease, within reasonable limits.
+/// Interval between two rounds under a lease: a third of the lease, from 1 ms to `KEEP_ALIVE`.
 fn interval_for(lease: Option<Span>) -> Span {
     let interval = lease.map(|lease| lease / LeadTime::RENEWALS_A_LEASE);
     interval.unwrap_or(KEEP_ALIVE).min(KEEP_ALIVE).max(Span::from_millis(1))

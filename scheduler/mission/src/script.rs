@@ -10,60 +10,60 @@ use urrcp::{
 
 use super::claim::{Claim, Told};
 
-/// One script of a mission.
+/// Identifies one script of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct ScriptRef {
-    /// The number of its act in the mission.
+    /// The number of the script's act in the mission.
     pub(crate) act: u32,
-    /// The robot's place among the members of the act.
+    /// Index of the robot among the members of the act.
     pub(crate) member: usize,
-    /// Its place among the scripts of that member.
+    /// Index of the script among the scripts of that member.
     pub(crate) script: usize,
 }
 
 /// State of a script, as far as the scheduler knows it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ScriptState {
-    /// Not sent.
+    /// The script was not sent.
     Planned,
-    /// Its request was sent; the robot has not answered.
+    /// The request of the script was sent; the robot has not answered.
     Sent,
-    /// The robot holds it; its start is in the future.
+    /// The robot holds the script; its start is in the future.
     Held,
-    /// It has begun.
+    /// The script has begun.
     Running,
-    /// The robot has reported its end.
+    /// The robot has reported the end of the script.
     Ended(Ending),
-    /// It was sent, its time has passed, and no message reported its fate.
+    /// The script was sent, its time has passed, and no message reported its fate.
     Unknown,
 }
 
-/// How a script ended.
+/// How a script ended: completed or failed.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Ending {
-    /// All its steps were done.
+    /// All steps of the script were executed.
     Completed,
-    /// It was refused or ended early.
+    /// The script was refused or ended early.
     Failed(ControlError),
 }
 
-/// The new information in an answer.
+/// The new information about a script in an answer.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum News {
     None,
-    /// The robot holds it.
+    /// The robot holds the script.
     Accepted,
-    /// It has begun.
+    /// The script has begun.
     Started,
-    /// It has completed.
+    /// The script has completed.
     Completed,
-    /// It was refused, lost or ended early.
+    /// The script was refused, lost or ended early.
     Failed(ControlError),
-    /// The robot never received it.
+    /// The robot never received the script.
     NeverReceived,
-    /// The robot's statement about it is impossible.
+    /// The robot's statement about the script is impossible.
     Discredited,
-    /// Its fate can no longer be learned.
+    /// The fate of the script can no longer be learned.
     Lapsed,
 }
 
@@ -73,14 +73,14 @@ pub(crate) struct Script {
     pub(crate) plan: DeviceScript,
     state: ScriptState,
     request_id: Option<RequestId>,
-    /// The id of its first request, which is in the journal.
+    /// The id of the script's first request, which is in the journal.
     promised_id: Option<RequestId>,
-    /// The number of times that its robot had no room for it.
+    /// The number of times that the robot had no room for the script.
     refusals: u32,
     content_hash: ContentHash,
-    /// The offset added to the timestamp of its request, if it differs from the offset of its act.
+    /// The offset added to the timestamp of the script's request, if it differs from the offset of the act.
     shift: Option<Span>,
-    /// Whether another process may have sent it with an offset that its journal has lost.
+    /// Whether another process may have sent the script with an offset that the journal has lost.
     shift_is_lost: bool,
     /// Planned time from the start of the act until the script has started.
     starts: Span,
@@ -91,23 +91,23 @@ pub(crate) struct Script {
     steps_done: u32,
     late_steps: u32,
     late_max: Option<Span>,
-    /// Whether the robot reported that it began, although no other report about it is credible.
+    /// Whether the robot reported that the script began, although no other report about the script is credible.
     began: bool,
-    /// Whether the robot made an impossible statement about it.
+    /// Whether the robot made an impossible statement about the script.
     discredited: bool,
     /// The latest report of executed steps, with its time by the robot's clock.
     steps_said: Option<(Timestamp<Robot>, u32)>,
-    /// The time of the first report that the robot holds it, by the robot's clock.
+    /// The time of the first report that the robot holds the script, by the robot's clock.
     accepted_at: Option<Timestamp<Robot>>,
-    /// The sending time of the latest question that was answered with "held".
+    /// The sending time of the latest question to which the robot answered that it holds the script.
     held_at: Option<Timestamp<Server>>,
-    /// The sending time of the newest inquiry whose answer reports on it.
+    /// The sending time of the newest inquiry whose answer reports on the script.
     reported_at: Option<Timestamp<Server>>,
     sent_at: Option<Timestamp<Server>>,
     first_sent_at: Option<Timestamp<Server>>,
-    /// Whether another process may have sent it before this one took over, without a report from its robot.
+    /// Whether another process may have sent the script before this one took over, without a report from its robot.
     perhaps_sent: bool,
-    /// Whether the robot no longer knows it, although it had accepted it.
+    /// Whether the robot no longer knows the script, although it had accepted it.
     lost: bool,
 }
 
@@ -165,7 +165,7 @@ impl Script {
         self.shift_is_lost = true;
     }
 
-    /// Whether its planned start by its robot's clock is known only to within the drift of that clock.
+    /// Whether the script's planned start by its robot's clock is known only to within the drift of that clock.
     pub(super) const fn shift_is_lost(&self) -> bool {
         self.shift_is_lost
     }
@@ -174,12 +174,12 @@ impl Script {
         self.shift
     }
 
-    /// The time at which its request was sent for the first time.
+    /// The time at which the script's request was sent for the first time.
     pub(crate) const fn first_sent_at(&self) -> Option<Timestamp<Server>> {
         self.first_sent_at
     }
 
-    /// Whether its request was sent more than once, as far as known.
+    /// Whether the script's request was sent more than once, as far as known.
     pub(crate) fn came_again(&self) -> bool {
         self.perhaps_sent || self.first_sent_at != self.sent_at
     }
@@ -190,17 +190,17 @@ impl Script {
         self.starts
     }
 
-    /// Time from its start to its last step.
+    /// Time from the start of the script to its last step.
     pub(crate) const fn duration(&self) -> Span {
         self.duration
     }
 
-    /// The shortest lease under which it plays.
+    /// The shortest lease under which the script plays.
     pub(crate) const fn shortest_lease(&self) -> Option<Span> {
         self.running.shortest
     }
 
-    /// The longest lease under which it plays; `None` if it plays without a lease at times.
+    /// The longest lease under which the script plays; `None` if it plays without a lease at times.
     pub(crate) const fn longest_lease(&self) -> Option<Span> {
         self.running.longest
     }
@@ -225,17 +225,17 @@ impl Script {
         self.late_steps
     }
 
-    /// How late its latest step was, if the robot reports it.
+    /// The largest lateness of a step of the script, if the robot reports it.
     pub(crate) fn late_max(&self) -> Option<Span> {
         self.late_max.filter(|_| self.late_steps > 0)
     }
 
-    /// The time of the first report that the robot holds it, by the robot's clock.
+    /// The time of the first report that the robot holds the script, by the robot's clock.
     pub(crate) const fn accepted_at(&self) -> Option<Timestamp<Robot>> {
         self.accepted_at
     }
 
-    /// The sending time of the latest question that was answered with "held".
+    /// The sending time of the latest question to which the robot answered that it holds the script.
     pub(crate) const fn held_at(&self) -> Option<Timestamp<Server>> {
         self.held_at
     }
@@ -248,27 +248,27 @@ impl Script {
         matches!(self.state, ScriptState::Planned)
     }
 
-    /// Whether the robot has it, or may have it.
+    /// Whether the robot has the script, or may have it.
     pub(crate) const fn is_out(&self) -> bool {
         matches!(self.state, ScriptState::Sent | ScriptState::Held | ScriptState::Running)
     }
 
-    /// Whether it was sent, perhaps by another process, and no message reported its fate.
+    /// Whether the script was sent, perhaps by another process, and no message reported its fate.
     pub(crate) const fn is_unaccounted(&self) -> bool {
         self.is_out()
             || matches!(self.state, ScriptState::Unknown)
             || (self.is_planned() && self.perhaps_sent)
     }
 
-    /// Whether another process may have sent it, without any report from its robot to this one.
+    /// Whether another process may have sent the script, and its robot has not reported on it to this process.
     pub(crate) const fn is_unheard_since_taken_up(&self) -> bool {
         self.perhaps_sent
             && !self.accepted
             && matches!(self.state, ScriptState::Planned | ScriptState::Sent | ScriptState::Unknown)
     }
 
-    /// Whether the robot may have played it, although it refuses it as too late. Another process may have sent it in time, and the robot
-    /// may have forgotten it since.
+    /// Whether the robot may have played the script, although it refuses it as too late. Another process may have sent the script in
+    /// time, and the robot may have forgotten it since.
     pub(super) fn may_have_been_played(&self, response: &ControlResponse) -> bool {
         let late = || error_of(response).code == ErrorCode::Late;
         let untold = matches!(self.state, ScriptState::Sent | ScriptState::Unknown);
@@ -279,12 +279,12 @@ impl Script {
         matches!(self.state, ScriptState::Ended(Ending::Completed))
     }
 
-    /// Whether the robot has reported that it began.
+    /// Whether the robot has reported that the script began.
     pub(crate) const fn has_begun(&self) -> bool {
         self.has_started() || matches!(self.state, ScriptState::Running)
     }
 
-    /// Whether the robot has reported that it moved.
+    /// Whether the robot has reported that the script moved its device.
     pub(crate) const fn has_started(&self) -> bool {
         self.started_at.is_some() || self.began || self.steps_done > 0 || self.has_completed()
     }
@@ -300,7 +300,7 @@ impl Script {
         response.request_id.is_some() && response.request_id != self.request_id
     }
 
-    /// Notes that this process takes over from another one, which may have sent it.
+    /// Notes that this process takes over from another one, which may have sent the script.
     pub(super) const fn taken_up(&mut self) {
         self.perhaps_sent = true;
     }
@@ -311,25 +311,25 @@ impl Script {
         self.first_sent_at.get_or_insert(now);
     }
 
-    /// Whether it was sent, or another process may have sent it.
+    /// Whether the script was sent, or another process may have sent it.
     pub(super) const fn was_ever_sent(&self) -> bool {
         self.first_sent_at.is_some() || self.perhaps_sent
     }
 
-    /// Whether it was sent for the first time at or after an instant.
+    /// Whether the script was sent for the first time at or after an instant.
     pub(super) fn was_sent_since(&self, since: Timestamp<Server>) -> bool {
         self.first_sent_at.is_some_and(|at| at >= since)
     }
 
-    /// Marks its fate as unknown: its time has passed on a robot that does not report. It is considered ended.
+    /// Marks the fate of the script as unknown: its time has passed on a robot that does not report. The script is considered ended.
     pub(super) fn lapse(&mut self) {
         if self.is_out() {
             self.state = ScriptState::Unknown;
         }
     }
 
-    /// Handles a refusal because the queue was still full. It is sent again with another id, because the robot remembers its answer to
-    /// this one. A process that died may have used that other id, too.
+    /// Handles a refusal because the queue was still full. The script is sent again with another id, because the robot remembers its
+    /// answer to the first id. A process that died may have used that other id, too.
     pub(super) fn refused_for_now(&mut self) {
         self.state = ScriptState::Planned;
         self.refusals += 1;
@@ -337,7 +337,7 @@ impl Script {
         self.request_id = again.and_then(Result::ok);
     }
 
-    /// The number of its steps.
+    /// The number of planned steps of the script.
     pub(crate) fn steps_planned(&self) -> u32 {
         u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX)
     }
@@ -347,13 +347,13 @@ impl Script {
         self.steps_said
     }
 
-    /// Takes a possible number of executed steps that the robot reported.
+    /// Notes a possible number of executed steps that the robot reported.
     pub(super) fn said(&mut self, told: &Told) {
         self.steps_said = self.steps_said.max(told.steps());
     }
 
-    /// Takes an impossible statement of the robot. All further statements about it are ignored. Its start becomes unknown, because either
-    /// of two contradictory statements may be true.
+    /// Notes an impossible statement of the robot. All further statements about the script are ignored. Its start becomes unknown,
+    /// because either of two contradictory statements may be true.
     pub(super) fn discredit(&mut self, claim: &Claim, told: &Told) {
         self.began |= told.says_that_it_moved() || self.started_at.is_some();
         if !self.is_final() {
@@ -367,7 +367,7 @@ impl Script {
         matches!(self.state, ScriptState::Ended(_))
     }
 
-    /// Takes an answer. Answers may arrive in any order.
+    /// Processes a response about the script. Responses may arrive in any order.
     pub(super) fn answered(&mut self, response: &ControlResponse) -> News {
         if self.discredited {
             return News::None;
@@ -387,7 +387,8 @@ impl Script {
         }
     }
 
-    /// Takes a robot's report of `said_at`, answering the question of `asked_at`.
+    /// Processes a robot's report about the script. The robot sent it at `said_at`, in answer to the question that was sent at
+    /// `asked_at`.
     pub(super) fn reported(
         &mut self,
         report: &RequestReport,
@@ -422,8 +423,8 @@ impl Script {
         }
     }
 
-    /// Handles a request that the robot does not know: it never arrived, or it is lost. An answer from before its arrival means nothing,
-    /// and a question sent at the same instant may have overtaken it.
+    /// Handles a request that the robot does not know: the request never arrived, or the script is lost. An answer from before the
+    /// request's arrival means nothing, and a question sent at the same instant may have overtaken the request.
     fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
         match self.state {
             ScriptState::Sent if self.sent_at.is_none_or(|sent| sent < asked_at) => News::NeverReceived,
@@ -436,7 +437,7 @@ impl Script {
         }
     }
 
-    /// Notes that the robot no longer knows it. It is unknown how much of it the robot played.
+    /// Notes that the robot no longer knows the script. It is unknown how much of it the robot played.
     pub(super) fn lose(&mut self) -> News {
         self.state = ScriptState::Unknown;
         self.lost |= self.accepted || self.perhaps_sent;
@@ -460,7 +461,7 @@ impl Script {
         }
     }
 
-    /// Notes that it has begun, and when it started; `None` if it has not started yet.
+    /// Notes that the script has begun, and when it started; `None` if it has not started yet.
     fn begin(&mut self, started_at: Option<Timestamp<Robot>>) -> News {
         self.accepted = true;
         let starts = self.started_at.is_none() && started_at.is_some();
@@ -481,7 +482,7 @@ impl Script {
         News::Completed
     }
 
-    /// Notes that it has failed, and that it is unknown whether it had begun.
+    /// Notes that the script has failed, and that it is unknown whether it had begun.
     pub(super) fn failed_untold(&mut self, error: ControlError) -> News {
         match std::mem::replace(&mut self.state, ScriptState::Unknown) {
             ScriptState::Unknown => News::None,
@@ -508,13 +509,14 @@ pub fn promised_name(request_id: &str) -> &str {
     }
 }
 
-/// The error of a script that differs from the checked one: the robot's own hash of the accepted script must be ours.
+/// The error of a robot that accepted another script than the one that was sent: the robot's own hash of the accepted script must be
+/// ours.
 fn foreign() -> ControlError {
     let message = "the robot accepted a different script than the one sent (content_hash differs)";
     ControlError::new(ErrorCode::Malformed, message)
 }
 
-/// The leases under which a script plays: that of the request until its first step, then that of each step.
+/// The leases under which a script plays: the lease of the request until the first step, then the lease of each step.
 #[derive(Clone, Copy, Debug)]
 struct RunningLeases {
     shortest: Option<Span>,

@@ -9,10 +9,11 @@ use super::{Mission, Phase};
 /// The owner of a robot, as far as the mission knows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) enum Ownership {
-    /// This mission, once the robot has answered.
+    /// The robot belongs to this mission once it has answered.
     #[default]
     Asked,
-    /// Another session, with the robot's refusal. The robot is taken over as soon as the others are greeted.
+    /// The robot belongs to another session. Contains the robot's refusal. The mission takes the robot over as soon as the others are
+    /// greeted.
     OfAnother(ControlError),
     /// The robot was asked to leave the other session.
     Seizing,
@@ -21,8 +22,8 @@ pub(crate) enum Ownership {
 }
 
 impl Mission {
-    /// Handles a refusal of a robot that belongs to another session. Returns whether it is to be taken over: only a robot that has proven
-    /// its identity permits that, and it must not have belonged to this mission yet.
+    /// Handles a refusal of a robot that belongs to another session. Returns whether the mission is to take the robot over: only a robot
+    /// that has proven its identity permits that, and it must not have belonged to this mission yet.
     pub(super) fn is_to_be_seized(&mut self, robot: usize, error: &ControlError) -> bool {
         let greeting = matches!(self.phase, Phase::Greeting { .. });
         let state = &mut self.robots[robot];
@@ -39,7 +40,7 @@ impl Mission {
     }
 
     /// Takes over the robots of other sessions once all robots have answered, unless the mission would not start anyway. Returns whether
-    /// some were asked, and their answers are pending.
+    /// such robots were asked and their answers are pending.
     pub(super) fn seize_others(&mut self, now: Timestamp<Server>) -> bool {
         if !self.robots.iter().any(RobotState::is_of_another) {
             return false;
@@ -52,7 +53,7 @@ impl Mission {
             if self.robots[robot].is_of_another() {
                 let state = &mut self.robots[robot];
                 state.ownership = Ownership::Seizing;
-                // Their positions while the other session had them.
+                // The known positions are from when the robot belonged to the other session.
                 state.forget_positions();
                 self.ask_availability(now, robot);
             }
@@ -60,7 +61,7 @@ impl Mission {
         true
     }
 
-    /// Fails the robots of other sessions, because they are not taken over.
+    /// Fails the robots that belong to other sessions, because the mission does not take them over.
     pub(super) fn leave_to_others(&mut self) {
         for robot in 0..self.robots.len() {
             let ownership = &mut self.robots[robot].ownership;
@@ -81,7 +82,7 @@ impl Mission {
                 self.read_positions(now, robot);
                 self.ask_positions(now, robot);
             }
-            // It has become free meanwhile.
+            // The robot has become free meanwhile.
             Ownership::OfAnother(_) => {
                 state.ownership = Ownership::Asked;
                 self.ask_positions(now, robot);
@@ -95,7 +96,7 @@ impl Mission {
         self.robots[robot].ownership == Ownership::Seized && !self.misplaced(robot).is_empty()
     }
 
-    /// Reads the positions of such a robot again.
+    /// Reads the positions of a robot again that was taken over and is still moving.
     pub(super) fn follow_on_its_way(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].has_shown_its_pose() && self.is_on_its_way(robot) {
             self.robots[robot].forget_positions();

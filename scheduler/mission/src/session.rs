@@ -9,9 +9,9 @@ use std::fmt;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use urrcp::{ControlError, LimitError, Message, SessionId};
 
-/// Random bytes of a key.
+/// Number of random bytes in a key.
 const KEY_BYTES: usize = 16;
-/// Hexadecimal digits of a key.
+/// Number of hexadecimal digits in a key.
 const KEY_DIGITS: usize = 2 * KEY_BYTES;
 /// The separator between the name and the key.
 const SEPARATOR: char = '/';
@@ -28,7 +28,7 @@ pub struct Session {
     on_the_wire: SessionId,
 }
 
-/// The operating system provides no random bits.
+/// Error: the operating system provides no random bits.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 #[error("cannot get random bits for the key of the session: {0}")]
 pub struct NoRandomBits(getrandom::Error);
@@ -63,7 +63,7 @@ impl<'de> Deserialize<'de> for SessionKey {
 }
 
 impl Session {
-    /// A session that robots know only by its name. Anyone who knows the name can drive them. For simulations.
+    /// A session that robots know only by its name, for simulations. Anyone who knows the name can drive these robots.
     #[must_use]
     pub fn named(name: SessionId) -> Self {
         Self { on_the_wire: name.clone(), name }
@@ -131,7 +131,7 @@ pub fn without_key(mut message: Message) -> Message {
     message
 }
 
-/// The message of a robot without keys, so that it may be displayed. A robot that names the session to which it belongs also names the
+/// A robot's message without session keys, so that it may be displayed. A robot that names the session to which it belongs also names the
 /// key.
 #[must_use]
 pub fn told_without_keys(mut message: Message) -> Message {

@@ -14,18 +14,18 @@ use super::robot_state::{RobotState, Standing};
 /// The predicted spread of starts with its components.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SkewBudget {
-    /// Latest possible start of a motion minus earliest possible.
+    /// The latest possible start of a motion minus the earliest one.
     #[serde(rename = "predicted_ms")]
     pub predicted: Span,
-    /// The same for commands, which depend only on clocks and wake-ups.
+    /// The latest possible start of a command minus the earliest one. Commands depend only on clocks and wake-ups.
     #[serde(rename = "clocks_ms")]
     pub clocks: Span,
     /// The scenario's `start_tolerance`.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,
-    /// The components of each robot.
+    /// The contribution of each robot to the spread.
     pub robots: Vec<RobotSkew>,
-    /// The place of each robot in `robots`.
+    /// The index of each robot in `robots`.
     #[serde(skip)]
     place: HashMap<RobotId, usize>,
 }
@@ -36,24 +36,24 @@ pub struct SkewBudget {
 pub struct RobotSkew {
     /// The robot's id.
     pub robot: RobotId,
-    /// How early it starts, as measured: how far its clock is ahead of the server's. Zero if requests are translated into the robot's
-    /// time.
+    /// How early the robot starts, as measured: by how much its clock is ahead of the server's. Zero if requests are translated into the
+    /// robot's time.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
     /// The uncertainty of the offset.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
-    /// How late it may wake up.
+    /// How late the robot may wake up.
     #[serde(rename = "wake_up_ms")]
     pub wake_up: Span,
-    /// 95 % of the motions of the devices that the act moves begin within their latency ± this.
+    /// 95 % of the motions of the devices that the act moves begin within their latency ± this time.
     #[serde(rename = "latency_spread_ms")]
     pub latency_spread: Span,
 }
 
 impl RobotSkew {
-    /// The skew of a robot that moves these devices; `None` while its clock is unknown. `strayed` returns the rest of its clock's offset
-    /// if requests are translated into its time.
+    /// The skew of a robot that moves these devices; `None` while its clock is unknown. If requests are translated into the robot's time,
+    /// `strayed` returns the remaining offset of its clock.
     fn of<'a>(
         robot: &RobotState,
         devices: impl Iterator<Item = &'a DeviceId>,
@@ -71,7 +71,7 @@ impl RobotSkew {
         Some(Self { robot, offset, uncertainty: reading.uncertainty, wake_up, latency_spread })
     }
 
-    /// Earliest and latest start relative to the plan. A clock that is ahead starts early.
+    /// The robot's earliest and latest start, relative to the plan. A robot whose clock is ahead starts early.
     fn range(&self) -> (Span, Span) {
         (
             Span::ZERO - self.offset - self.uncertainty,
@@ -79,7 +79,7 @@ impl RobotSkew {
         )
     }
 
-    /// The same for motions.
+    /// The earliest and latest start of the robot's motions, relative to the plan.
     fn range_of_motions(&self) -> (Span, Span) {
         let (earliest, latest) = self.range();
         (earliest - self.latency_spread, latest + self.latency_spread)
@@ -92,13 +92,14 @@ impl SkewBudget {
         Some(self.robots[*self.place.get(robot)?].range().1)
     }
 
-    /// The offset of a robot's clock when its scripts were translated, or the rest of it after the translation, with its uncertainty.
+    /// The offset of a robot's clock, with its uncertainty: the offset when its scripts were translated, or the offset that remains after
+    /// the translation.
     pub(crate) fn offset_of(&self, robot: &RobotId) -> Option<(Span, Span)> {
         let robot = self.robots.get(*self.place.get(robot)?)?;
         Some((robot.offset, robot.uncertainty))
     }
 
-    /// The budget of these members; `None` while the clock of one of them is unknown.
+    /// The skew budget of these members; `None` while the clock of one of them is unknown.
     pub(crate) fn of<'a>(
         members: impl Iterator<Item = &'a Member>,
         robots: &[RobotState],
@@ -108,7 +109,8 @@ impl SkewBudget {
         Self::with(members, robots, tolerance, at, |_, _| Span::ZERO)
     }
 
-    /// The budget of the participating robots of a plan, before any of it is sent. `index_of` has the index of each planned robot.
+    /// The skew budget of the participating robots of a plan, before any of it is sent. `index_of` contains the index of each planned
+    /// robot.
     pub(crate) fn of_planned(
         plan: &Plan,
         index_of: &[Option<usize>],
@@ -125,8 +127,8 @@ impl SkewBudget {
         Self::of_robots(skews.collect(), plan.start_tolerance)
     }
 
-    /// The budget of members to which an act with this start is sent now. Clocks drift until the start, and translations into a robot's
-    /// time are made now.
+    /// The skew budget of members to which an act with this start is sent now. Clocks drift until the start, but translations into a
+    /// robot's time are made now.
     pub(crate) fn ahead<'a>(
         members: impl Iterator<Item = &'a Member>,
         robots: &[RobotState],
@@ -138,7 +140,7 @@ impl SkewBudget {
         })
     }
 
-    /// The budget of members to which an act has been sent. Translations into a robot's time are off by the drift of that time since
+    /// The skew budget of members to which an act has been sent. Translations into a robot's time are off by the drift of its clock since
     /// then.
     pub(crate) fn of_sent<'a>(
         members: impl Iterator<Item = &'a Member>,
@@ -177,20 +179,20 @@ impl SkewBudget {
         Some(Self { predicted, clocks, tolerance, robots, place })
     }
 
-    /// How much earlier, and how much later, than planned this robot may start.
+    /// By how much this robot may start earlier than planned, and by how much later.
     pub(crate) fn early_and_late_of(&self, robot: &RobotId) -> Option<(Span, Span)> {
         let (earliest, latest) = self.robots[*self.place.get(robot)?].range();
         Some(((Span::ZERO - earliest).max(Span::ZERO), latest.max(Span::ZERO)))
     }
 
-    /// How much earlier, and how much later, than planned any robot may start.
+    /// By how much any robot may start earlier than planned, and by how much later.
     pub(crate) fn early_and_late(&self) -> (Span, Span) {
         let earliest = self.robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();
         let latest = self.robots.iter().map(|robot| robot.range().1).max().unwrap_or_default();
         ((Span::ZERO - earliest).max(Span::ZERO), latest.max(Span::ZERO))
     }
 
-    /// The robots that may start earlier than planned by more than this.
+    /// The robots that may start earlier than planned by more than `by`.
     pub(crate) fn earlier_than(&self, by: Span) -> Vec<(RobotId, FailureKind)> {
         let early = self.robots.iter().filter(|robot| Span::ZERO - robot.range().0 > by);
         early.map(|robot| self.failure(robot)).collect()
@@ -230,7 +232,8 @@ impl SkewBudget {
             .unwrap_or_default()
     }
 
-    /// The robots that prevent it from fitting: those that may start further than half the tolerance from the middle of the fleet.
+    /// The robots that make the spread exceed the tolerance: those that may start further than half the tolerance from the middle of the
+    /// fleet.
     pub(crate) fn offenders(&self) -> Vec<(RobotId, FailureKind)> {
         if self.fits() {
             return Vec::new();

@@ -38,7 +38,7 @@ impl Mission {
         }
     }
 
-    /// Applies the operator's latest request: robots at rest are sent home, and robots on their way home come to rest.
+    /// Applies the operator's latest request: robots at rest are sent home, and robots that move home come to rest.
     fn stop_otherwise(&mut self, now: Timestamp<Server>, rest: Rest) {
         let other: Vec<_> =
             (0..self.robots.len()).filter(|robot| self.robots[*robot].stops_otherwise(rest)).collect();
@@ -72,7 +72,7 @@ impl Mission {
         }
     }
 
-    /// Stops the mission because no further promise is possible.
+    /// Stops the mission because the journal is lost, so that no further promise is possible.
     pub(super) fn journal_lost(&mut self, now: Timestamp<Server>, reason: String) {
         self.tell(Progress::JournalLost { reason: reason.clone() });
         let outcome = Outcome::JournalLost { reason };
@@ -99,7 +99,7 @@ impl Mission {
         self.abort_because(now, (outcome, reason), rest, then);
     }
 
-    /// The same, with a reason for users that contains more than the outcome.
+    /// Like `abort`, but with a reason for users that contains more than the outcome.
     pub(super) fn abort_because(
         &mut self,
         now: Timestamp<Server>,
@@ -159,7 +159,8 @@ impl Mission {
     }
 
     /// Ends the leases of the uncommitted scripts. The stop of one device renews the leases of the others. If this process dies in
-    /// between, they must not start uncommitted scripts. Questions ahead of the stops make all those leases end before the start.
+    /// between, the other devices must not start uncommitted scripts. Questions ahead of the stops make all those leases end before the
+    /// start.
     pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if !state.takes_inquiries() || state.stop_was_sent() || state.touched.len() < 2 {
@@ -192,7 +193,7 @@ impl Mission {
         requests.into_iter().for_each(|request| self.post_urgently(now, robot, request));
     }
 
-    /// Repeats the question about missing confirmations: the stop, or the fate of a script.
+    /// Asks again for missing confirmations: of the stop, or of the fate of a script.
     pub(super) fn stop_again(&mut self, now: Timestamp<Server>) {
         let interval = self.stop_interval();
         if let Phase::Stopping { resend, .. } = &mut self.phase {
@@ -210,8 +211,8 @@ impl Mission {
         self.stop_progress(now);
     }
 
-    /// Repeats the stop on a new link to a robot. If one process has confirmed the stop in place of another one, the other one
-    /// may answer now.
+    /// Repeats the stop on a new link to a robot. If one process has confirmed the stop in place of another one, that other process may
+    /// answer now.
     pub(super) fn stop_on_new_link(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &mut self.robots[robot];
         let doubted = matches!(state.stop, Stop::Confirmed(_)) && state.elsewhere.is_some();
@@ -229,7 +230,7 @@ impl Mission {
             self.robots[robot].totals.retries += 1;
             self.send_stops(now, robot);
         } else if self.owes_a_fate(robot) {
-            // It has confirmed its stop, so it has no lease that a question could extend beyond a start.
+            // The robot has confirmed its stop, so it has no lease that a question could extend beyond a start.
             self.inquire_now(now, robot);
         }
     }
@@ -253,7 +254,7 @@ impl Mission {
         STOP_AGAIN.max(super::lead::counted(longest) * 3)
     }
 
-    /// Continues once every robot has confirmed, and has reported the fates of its scripts.
+    /// Continues once every robot has confirmed its stop, and has reported the fates of its scripts.
     pub(super) fn stop_progress(&mut self, now: Timestamp<Server>) {
         if !matches!(self.phase, Phase::Stopping { .. }) {
             return;
@@ -382,7 +383,7 @@ impl Mission {
     pub(super) fn report_rest(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.may_report_rest(robot) && !self.owes_a_fate(robot) {
             self.tell_at_rest(robot);
-            // The next act may have waited for this.
+            // The next act may have waited for the confirmation.
             self.refill(now, robot);
         }
     }

@@ -75,7 +75,7 @@ fn begins_at_once(tells: Tells) -> Mission {
     one_act(tells, 400)
 }
 
-/// The same with an act of `takes` milliseconds.
+/// Like `begins_at_once`, but the act takes `takes` milliseconds.
 fn one_act(tells: Tells, takes: i64) -> Mission {
     begins_with(tells, &[("a", 0, takes)])
 }
@@ -130,7 +130,7 @@ fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_jus
     assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
 }
 
-/// An act that was sent, removed from its mission.
+/// An act that was sent, removed from its mission, with the mission and the act's report.
 fn sent_act() -> (Mission, Act, ActReport) {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -617,7 +617,7 @@ fn an_act_that_waits_behind_another_gives_way_to_the_one_a_failure_leads_to() {
     assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(0)));
 }
 
-/// The remains of the script of [`sent_act`] on its robot.
+/// The end of the lease of the script of [`sent_act`] that is left on its robot.
 fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Option<Timestamp<Server>>> {
     act.left_behind(&act.members()[0], 0, &mission.robots[0], now)
 }

@@ -32,7 +32,7 @@ pub trait PlanTransfer: fmt::Debug + Send + Sync {
     /// `like`. Returns `None` if nothing has to move.
     ///
     /// # Errors
-    /// The reason, for users, if there is no such act.
+    /// Fails with the reason, as text for users, if no such act can be planned.
     fn plan(
         &self,
         choreography: &Choreography,
@@ -59,7 +59,7 @@ pub enum TransferReport {
     NothingToMove,
     /// All robots stayed where they came to rest.
     NotPlanned {
-        /// The reason, for users.
+        /// The reason why no act was planned, as text for users.
         reason: String,
     },
 }
@@ -72,7 +72,7 @@ pub(super) struct Transfer {
     firsts: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     /// The positions that each robot reported last, by its index in the mission.
     poses: BTreeMap<usize, Pose>,
-    /// Indices of the robots that have done all their steps on the way home.
+    /// Indices of the robots that have done all their steps of the move home.
     there: Vec<usize>,
     pub(super) home: Option<TransferReport>,
     pub(super) approach: Option<TransferReport>,
@@ -82,9 +82,9 @@ pub(super) struct Transfer {
 enum Stage {
     #[default]
     Unwanted,
-    /// Robots come to rest first. The act takes its settings from the act with the index `like`.
+    /// A transfer is requested, and the robots come to rest first. The planned act takes its settings from the act with the index `like`.
     Wanted { to: Destination, like: usize },
-    /// The way home is the act with this index.
+    /// The move home is the act with this index.
     GoingHome { act: usize },
 }
 
@@ -92,7 +92,7 @@ enum Stage {
 #[derive(Debug, Default)]
 struct Pose {
     stated: Option<BTreeMap<DeviceId, f64>>,
-    /// Whether it reported the same positions twice.
+    /// Whether the robot reported the same positions twice.
     rests: bool,
 }
 
@@ -106,7 +106,7 @@ impl Transfer {
 }
 
 impl Mission {
-    /// Returns how robots are stopped first. If the mission can plan the way home, they come to rest in place.
+    /// Returns how robots are stopped first. If the mission can plan the move home, the robots come to rest in place.
     pub(super) fn rest_first(&mut self, rest: Rest) -> Rest {
         let plans = self.options.transfer.is_some();
         let like = self.acts.first().map_or(self.options.first_act, Act::index);
@@ -155,7 +155,7 @@ impl Mission {
         matches!(self.transfer.stage, Stage::Wanted { to: Destination::Home, .. })
     }
 
-    /// Adds to the reason of a stop that the way home follows.
+    /// Adds to the reason for a stop that the move home follows.
     pub(super) fn with_home(&self, reason: String) -> String {
         if self.wants_home() { format!("{reason}; then home") } else { reason }
     }
@@ -169,7 +169,7 @@ impl Mission {
         can && state.is_up() && state.is_settled() && devices
     }
 
-    /// The devices of a robot that the next act, or an act that follows it, moves. Empty for the way home.
+    /// The devices of a robot that the next act, or an act that follows it, moves. Empty for the move home.
     fn first_devices(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
         match to {
             Destination::Home => BTreeSet::new(),
@@ -231,8 +231,8 @@ impl Mission {
         &self.robots[robot].touched | &self.first_devices(to, robot)
     }
 
-    /// Handles an answer of a robot. Its positions are valid once it has reported all of them. A robot may also report positions of
-    /// devices about which it was not asked; the transfer must not move these devices.
+    /// Handles an answer of a robot. The robot's positions are valid once it has reported all of them. A robot may also report positions
+    /// of devices about which it was not asked; the transfer must not move these devices.
     pub(super) fn pose_stated(&mut self, robot: usize) {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
         let devices = self.devices_to_place(to, robot);
@@ -355,14 +355,14 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// Continues the mission after a stop. It can no longer end as done.
+    /// Continues the mission after a stop. The mission can no longer end as done.
     pub(super) fn continue_after_stop(&mut self) {
         let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
         self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
         self.perform_again();
     }
 
-    /// If this act was the way home, notes the robots that have done all their steps.
+    /// If this act was the move home, notes the robots that have done all their steps.
     pub(super) fn note_arrivals(&mut self, act: &Act) {
         if self.transfer.stage == (Stage::GoingHome { act: act.index() }) {
             let arrived = act.members().iter().filter(|member| {
@@ -374,7 +374,7 @@ impl Mission {
         }
     }
 
-    /// If the mission ends with the way home, the robots that have done all their steps are in their default state.
+    /// If the mission ends with the move home, the robots that have done all their steps are in their default state.
     pub(super) fn arrive_home(&mut self) {
         for robot in std::mem::take(&mut self.transfer.there) {
             let state = &mut self.robots[robot];

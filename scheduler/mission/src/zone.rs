@@ -6,7 +6,7 @@ use urrcp::{Server, Span, Timestamp};
 
 const DAY: Span = Span::from_millis(24 * 3_600 * 1_000);
 const DATE: &str = "%-d %b %Y";
-/// A time of day, to the millisecond.
+/// Format of a time of day, to the millisecond.
 const TIME_OF_DAY: &str = "%H:%M:%S%.3f";
 
 /// The rules of a time zone.
@@ -25,21 +25,21 @@ pub struct SkippedTime {
     wanted: NaiveDateTime,
     before: NaiveDateTime,
     after: NaiveDateTime,
-    /// The instant at which the clocks skip it.
+    /// The instant at which the clocks skip that time.
     pub at: Timestamp<Server>,
 }
 
 impl Zone {
-    /// UTC.
+    /// The time zone UTC.
     pub const UTC: Self = Self::new(|_| Utc.fix());
 
-    /// The time zone with this UTC offset at each instant.
+    /// The time zone whose UTC offset at each instant is returned by `offset`.
     #[must_use]
     pub const fn new(offset: fn(Timestamp<Server>) -> FixedOffset) -> Self {
         Self { offset }
     }
 
-    /// The first instant, `from` or later, at which the clocks show this time of day, given since midnight.
+    /// The first instant, `from` or later, at which the clocks show a time of day. `time` is the time since midnight.
     ///
     /// # Errors
     /// The clocks skip this time on the next day on which they would show it.
@@ -60,7 +60,7 @@ impl Zone {
         }
     }
 
-    /// The other instant at which the clocks show the same date and time, if they are set back in between.
+    /// The other instant at which the clocks show the same date and time as at `at`, if they are set back in between.
     #[must_use]
     pub fn repeated(self, at: Timestamp<Server>) -> Option<Timestamp<Server>> {
         self.instants(self.local(at).naive_local()).into_iter().find(|other| *other != at)
@@ -93,13 +93,13 @@ impl Zone {
         }
     }
 
-    /// The date and the time of day: `22 Nov 2026, 19:30:00.412`.
+    /// The date and the time of day in the zone: `22 Nov 2026, 19:30:00.412`.
     #[must_use]
     pub fn date_and_time(self, at: Timestamp<Server>) -> String {
         format!("{}, {}", self.local(at).format(DATE), self.time_of_day(at))
     }
 
-    /// Local time in RFC 3339: `2026-10-25T02:30:00+02:00`.
+    /// The local time in RFC 3339: `2026-10-25T02:30:00+02:00`.
     #[must_use]
     pub fn rfc3339(self, at: Timestamp<Server>) -> String {
         self.local(at).to_rfc3339_opts(SecondsFormat::AutoSi, false)
@@ -117,7 +117,8 @@ impl Zone {
         instants
     }
 
-    /// The instants at which the clocks would show this with the UTC offset of the previous day, and with that of the next day.
+    /// The two instants at which the clocks would show this date and time: with the UTC offset of the previous day, and with that of the
+    /// next day.
     fn candidates(self, local: NaiveDateTime) -> [Timestamp<Server>; 2] {
         let as_utc = Timestamp::from_nanos(local.and_utc().timestamp_nanos_opt().unwrap_or(i64::MAX));
         let ahead = |at| Span::from_millis(i64::from((self.offset)(at).local_minus_utc()) * 1_000);
@@ -146,7 +147,7 @@ impl Zone {
 }
 
 impl SkippedTime {
-    /// The nearest times that the clocks show, to the second.
+    /// The nearest times to the skipped one that the clocks show, to the second.
     #[must_use]
     pub fn nearest(&self) -> String {
         format!("{} and {}", (self.before - TimeDelta::seconds(1)).time(), self.after.time())

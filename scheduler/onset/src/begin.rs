@@ -1,63 +1,66 @@
-//! When the readings show the first visible motion, if they contradict the fitted response.
+//! Determines when the readings show the first visible motion, for cases in which they contradict the fitted response.
 //!
 //! No device follows exactly like first-order lags. A device with static friction, for example, rests for a while and then catches up:
-//! the best fit starts before the device does. Therefore the readings of all trials are overlaid, aligned by their dead times, and
-//! smoothed by local linear regression with tricube weights (Cleveland: Robust locally weighted regression and smoothing scatterplots,
-//! Journal of the American Statistical Association 74, 1979). The fitted response is smoothed at the same instants with the same weights,
-//! so that the smoothing distorts both equally. The difference of the two crossings is used if it is significant given the noise.
+//! the best fit starts to move before the device does. Therefore the readings of all trials are overlaid, aligned by their dead times,
+//! and smoothed by local linear regression with tricube weights (Cleveland: Robust locally weighted regression and smoothing
+//! scatterplots, Journal of the American Statistical Association 74, 1979). The fitted response is smoothed at the same instants with the
+//! same weights, so that the smoothing distorts both equally. Both smoothed curves cross the visible share of the movement. The time
+//! between the two crossings is used if it is significant given the noise.
 
 use super::fit::Fitted;
 use super::model::{Lag, Readings, response};
 
-/// The narrowest and the widest half-width of the weights, in milliseconds.
+/// The smallest and the largest half-width of the smoothing weights, in milliseconds.
 const WIDTHS: (f64, f64) = (1.0, 16.0);
-/// Ratio of each width to the previous one.
+/// Ratio of each tried half-width to the previous one.
 const WIDER: f64 = 1.4;
-/// Minimum number of readings within the weights.
+/// Minimum number of readings within the width of the weights.
 const READINGS_LEAST: usize = 5;
-/// Maximum standard error of a usable crossing, in milliseconds.
+/// Maximum standard error of the time of a usable crossing, in milliseconds.
 const PRECISE: f64 = 1.0;
-/// Maximum standard error of the regression, as a fraction of the visible share. More noise produces more than one crossing.
+/// Maximum standard error of the regression, as a fraction of the visible share. With more noise, the curve may cross the visible share
+/// more than once.
 const QUIET: f64 = 0.125;
-/// Number of standard errors from which a difference is significant, if it is also above [`MATTERS`].
+/// A difference is significant from this number of standard errors, if it is also above [`MATTERS`].
 const SIGNIFICANT: f64 = 4.0;
-/// Smaller differences do not justify an exception from the fit, in milliseconds.
+/// Differences below this, in milliseconds, do not justify an exception from the fit.
 const MATTERS: f64 = 0.5;
 /// Interval between the instants at which the regression is computed, in milliseconds.
 const STEP: f64 = 0.5;
-/// Crossings are searched for up to this share of the fitted response.
+/// The search for crossings ends where the fitted response has reached this share of the movement.
 const BEGUN: f64 = 0.6;
 
-/// A reading of any trial.
+/// A reading of one of the trials.
 #[derive(Clone, Copy, Debug)]
 struct Point {
-    /// Milliseconds since the dead time of its trial.
+    /// Milliseconds from the end of the trial's dead time to the reading.
     after: f64,
-    /// The share of the movement in the reading.
+    /// The share of the movement that the reading shows.
     seen: f64,
-    /// The share of the movement in the fitted response.
+    /// The share of the movement that the fitted response has made at this time.
     fitted: f64,
 }
 
-/// The readings of all trials in order, and the standard deviation of the readings at rest.
+/// The readings of all trials in the order of their times, and the standard deviation of the readings at rest.
 struct Pooled {
     points: Vec<Point>,
     at_rest: f64,
 }
 
-/// The regression at one instant.
+/// The result of the regression at one instant.
 #[derive(Clone, Copy, Debug)]
 struct Smoothed {
     at: f64,
     seen: f64,
     fitted: f64,
-    /// Per millisecond.
+    /// Slope of the readings, per millisecond.
     slope: f64,
     standard_error: f64,
 }
 
-/// Milliseconds from the fitted response to the visible start of motion, measured at this share of the movement; negative if the devices
-/// start earlier. Zero if the readings do not contradict the fit or are inconclusive.
+/// Returns how much later than the fitted response the motion visibly starts, in milliseconds. Both times are measured where the motion
+/// has made this share of the movement. Negative if devices start earlier; zero if the readings do not contradict the fit or are
+/// inconclusive.
 pub(super) fn later(trials: &[(&Readings, Fitted)], lag: Lag, share: f64) -> f64 {
     let Some(commanded) = trials.first().map(|(readings, _)| &readings.commanded) else { return 0.0 };
     let pooled = Pooled::of(trials, lag);
@@ -103,7 +106,8 @@ impl Pooled {
         Self { points, at_rest: (squares / free.max(1.0)).sqrt() }
     }
 
-    /// Returns how much later the readings cross this share than the fitted response does, and the standard error, in milliseconds.
+    /// Returns how much later the smoothed readings reach this share of the movement than the smoothed response, and the standard error
+    /// of this difference, both in milliseconds.
     fn difference(&self, width: f64, begun: f64, share: f64) -> Option<(f64, f64)> {
         let first = self.points.first()?.after.max(-begun);
         let smoothed: Option<Vec<Smoothed>> =
@@ -150,7 +154,7 @@ impl Pooled {
     }
 }
 
-/// Where the values rise above this share for the last time.
+/// Returns the time at which the values rise above this share for the last time.
 fn crossing(smoothed: &[Smoothed], share: f64, of: impl Fn(&Smoothed) -> f64) -> Option<f64> {
     let below = smoothed.iter().rposition(|smoothed| of(smoothed) < share)?;
     let (before, after) = (smoothed.get(below)?, smoothed.get(below + 1)?);

@@ -1,16 +1,16 @@
-//! What a device was commanded to do: a movement from one value to another, in parts.
+//! The commanded movement of a device: from one value to another, in parts.
 
 use urrcp::Span;
 
-/// A movement of size one, as consecutive parts: a step, a ramp, or a staircase of steps.
+/// A commanded movement, scaled to size one: consecutive parts that form a step, a ramp, or a staircase of steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Commanded {
     pub(super) parts: Vec<Part>,
-    /// Whether only its start is observed.
+    /// Whether the readings cover only the start of the movement.
     begins: bool,
 }
 
-/// A share of the movement, covered at constant speed; times are in milliseconds since the start of the movement.
+/// A part of the movement, at constant speed. Times are in milliseconds since the start of the movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Part {
     pub(super) begins: f64,
@@ -19,34 +19,34 @@ pub(super) struct Part {
 }
 
 impl Commanded {
-    /// A movement at constant speed within this time; zero is a step.
+    /// Creates a movement at constant speed that takes the time `lasts`. Zero creates a step.
     #[must_use]
     pub fn ramp(lasts: Span) -> Self {
         let parts = vec![Part { begins: 0.0, lasts: lasts.as_millis_f64().max(0.0), share: 1.0 }];
         Self { parts, begins: false }
     }
 
-    /// The same movement with only its start observed: the readings need not reach its end.
+    /// Returns this movement, marked as observed only at its start: the readings need not reach its end.
     #[must_use]
     pub fn begins(self) -> Self {
         Self { begins: true, ..self }
     }
 
-    /// A staircase of values that are set and held. Each has its time since the start of the movement and its share of the whole
-    /// movement.
+    /// Creates a staircase of values that are set and held. Each step consists of its time since the start of the movement and its share
+    /// of the whole movement.
     #[must_use]
     pub fn stairs(steps: impl IntoIterator<Item = (Span, f64)>) -> Self {
         let part = |(at, share): (Span, f64)| Part { begins: at.as_millis_f64(), lasts: 0.0, share };
         Self { parts: steps.into_iter().map(part).collect(), begins: false }
     }
 
-    /// Duration of the movement.
+    /// Returns the duration of the movement.
     #[must_use]
     pub fn lasts(&self) -> Span {
         Span::from_millis_f64(self.lasts_ms())
     }
 
-    /// Minimum time that the readings have to cover, in milliseconds.
+    /// Returns the minimum time, in milliseconds, that the readings have to cover.
     pub(super) fn shown_ms(&self) -> f64 {
         if self.begins { 0.0 } else { self.lasts_ms() }
     }

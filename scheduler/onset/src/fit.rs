@@ -1,38 +1,38 @@
-//! The fit: a latency for each trial, and one lag for all.
+//! Fits the model to the readings: a latency for each trial, and one lag for all trials.
 
 use downbeat_fleet::fleet::LAGS_MAX;
 
 use super::model::{Agreement, Lag, Readings, response};
 
-/// Time constants of the coarse search, in milliseconds: zero, then in steps of a factor of two.
+/// Time constants of the coarse search, in milliseconds: zero, one, then each twice the previous one.
 const TIME_CONSTANTS: [f64; 11] =
     [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, TIME_CONSTANT_MAX];
-/// The largest time constant of the search.
+/// The largest time constant of the search, in milliseconds.
 pub(super) const TIME_CONSTANT_MAX: f64 = 512.0;
-/// Steps of a golden-section search: together a factor of 10 000.
+/// Number of steps of a golden-section search. Together, they narrow the interval by a factor of more than 10 000.
 const GOLDEN_STEPS: u32 = 20;
-/// Rounding error of the squares, as a share of the squares of the movement.
+/// Rounding error of the sum of squared deviations from the fit, as a share of the readings' squared deviations from their mean.
 const ROUNDING: f64 = 1e-12;
-/// The smaller part of the golden section.
+/// The smaller part of an interval that is divided by the golden section.
 const GOLDEN: f64 = 0.381_966_011_250_105;
-/// The 99 % quantile of chi squared with one degree of freedom: a likelihood ratio beyond it is significant.
+/// The 99 % quantile of chi squared with one degree of freedom: a larger likelihood ratio is significant.
 const SIGNIFICANT: f64 = 6.63;
 /// Maximum number of latencies in the coarse search.
 const GRID_MAX: f64 = 48.0;
 
-/// The latency that fits one trial best.
+/// The result of fitting one trial.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fitted {
-    /// In milliseconds.
+    /// The latency in milliseconds.
     pub(super) latency: f64,
-    /// Standard error of the latency alone, from the noise, in milliseconds.
+    /// Standard error of the latency due to noise, for the given lag, in milliseconds.
     pub(super) standard_error: f64,
     pub(super) agreement: Agreement,
-    /// Standard deviation of the readings around the fit.
+    /// Standard deviation of the readings around the fit, in the sensor's unit.
     pub(super) noise: f64,
 }
 
-/// The lag that fits all trials best, and the standard error of its time constant, in milliseconds.
+/// Returns the lag that fits all trials best, and the standard error of its time constant in milliseconds.
 pub(super) fn lag(trials: &[&Readings]) -> (Lag, f64) {
     let of = |lags: u8| {
         let cost = |constant: f64| -> f64 {
@@ -43,7 +43,7 @@ pub(super) fn lag(trials: &[&Readings]) -> (Lag, f64) {
         (Lag { constant, lags, later: 0.0 }, error, cost(constant))
     };
     let found: Vec<_> = (1..=LAGS_MAX).map(of).collect();
-    // Both models have the same number of parameters, so the one with the smaller squares is likelier.
+    // Both models have the same number of parameters, so the model with the smaller sum of squares is more likely.
     let best = found.into_iter().min_by(|a, b| a.2.total_cmp(&b.2));
     best.map_or((Lag::NONE, f64::INFINITY), |(lag, error, _)| (lag, error))
 }
@@ -58,16 +58,17 @@ fn time_constant(trials: &[&Readings], cost: impl Fn(f64) -> f64) -> (f64, f64) 
     let free = (readings as f64 - 3.0 * trials.len() as f64 - 1.0).max(1.0);
     let (with, without) = (cost(constant), costs[0]);
     let moved: f64 = trials.iter().map(|trial| trial.squares()).sum();
-    // A time constant that explains no more than chance would only bias the latency in the opposite direction. For readings without
-    // noise, the squares consist of rounding errors.
+    // A time constant that explains no more than chance would bias the latency in the opposite direction, so zero is used instead. For
+    // readings without noise, the sum of squares consists of rounding errors.
     if without - with <= SIGNIFICANT * with / free + ROUNDING * moved {
         return (0.0, error_of_constant(trials, 0.0, cost));
     }
     (constant, error_of_constant(trials, constant, cost))
 }
 
-/// Standard error from the curvature of the cost: the distance at which the cost has risen by the variance of a reading (profile
-/// likelihood; Venzon, Moolgavkar: A method for computing profile-likelihood-based confidence intervals, Applied Statistics 37(1), 1988).
+/// Returns the standard error of the time constant from the curvature of the cost. It is the distance at which the cost has risen by the
+/// variance of a reading (profile likelihood; Venzon, Moolgavkar: A method for computing profile-likelihood-based confidence intervals,
+/// Applied Statistics 37(1), 1988).
 #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
 fn error_of_constant(trials: &[&Readings], constant: f64, cost: impl Fn(f64) -> f64) -> f64 {
     let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
@@ -79,7 +80,7 @@ fn error_of_constant(trials: &[&Readings], constant: f64, cost: impl Fn(f64) -> 
     if curvature > 0.0 { (variance / curvature).sqrt() } else { f64::INFINITY }
 }
 
-/// The best latency of one trial for this lag.
+/// Returns the latency, in milliseconds, that fits one trial best for this lag.
 pub(super) fn latency(trial: &Readings, lag: Lag) -> f64 {
     let cost = |latency: f64| trial.agreement(latency, lag).squares;
     let (first, last) = trial.span();
@@ -97,12 +98,13 @@ pub(super) fn latency(trial: &Readings, lag: Lag) -> f64 {
     middle_of_flat(found, trial.interval(), cost)
 }
 
-/// A step between two readings fits equally well anywhere between them. The middle minimizes the largest possible error.
+/// Returns the middle of the range in which the cost is as low as at `found`. A step between two readings fits equally well anywhere
+/// between them, and the middle minimizes the largest possible error.
 fn middle_of_flat(found: f64, interval: f64, cost: impl Fn(f64) -> f64) -> f64 {
     let least = cost(found);
     let is_flat = |at: f64| cost(at) <= least * (1.0 + 1e-9) + f64::MIN_POSITIVE;
     let edge = |sign: f64| {
-        // Bisects for the end of the flat section.
+        // Finds the end of the flat section by bisection.
         let (mut inside, mut outside) = (0.0, interval * 1.5);
         if is_flat(found + sign * outside) {
             return outside;
@@ -137,7 +139,7 @@ fn golden(low: f64, high: f64, steps: u32, cost: impl Fn(f64) -> f64) -> f64 {
     if at_left <= at_right { left } else { right }
 }
 
-/// The latency and its standard error for this lag.
+/// Fits the latency of one trial for this lag.
 #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
 pub(super) fn fitted(trial: &Readings, lag: Lag) -> Fitted {
     let latency = latency(trial, lag);
@@ -148,13 +150,14 @@ pub(super) fn fitted(trial: &Readings, lag: Lag) -> Fitted {
     Fitted { latency, standard_error, agreement, noise }
 }
 
-/// Standard error of the latency in the linearized fit of rest, gain and latency. If no reading lies on the movement, the instant may be
-/// anywhere between two readings: the error is their interval divided by the square root of 12.
+/// Returns the standard error of the latency in the linearized fit of rest, gain and latency. If no reading falls within the movement,
+/// the movement may have started anywhere between two readings. The error is then the interval between readings divided by the square
+/// root of 12.
 fn standard_error(trial: &Readings, latency: f64, lag: Lag, agreement: &Agreement, noise: f64) -> f64 {
     let between = trial.interval() / 12.0_f64.sqrt();
     let step = (trial.interval() / 8.0).max(0.05);
     let shape = |after: f64| response(&trial.commanded, lag, after);
-    // The effect of a later latency, without the part that rest and gain can explain.
+    // The effect of a larger latency on the readings, without the part that rest and gain can explain.
     let rows: Vec<(f64, f64)> = (trial.at.iter())
         .map(|at| {
             let after = at - latency;

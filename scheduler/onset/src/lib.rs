@@ -1,5 +1,5 @@
-//! Estimates when a device starts moving after a command, from sensor readings around a small commanded movement. Pure: reads no clock
-//! and sends nothing.
+//! Estimates when a device starts moving after a command, from sensor readings around a small commanded movement. The crate reads no
+//! clock and performs no input or output.
 //!
 //! Fits the readings with the response of one first-order lag with dead time (FOPDT), or of two equal lags in series, whichever fits
 //! better. These are the usual models for identifying a plant from its step response (Åström, Hägglund: Advanced PID Control, ISA 2006,
@@ -10,12 +10,13 @@
 //! value(t) = rest + gain * response(t - dead_time),    response' = (commanded - response) / time_constant
 //! ```
 //!
-//! The latency is the instant at which this response has moved by the visible amount, minus the time this takes without dead time and
-//! lag. A plain threshold on the readings would not work: it has to lie well above the noise. The fit uses every reading. If the pooled
-//! readings show with significance that the device starts at another time than the response, that time is used (`begin.rs`). `rest` and
-//! `gain` enter linearly and are solved for at each pair of the other two parameters (variable projection: Golub, Pereyra: The
-//! differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate, SIAM Journal on Numerical Analysis
-//! 10(2), 1973). The lag is a property of the device, so all trials share it; each trial has its own dead time.
+//! The latency is the time in which this response moves by the visible amount, minus the time for this motion without dead time and lag.
+//! A plain threshold on the readings would be inaccurate, because it has to be well above the noise. The fit uses every reading instead.
+//! If the pooled readings show with significance that the device starts at another time than the response, that time is used
+//! (`begin.rs`). `rest` and `gain` enter linearly and are computed directly for each pair of the other two parameters (variable
+//! projection: Golub, Pereyra: The differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate, SIAM
+//! Journal on Numerical Analysis 10(2), 1973). The lag is a property of the device, so all trials share it; each trial has its own dead
+//! time.
 //!
 //! **Limits.** A sensor delay that does not appear in its round trips is indistinguishable from a latency of the device: the latencies
 //! include it. The instant within a round trip at which the value was taken is also unknown: see [`Reading::instant`].
@@ -43,11 +44,11 @@ pub enum Unclear {
         "too few readings of the sensor: {before} before the movement and {after} after its command, expected at least {least} each"
     )]
     TooSparse {
-        /// Readings before the movement was commanded.
+        /// Number of readings before the movement was commanded.
         before: usize,
-        /// Readings after that.
+        /// Number of readings after the movement was commanded.
         after: usize,
-        /// Required number of each.
+        /// Required number of readings before, and also after, the command.
         least: usize,
     },
     /// The movement does not stand out from the noise.
@@ -57,7 +58,7 @@ pub enum Unclear {
     Noisy {
         /// Standard deviation of the readings around the fit, in the sensor's unit.
         noise: f64,
-        /// Commanded movement of the device.
+        /// Commanded movement of the device, in the sensor's unit.
         movement: f64,
         /// Required ratio of movement to noise.
         ratio: f64,
@@ -67,9 +68,9 @@ pub enum Unclear {
         "the sensor shows no movement: its readings changed by {seen:.4}, but {movement:.4} was commanded"
     )]
     NothingMoved {
-        /// By how much the readings changed, in the sensor's unit.
+        /// Change of the readings, in the sensor's unit.
         seen: f64,
-        /// Commanded movement of the device.
+        /// Commanded movement of the device, in the sensor's unit.
         movement: f64,
     },
     /// The sensor shows a movement in the opposite direction.
@@ -77,9 +78,9 @@ pub enum Unclear {
         "the sensor shows the opposite movement: its readings changed by {seen:.4}, but {movement:.4} was commanded; check its sign, and that it belongs to this device"
     )]
     WrongWay {
-        /// By how much the readings changed, in the sensor's unit.
+        /// Change of the readings, in the sensor's unit.
         seen: f64,
-        /// Commanded movement of the device.
+        /// Commanded movement of the device, in the sensor's unit.
         movement: f64,
     },
     /// The device responds too slowly for the fit to determine when it starts moving.
@@ -93,9 +94,9 @@ pub enum Unclear {
     /// Too many readings are at one end of the sensor's range.
     #[error("the sensor is at the end of its range: {share:.0} % of its readings are {limit}")]
     Saturated {
-        /// Share of the readings at the limit, in per cent.
+        /// Share of the readings at this end of the range, in per cent.
         share: f64,
-        /// The limit, in the sensor's unit.
+        /// The end of the range, in the sensor's unit.
         limit: f64,
     },
     /// The device moved before the command.
@@ -103,7 +104,7 @@ pub enum Unclear {
         "the sensor shows motion {early} before the movement was commanded; check whether something else moves the device"
     )]
     MovedBefore {
-        /// How much earlier.
+        /// Time from the observed motion to the command.
         early: Span,
     },
     /// The motion seems to start before the command because a reading took too long.
@@ -111,7 +112,7 @@ pub enum Unclear {
         "a reading took so long that its time, and thus the start of the motion, is known only to +-{uncertainty}"
     )]
     LateReading {
-        /// Uncertainty of the time of the reading.
+        /// Uncertainty of the time at which the reading's value was taken.
         uncertainty: Span,
     },
     /// The device was still moving at the last reading.
@@ -119,29 +120,30 @@ pub enum Unclear {
         "the device was still moving {watched} after the movement was commanded, when the observation ended"
     )]
     NotSettled {
-        /// Observation time after the command.
+        /// Duration of the observation after the command.
         watched: Span,
     },
 }
 
-/// One sensor reading, as seen by the requester.
+/// One sensor reading, with times measured by the requester.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// When it was requested.
+    /// When the reading was requested.
     pub asked: Span,
-    /// When the answer arrived.
+    /// When the response arrived.
     pub answered: Span,
     /// Value in the sensor's unit.
     pub value: f64,
 }
 
 impl Reading {
-    /// Returns when the value was taken and the uncertainty of that instant. `link` is a round trip without the sensor, such as that of
-    /// an availability request; each direction is assumed to take half of it. The rest of the reading's round trip is the sensor's own
-    /// delay.
+    /// Returns when the value was taken and the uncertainty of that instant. `link` is a round trip without the sensor, such as the round
+    /// trip of an availability request. Each direction is assumed to take half of it. The rest of the reading's round trip is the
+    /// sensor's own delay.
     ///
-    /// The value was taken between the arrival of the request and the departure of the answer. If the exact point is unknown, the middle
-    /// is assumed and half of the sensor's delay is the uncertainty. This error is systematic: it does not average out over trials.
+    /// The value was taken between the arrival of the request and the departure of the response. If the exact point is unknown, the
+    /// middle is assumed and half of the sensor's delay is the uncertainty. This error is systematic: it does not average out over
+    /// trials.
     #[must_use]
     pub fn instant(&self, link: Span, taken: Taken) -> (Span, Span) {
         let way = link / 2;
@@ -154,7 +156,7 @@ impl Reading {
         }
     }
 
-    /// Processing time of the sensor itself.
+    /// Returns the processing time of the sensor itself: the reading's round trip minus the round trip `link`, at least zero.
     #[must_use]
     pub fn own_delay(&self, link: Span) -> Span {
         (self.answered - self.asked - link).max(Span::ZERO)

@@ -4,15 +4,15 @@ use urrcp::Span;
 
 use super::commanded::{Commanded, Part};
 
-/// Smaller time constants are treated as zero, in milliseconds.
+/// Time constants below this, in milliseconds, are treated as zero.
 const NO_LAG: f64 = 1e-3;
 
-/// How far a device has moved `after` milliseconds since its motion began, as a share of the movement.
+/// Returns how far a device has moved `after` milliseconds from the start of its motion, as a share of the movement.
 pub(super) fn response(commanded: &Commanded, lag: Lag, after: f64) -> f64 {
     commanded.parts.iter().map(|part| part.share * part.response(lag, after - part.begins)).sum()
 }
 
-/// The delay by the lag until a device has moved by this share of the movement, in milliseconds.
+/// Returns the delay, in milliseconds, that the lag causes until a device has moved by this share of the movement.
 pub(super) fn visible_delay(commanded: &Commanded, lag: Lag, share: f64) -> f64 {
     let crossed = |lag: Lag| {
         let (mut before, mut after) = (0.0, commanded.lasts_ms() + 20.0 * lag.constant + 1.0);
@@ -25,21 +25,21 @@ pub(super) fn visible_delay(commanded: &Commanded, lag: Lag, share: f64) -> f64 
     (crossed(lag) - crossed(Lag::NONE)).max(0.0) + lag.later
 }
 
-/// Equal first-order lags in series.
+/// The lag of a device: one first-order lag, or two equal ones in series.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lag {
     /// Total time constant of all lags, in milliseconds.
     pub(super) constant: f64,
-    /// One or two.
+    /// Number of lags: one or two.
     pub(super) lags: u8,
-    /// Delay from this response to the visible start of the device, in milliseconds.
+    /// Delay from the start that this response predicts to the visible start of the device, in milliseconds.
     pub(super) later: f64,
 }
 
 impl Lag {
     pub(super) const NONE: Self = Self { constant: 0.0, lags: 1, later: 0.0 };
 
-    /// The response to a step of size one.
+    /// Returns the response to a step of size one, `after` milliseconds later.
     fn step(self, after: f64) -> f64 {
         match self.lags {
             1 => -(-after / self.constant).exp_m1(),
@@ -50,7 +50,7 @@ impl Lag {
         }
     }
 
-    /// The response to a ramp of slope one.
+    /// Returns the response to a ramp of slope one, `after` milliseconds after its start.
     fn ramp(self, after: f64) -> f64 {
         match self.lags {
             1 => after + self.constant * (-after / self.constant).exp_m1(),
@@ -89,7 +89,7 @@ impl Part {
     }
 }
 
-/// The readings of one trial: milliseconds since the movement was due, and values.
+/// The readings of one trial: their times in milliseconds since the movement was due, and their values.
 #[derive(Clone, Debug)]
 pub(super) struct Readings {
     pub(super) commanded: Commanded,
@@ -100,19 +100,19 @@ pub(super) struct Readings {
 /// Comparison of the readings with the response for one latency and lag.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Agreement {
-    /// Sum of the squared deviations.
+    /// Sum of the squared deviations of the readings from the response.
     pub(super) squares: f64,
-    /// Gain of the whole movement, in the sensor's unit.
+    /// Gain: change of the readings by the whole movement, in the sensor's unit.
     pub(super) gain: f64,
 }
 
 impl Readings {
-    /// The best fit at this latency and lag.
+    /// Returns the best fit of rest and gain for this latency and lag.
     #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
     pub(super) fn agreement(&self, latency: f64, lag: Lag) -> Agreement {
         let n = self.at.len() as f64;
         let (mut r_sum, mut v_sum, mut rr, mut rv, mut vv) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        // Relative to the first value, to avoid cancellation in the squares.
+        // Values are taken relative to the first one, to avoid cancellation in the squares.
         let origin = self.values.first().copied().unwrap_or_default();
         for (at, value) in self.at.iter().zip(&self.values) {
             let (r, v) = (response(&self.commanded, lag, at - latency), value - origin);
@@ -126,19 +126,19 @@ impl Readings {
         Agreement { squares, gain }
     }
 
-    /// Sum of the squared deviations from the mean of all readings.
+    /// Returns the sum of the squared deviations from the mean of all readings.
     #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
     pub(super) fn squares(&self) -> f64 {
         let mean = self.values.iter().sum::<f64>() / self.values.len().max(1) as f64;
         self.values.iter().map(|value| (value - mean).powi(2)).sum()
     }
 
-    /// Times of the first and the last reading, in milliseconds.
+    /// Returns the times of the first and the last reading in milliseconds.
     pub(super) fn span(&self) -> (f64, f64) {
         (self.at.first().copied().unwrap_or_default(), self.at.last().copied().unwrap_or_default())
     }
 
-    /// The median interval between two readings, in milliseconds.
+    /// Returns the median interval between two readings in milliseconds.
     pub(super) fn interval(&self) -> f64 {
         let mut steps: Vec<f64> = self.at.windows(2).map(|pair| pair[1] - pair[0]).collect();
         steps.sort_by(f64::total_cmp);

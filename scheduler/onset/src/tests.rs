@@ -1,10 +1,10 @@
-//! Tests the estimator with devices of known latency.
+//! Tests of the estimator with simulated devices whose latency is known.
 
 use urrcp::Span;
 
 use super::*;
 
-/// A device and its sensor, in milliseconds and in shares of the movement.
+/// A simulated device and its sensor. Times are in milliseconds, and values are shares of the movement.
 #[derive(Clone, Copy, Debug)]
 struct Device {
     latency: f64,
@@ -14,7 +14,7 @@ struct Device {
     /// Number of lags that share the time constant.
     lags: u8,
     noise: f64,
-    /// Delay of the sensor between request and answer; the value is taken at the request.
+    /// Delay of the sensor between request and response. The sensor takes the value at the request.
     delay: f64,
     /// Maximum additional random delay of the sensor.
     delay_varies: f64,
@@ -23,7 +23,7 @@ struct Device {
 }
 
 const LINK: f64 = 0.8;
-/// Pause between an answer and the next request.
+/// Pause between a response and the next request, in milliseconds.
 const BETWEEN: f64 = 1.0;
 const MOVEMENT: f64 = 2.0;
 const VISIBLE: f64 = 0.02;
@@ -58,7 +58,7 @@ impl Device {
         model::Lag { constant: self.time_constant, lags: self.lags, later: 0.0 }
     }
 
-    /// Time until it has visibly moved, minus the time that a device without latency and lag needs.
+    /// Returns the time until the device has visibly moved, minus the time that a device without latency and lag needs.
     fn visible(&self) -> f64 {
         let commanded = Commanded::ramp(Span::from_millis_f64(self.lasts));
         self.latency + model::visible_delay(&commanded, self.lag(), VISIBLE / MOVEMENT)
@@ -70,7 +70,7 @@ impl Device {
     }
 }
 
-/// Box–Muller transform.
+/// Returns a normally distributed random number (Box–Muller transform).
 fn normal(rng: &mut fastrand::Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.f64()).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.f64()).cos()
@@ -78,12 +78,12 @@ fn normal(rng: &mut fastrand::Rng) -> f64 {
 
 const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), visible: VISIBLE };
 
-/// The choice of `downbeat calibrate`.
+/// Returns the duration of a movement that `downbeat calibrate` chooses for this interval between readings.
 fn lasts(interval: f64) -> f64 {
     (1.5 * interval).max(40.0)
 }
 
-/// The latency that 95 % of the device's movements do not exceed.
+/// Returns the latency that 95 % of the device's movements do not exceed.
 fn true_p95(device: &Device) -> f64 {
     device.visible() + 1.645 * device.deviation
 }
@@ -166,7 +166,7 @@ const DEVICE: Device = Device {
     lasts: 40.0,
 };
 
-/// Changes the readings of one movement and expects an error.
+/// Changes the readings of one movement and checks that the estimator returns the expected error.
 #[track_caller]
 fn refused(device: Device, change: impl Fn(&mut Sample), expected: fn(&Unclear) -> bool) {
     let mut trial = device.trials(5, 1).remove(0);
@@ -183,7 +183,7 @@ fn what_cannot_be_judged_is_refused_with_the_reason() {
     refused(DEVICE, saturated, |why| matches!(why, Unclear::Saturated { .. }));
     let early = |sample: &mut Sample| sample.at = sample.at - Span::from_millis(70);
     refused(DEVICE, early, |why| matches!(why, Unclear::MovedBefore { .. }));
-    // A reading with a delayed answer may actually be from after the command.
+    // A reading with a delayed response may actually be from after the command.
     let delayed = |sample: &mut Sample| {
         early(sample);
         sample.uncertainty = Span::from_millis(70);
@@ -226,8 +226,8 @@ fn a_device_begins_visibly_when_it_has_moved_by_the_visible_amount() {
     let ramp = Commanded::ramp(Span::from_millis(100));
     let delay = |lag: model::Lag, share: f64| model::visible_delay(&ramp, lag, share);
     assert!(delay(model::Lag::NONE, 0.1).abs() < 1e-9);
-    // Without a lag, a hundredth of the movement needs at least 1 ms. With one lag of 20 ms: t - 20 (1 - exp(-t / 20)) = 1; with two of 10 ms: t -
-    // 20 + (t + 20) exp(-t / 10) = 1.
+    // Without a lag, a hundredth of the movement needs at least 1 ms. With one lag of 20 ms: t - 20 (1 - exp(-t / 20)) = 1; with two of
+    // 10 ms: t - 20 + (t + 20) exp(-t / 10) = 1.
     for (lags, t) in [(1, 6.676), (2, 9.861)] {
         let lag = model::Lag { constant: 20.0, lags, later: 0.0 };
         assert!((delay(lag, 0.01) - (t - 1.0)).abs() < 0.01, "{lags}: {}", delay(lag, 0.01));
@@ -238,7 +238,8 @@ fn a_device_begins_visibly_when_it_has_moved_by_the_visible_amount() {
     assert!((model::visible_delay(&step, lag, 0.5) - 20.0 * 2.0_f64.ln()).abs() < 1e-6);
 }
 
-/// A device that rests until its deviation exceeds `friction` (a share of the movement), and then follows with one lag: Coulomb friction.
+/// Simulates a trial of a device with Coulomb friction. It rests until its deviation exceeds `friction` (a share of the movement), and
+/// then follows with one lag.
 fn with_friction(rng: &mut fastrand::Rng, friction: f64, noise: f64, sensor: f64) -> Trial {
     const TAU: f64 = 30.0;
     const LASTS: f64 = 250.0;
@@ -261,7 +262,7 @@ fn with_friction(rng: &mut fastrand::Rng, friction: f64, noise: f64, sensor: f64
     Trial { commanded, movement: MOVEMENT, samples }
 }
 
-/// The instant at which it has moved by the visible amount, minus the time that a device without latency and lag needs.
+/// Returns the time that the device with friction needs to move by the visible amount, minus the time without latency and lag.
 fn true_begin(friction: f64) -> f64 {
     let trial = with_friction(&mut fastrand::Rng::with_seed(1), friction, 0.0, 0.05);
     let moved = |sample: &&Sample| sample.value >= REST + VISIBLE;
@@ -284,7 +285,7 @@ fn a_device_with_static_friction_begins_when_its_readings_show_it() {
         );
         let lag = found.lag.unwrap();
         assert!(lag.later > Span::from_millis(2), "the fit alone would do: {lag:?}");
-        // A single motion with the lag from all trials.
+        // The latency of a single motion, with the lag from all trials.
         let one = onset(&trials[0], READABLE, Some(lag)).unwrap().latency.as_millis_f64();
         assert!((one - truth).abs() < 2.5, "{one} is not {truth}");
     }

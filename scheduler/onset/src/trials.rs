@@ -1,4 +1,4 @@
-//! From the readings of several trials to the latency of each, or the reason why it cannot be determined.
+//! Determines the latency of each of several trials from its readings, or the reason why the latency cannot be determined.
 
 use urrcp::Span;
 
@@ -10,27 +10,27 @@ use super::{Latencies, Unclear};
 
 /// Minimum number of readings before the command, and also after it.
 const READINGS_LEAST: usize = 4;
-/// Minimum ratio of movement to noise.
+/// Minimum ratio of the movement's size to the noise of the readings.
 const NOISE_RATIO: f64 = 5.0;
-/// A device that moves less than this share of the commanded movement does not follow.
+/// Minimum share of the commanded movement. A device that moves less does not follow the command.
 const MOVED_LEAST: f64 = 0.2;
-/// Share of readings at one end of the range that makes the sensor saturated.
+/// The sensor counts as saturated if at least this share of its readings is at one end of its range.
 const SATURATED_SHARE: f64 = 0.2;
-/// Number of time constants after which only 2 % of a movement remain.
+/// Number of time constants after which only 2 % of a movement is still missing.
 const SETTLED: f64 = 4.0;
-/// Number of time constants that a ramp has to last for the lag behind it to become steady.
+/// Number of time constants that a ramp has to last, so that the device's lag behind the ramp becomes steady.
 const RAMP_STEADY: f64 = 3.0;
-/// The largest share of a movement that is used as its visible start.
+/// Maximum share of a movement that may be used as its visible start.
 const VISIBLE_MAX: f64 = 0.5;
-/// Clock errors may shift the motion ahead of the command by this much, in milliseconds.
+/// Maximum time, in milliseconds, by which clock errors may make a motion appear earlier than its command.
 const EARLY_MAX: f64 = 5.0;
 
-/// A reading around a movement.
+/// A sensor reading before, during or after a movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// When the value was taken, relative to the due time of the movement's first step.
     pub at: Span,
-    /// Uncertainty of `at`.
+    /// Uncertainty of `at`, in both directions.
     pub uncertainty: Span,
     /// The value, in the sensor's unit.
     pub value: f64,
@@ -43,7 +43,7 @@ pub struct Trial {
     pub commanded: Commanded,
     /// Signed size of the commanded movement, in the sensor's unit.
     pub movement: f64,
-    /// In any order.
+    /// The sensor readings, in any order.
     pub samples: Vec<Sample>,
 }
 
@@ -56,17 +56,17 @@ pub struct Readable {
     pub visible: f64,
 }
 
-/// The start of one motion.
+/// The result of one trial: when the motion starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Onset {
-    /// From the due time of the first step to the first visible motion, minus the time in which a device without latency and lag moves
-    /// this far.
+    /// Time from the due time of the first step to the first visible motion. The time that a device without latency and lag needs to move
+    /// this far is subtracted.
     pub latency: Span,
-    /// From the due time of the first step until the device starts to follow.
+    /// Time from the due time of the first step until the device starts to follow.
     pub dead_time: Span,
-    /// Its standard error from the noise of the readings.
+    /// Standard error of the dead time due to the noise of the readings.
     pub standard_error: Span,
-    /// Error common to all readings: the largest uncertainty of a sample. It does not average out.
+    /// Error common to all readings: the largest uncertainty of a sample. It does not average out over trials.
     pub uncertainty: Span,
     /// Total change of the readings, in the sensor's unit.
     pub moved: f64,
@@ -74,24 +74,24 @@ pub struct Onset {
     pub noise: f64,
 }
 
-/// Result for a device from all its trials.
+/// The result for a device from all its trials.
 #[derive(Clone, Debug)]
 pub struct Estimate {
-    /// The result of each trial, in order.
+    /// The result of each trial, in the order of the trials.
     pub onsets: Vec<Result<Onset, Unclear>>,
     /// Summary of the trials with a result; `None` for fewer than three.
     pub latencies: Option<Latencies>,
-    /// How the device follows; `None` if the readings do not distinguish it from a device that follows at once.
+    /// The lag with which the device follows. `None` if the readings do not distinguish the device from one that follows at once.
     pub lag: Option<downbeat_fleet::fleet::Lag>,
-    /// How far the device lags behind a ramp once it follows: dead time plus time constant, which is exact for the model. `None` if no
-    /// movement lasted long enough.
+    /// Time by which the device lags behind a ramp once it follows steadily: dead time plus time constant, which is exact for the model.
+    /// `None` if no movement lasted long enough.
     pub tracking_lag: Option<Span>,
 }
 
-/// Determines the start of a single motion, with the known lag, or otherwise with a lag fitted to this motion alone.
+/// Determines the start of a single motion. Uses the lag if it is given, else a lag fitted to this motion alone.
 ///
 /// # Errors
-/// [`Unclear`]: the reason if it cannot be determined.
+/// Returns the reason, [`Unclear`], if the start cannot be determined.
 pub fn onset(
     trial: &Trial,
     readable: Readable,
@@ -105,7 +105,7 @@ pub fn onset(
     readable.judged(trial, &readings, fitted, Lag { later, ..lag })
 }
 
-/// Determines the latency of each of several motions of one device, and their common properties.
+/// Determines the latency of each of several motions of one device, and the properties that they share.
 #[must_use]
 pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
     let readings: Vec<Result<Readings, Unclear>> =
@@ -171,7 +171,7 @@ impl Readable {
         at_end(largest, share(values.iter().filter(|value| **value >= largest).count()))
     }
 
-    /// See [`begin::later`].
+    /// Returns the result of [`begin::later`] for the pooled readings of these trials.
     fn later(&self, trials: &[(&Trial, &Readings, Fitted)], lag: Lag) -> f64 {
         let Some((trial, ..)) = trials.first() else { return 0.0 };
         let pooled: Vec<_> = trials.iter().map(|(_, readings, fitted)| (*readings, *fitted)).collect();
@@ -223,7 +223,7 @@ impl Readable {
     }
 }
 
-/// The larger of two uncertainties: that of the last reading up to an instant and that of the first one after it.
+/// Returns the larger of two uncertainties: that of the last reading up to an instant, and that of the first reading after it.
 fn uncertainty_at(trial: &Trial, instant: Span) -> Span {
     let (before, after): (Vec<&Sample>, Vec<&Sample>) =
         trial.samples.iter().partition(|sample| sample.at <= instant);

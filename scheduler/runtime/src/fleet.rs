@@ -16,7 +16,7 @@ use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 use crate::link::{Endpoint, LinkEncoding, Site};
 use downbeat_mission::{Destination, Greeting, Participant, PlanTransfer};
 
-/// A robot cannot be simulated.
+/// The error for a robot that cannot be simulated, because the fleet file does not describe it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("robot `{robot}` has no `init:` file in the fleet file; a simulated robot requires one")]
 pub struct NoInit {
@@ -24,11 +24,11 @@ pub struct NoInit {
     pub robot: RobotId,
 }
 
-/// Robots that run in this process cannot be started.
+/// Why robots that run in this process cannot be started, or robots elsewhere cannot be connected.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EndpointError {
-    /// A robot is not described.
+    /// The fleet file has no `init:` file for a robot.
     #[error(transparent)]
     NoInit(#[from] NoInit),
     /// A robot's driver cannot be used.
@@ -36,7 +36,7 @@ pub enum EndpointError {
     Driver {
         /// The robot's id.
         robot: RobotId,
-        /// The reason.
+        /// Why the driver cannot be used.
         error: DriverError,
     },
     /// The operator's identity cannot be used.
@@ -50,7 +50,7 @@ pub enum EndpointError {
     Host(#[from] HostError),
 }
 
-/// The fleet's robots that the plan moves, in the plan's order.
+/// Returns the fleet's robots that the plan moves, in the plan's order.
 #[must_use]
 pub fn robots_of<'a>(fleet: &'a Fleet, plan: &Plan) -> Vec<&'a FleetRobot> {
     let by_id: std::collections::HashMap<_, _> =
@@ -58,7 +58,7 @@ pub fn robots_of<'a>(fleet: &'a Fleet, plan: &Plan) -> Vec<&'a FleetRobot> {
     plan.robots.iter().filter_map(|planned| by_id.get(&planned.robot).copied()).collect()
 }
 
-/// The fleet's robots that a choreography moves or reads, in the fleet's order.
+/// Returns the fleet's robots that a choreography moves or reads, in the fleet's order.
 #[must_use]
 pub fn robots_in<'a>(fleet: &'a Fleet, choreography: &Choreography) -> Vec<&'a FleetRobot> {
     let moved = choreography.acts.iter().flat_map(|act| &act.plan.robots).map(|robot| robot.robot.as_str());
@@ -71,7 +71,7 @@ pub fn robots_in<'a>(fleet: &'a Fleet, choreography: &Choreography) -> Vec<&'a F
     fleet.robots.iter().filter(|robot| all.contains(robot.id.as_str())).collect()
 }
 
-/// Plans acts after a stop for the robots of a fleet file.
+/// Plans the acts that move robots to their destinations after a stop, with the settings of a fleet file.
 #[derive(Debug)]
 struct Planner(Fleet);
 
@@ -97,13 +97,14 @@ impl PlanTransfer for Planner {
     }
 }
 
-/// Returns the planner of acts after a stop, for [`downbeat_mission::MissionOptions::transfer`].
+/// Returns the planner of the acts that move robots to their destinations after a stop, for
+/// [`downbeat_mission::MissionOptions::transfer`].
 #[must_use]
 pub fn transfer(fleet: &Fleet) -> Arc<dyn PlanTransfer> {
     Arc::new(Planner(fleet.clone()))
 }
 
-/// Converts the robots for the mission.
+/// Converts robots of the fleet file to the mission's participants, in the same order.
 #[must_use]
 pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
     let participant = |robot: &&FleetRobot| Participant {
@@ -124,7 +125,7 @@ fn settings_of(robot: &FleetRobot) -> MissionSettings {
     MissionSettings { encoding, ..robot.mission.clone() }
 }
 
-/// Whether handshake steps 1 to 4 are played.
+/// Returns whether the mission performs handshake steps 1 to 4 with its robots, as the fleet file's `handshake:` states.
 #[must_use]
 pub fn greeting(fleet: &Fleet) -> Greeting {
     match fleet.handshake {
@@ -150,21 +151,21 @@ fn simulated_with(robot: &FleetRobot, settings: Settings) -> Result<SimulatedRob
     Ok(simulated)
 }
 
-/// Creates the robot for a dry run. If the fleet file sets no message delay, the delay of a wired network is used: with instant delivery,
-/// messages that are late in reality would go unnoticed.
+/// Creates the robot for a dry run. If the fleet file sets no message delay, the delay of a wired network is used: if messages were
+/// delivered instantly, a dry run would not show messages that are late in reality.
 ///
 /// # Errors
-/// Same as [`simulated`].
+/// Returns [`NoInit`] if the fleet file does not describe the robot.
 pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
     let settings = settings(robot, seed);
     let delay = settings.delay.or(Some(WIRED));
     simulated_with(robot, Settings { delay, ..settings })
 }
 
-/// Same as [`rehearsed`], with changed settings.
+/// Like [`rehearsed`], but applies `change` to the simulation's settings first.
 ///
 /// # Errors
-/// Same as [`simulated`].
+/// Returns [`NoInit`] if the fleet file does not describe the robot.
 pub fn rehearsed_with(
     robot: &FleetRobot,
     change: impl FnOnce(&mut Settings),
@@ -197,7 +198,7 @@ fn settings(robot: &FleetRobot, seed: u64) -> Settings {
     }
 }
 
-/// Returns the fleet file's limits, which apply when the robot's devices move to rest or home.
+/// Returns the limits from the fleet file at which the robot's devices move to rest or home.
 fn limits(robot: &FleetRobot) -> BTreeMap<DeviceId, MotionLimits> {
     let limit = |(device, limits): (&String, &RateLimits)| {
         let RateLimits { speed, acceleration } = *limits;
@@ -219,18 +220,18 @@ const LOOK_EVERY: Duration = Duration::from_millis(10);
 /// Whether the programs that the fleet file names as drivers are started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StartPrograms {
-    /// They are started: the operator requested it, or plays a mission.
+    /// Driver programs are started, because the operator requested it or plays a mission.
     Yes,
-    /// They are not started, and their robots are unavailable. A read-only command executes no program that a file names.
+    /// Driver programs are not started, and their robots are unavailable. A read-only command executes no program that a file names.
     No,
 }
 
-/// How the drivers of robots in this process run.
+/// Settings for the drivers of robots in this process.
 #[derive(Clone, Copy, Debug)]
 pub struct Drivers {
-    /// Whether programs are started.
+    /// Whether programs that the fleet file names as drivers are started.
     pub programs: StartPrograms,
-    /// How long a program may take to answer.
+    /// Maximum times that a driver program may take to answer.
     pub timeouts: Timeouts,
 }
 
@@ -242,13 +243,13 @@ impl From<StartPrograms> for Drivers {
 
 impl Drivers {
     /// Time to wait for the hardware. A program has the start timeout for each of its first two lines. One additional second allows the
-    /// driver to report the reason if the program misses it.
+    /// driver to report the reason if the program misses the timeout.
     fn wait(self) -> Duration {
         (self.timeouts.start * 2 + Duration::from_secs(1)).max(HARDWARE_WAIT)
     }
 }
 
-/// Replaces the driver of a program that is not started.
+/// Driver that stands in for a program that is not started; it refuses every call.
 struct NotStarted;
 
 impl NotStarted {
@@ -276,7 +277,8 @@ impl Driver for NotStarted {
     }
 }
 
-/// Creates the robot that runs in this process: a simulated one, or an edge with a driver. Returns `None` if the robot listens itself.
+/// Creates the robot that runs in this process: a simulated one, or an edge with a driver. Returns `None` if the robot has a network
+/// address and listens there itself.
 fn hosted(robot: &FleetRobot, seed: u64, drivers: Drivers) -> Result<Option<Hosted>, EndpointError> {
     let spec = match &robot.address {
         Address::Tcp { .. } | Address::Zenoh { .. } => return Ok(None),
@@ -311,7 +313,7 @@ pub fn endpoints(
     Ok((host, endpoints))
 }
 
-/// Waits like [`endpoints`], without blocking the thread.
+/// Waits for the hardware of the host's robots as [`endpoints`] does, but without blocking the thread.
 #[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
 pub async fn await_hardware(host: &Host, drivers: Drivers) {
     let until = Instant::now() + drivers.wait();
@@ -320,10 +322,10 @@ pub async fn await_hardware(host: &Host, drivers: Drivers) {
     }
 }
 
-/// Same as [`endpoints`], but does not wait for the hardware.
+/// Like [`endpoints`], but does not wait until drivers have connected to their hardware.
 ///
 /// # Errors
-/// Same as [`endpoints`].
+/// Returns [`EndpointError`] if a robot cannot be simulated or driven, or if the host cannot start.
 pub fn endpoints_at_once(
     robots: &[&FleetRobot],
     handshake: Handshake,
@@ -359,7 +361,7 @@ pub fn endpoints_at_once(
     Ok((host, endpoints))
 }
 
-/// Without a handshake, the files are trusted.
+/// Returns the encoding for messages to a robot. Without a handshake, the robot's init file decides whether it is used at once.
 fn encoding(robot: &FleetRobot, handshake: Handshake) -> LinkEncoding {
     let encoding = robot.mission.encoding;
     let listed = robot.init.as_ref().is_some_and(|block| block.understands(encoding));

@@ -1,8 +1,8 @@
-//! The number of sockets that this process may hold: a fleet of a thousand robots needs more than the usual soft limit.
+//! The limit of open files, which also limits sockets. A fleet of a thousand robots needs more sockets than the usual soft limit permits.
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Raises the soft limit of open files to the hard limit. If that is not permitted, the limit stays as it is.
+/// Raises the soft limit of open files to the hard limit. If the system does not permit that, the soft limit stays unchanged.
 pub fn raise_limit() {
     let Rlimit { maximum, .. } = getrlimit(Resource::Nofile);
     if let Err(error) = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }) {

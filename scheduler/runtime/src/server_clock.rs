@@ -1,5 +1,5 @@
-//! The server's clock. It starts from the system clock, corrected by NTP, and then follows the monotonic clock, so that a step of the
-//! system clock does not shift the schedule. [`NtpWatch`] reports how far it has drifted since.
+//! The server's clock. It starts from the system clock, corrected by NTP, and then follows the monotonic clock. A step of the system
+//! clock therefore does not shift the schedule. [`NtpWatch`] reports how far it has drifted from NTP since.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -15,24 +15,25 @@ use urrcp::{Server, Span, Timestamp};
 
 use downbeat_mission::clock::{ClockEstimate, ClockSample, NtpState};
 
-/// Number of NTP exchanges in one measurement. The bounds of all of them are combined.
+/// Number of NTP exchanges in one measurement. The measurement combines the bounds of all exchanges.
 const NTP_SAMPLES: usize = 5;
 /// Pause between two NTP exchanges.
 const NTP_INTERVAL: Duration = Duration::from_millis(50);
 const NTP_TIMEOUT: Duration = Duration::from_secs(2);
-/// Allowance for rounding: rsntp computes in floating point, and the system clock and the monotonic clock are not read at the same
-/// instant.
+/// Allowance for rounding in one exchange: rsntp computes in floating point, and the system clock and the monotonic clock are not read at
+/// the same instant.
 const NTP_ROUNDING: Span = Span::from_micros(1);
-/// Number of consecutive unanswered questions after which the server is considered lost. A single datagram may be lost.
+/// Number of consecutive unanswered requests after which the NTP server is considered lost. More than one, because a single datagram may
+/// get lost.
 const NTP_LOST_AFTER: u32 = 3;
-/// Interval between two questions of a watch: the shortest steady polling interval in RFC 5905 (MINPOLL, 2^4 s).
+/// Interval between two requests of an [`NtpWatch`]: the shortest steady polling interval in RFC 5905 (MINPOLL, 2^4 s).
 pub const NTP_WATCH_INTERVAL: Duration = Duration::from_secs(16);
 
-/// Reads the server's time. Copies always agree.
+/// The server's clock. Copies always show the same time.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerClock {
     host: HostClock,
-    /// The server's time minus the host's time.
+    /// Server time minus the time of the host's clock.
     offset: Span,
 }
 
@@ -43,7 +44,7 @@ impl ServerClock {
         Self { host: HostClock::anchored(), offset }
     }
 
-    /// The server's time minus the system's time.
+    /// Server time minus system time, as set when the clock was anchored.
     #[must_use]
     pub const fn offset(&self) -> Span {
         self.offset
@@ -61,11 +62,11 @@ impl ServerClock {
         self.host.instant_of((timestamp - self.offset).assume_clock())
     }
 
-    /// How far the current system clock is ahead of this clock.
+    /// Returns the time by which the system clock is currently ahead of this clock. Negative if it is behind.
     fn system_ahead(&self) -> Span {
         let system = Self::anchored(Span::ZERO);
-        // Compares the instants at which both clocks show the same time. Two successive readings would include a delay between them. The
-        // time is later than both anchors, where instants are exact.
+        // Compares the instants at which both clocks show the same time. Two successive readings would include the delay between them.
+        // `shown` is later than both anchors, because instants are exact only after the anchor.
         let shown = system.now().max(self.now()) + Span::from_millis(1_000);
         let (by_system, by_this) = (system.instant_of(shown), self.instant_of(shown));
         Span::from(by_this.saturating_duration_since(by_system))
@@ -73,20 +74,20 @@ impl ServerClock {
     }
 }
 
-/// An NTP server's view of the system clock.
+/// A comparison of the system clock with an NTP server.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NtpReading {
     /// NTP time minus system time.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// The true offset is within this distance of `offset`, if the NTP server is right.
+    /// Maximum error of `offset` if the NTP server is right.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
-    /// The stratum of the NTP server: 1 is attached to a reference clock (RFC 5905, figure 11).
+    /// The stratum of the NTP server: a server of stratum 1 is attached to a reference clock (RFC 5905, figure 11).
     pub stratum: u8,
 }
 
-/// The NTP server did not answer.
+/// The error for an NTP server that did not answer.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "no NTP time from `{server}`: {reason}; check `ntp:` in the fleet file, or leave it out to trust the system clock"
@@ -94,11 +95,12 @@ pub struct NtpReading {
 pub struct NtpError {
     /// The server, as written in the fleet file.
     pub server: String,
-    /// The reason that the client reported.
+    /// The reason as reported by the NTP client.
     pub reason: String,
 }
 
-/// Sends a few requests to an NTP server (`host` or `host:port`). The offset is where all exchanges agree.
+/// Measures the offset of the system clock with a few requests to an NTP server (`host` or `host:port`). The offset satisfies the bounds
+/// of all exchanges.
 ///
 /// # Errors
 /// Returns [`NtpError`] if no exchange succeeded.
@@ -119,7 +121,7 @@ pub async fn ask_ntp(server: &str) -> Result<NtpReading, NtpError> {
                 estimate.add(sample);
                 stratum = Some(told);
             }
-            // A server that is down stays down: the first exchange decides.
+            // If the first exchange fails, the server is probably down, so no further ones are tried.
             Err(error) if question == 0 => return Err(failed(error)),
             Err(error) => reason = error,
         }
@@ -146,7 +148,7 @@ async fn resolve(server: &str) -> Result<SocketAddr, String> {
     preferred.copied().ok_or_else(|| "the name has no address".to_owned())
 }
 
-/// Performs one exchange. Returns NTP time minus `clock`, and the stratum.
+/// Performs one NTP exchange. Returns a sample of NTP time minus the time of `clock`, and the server's stratum.
 async fn exchange(
     server: SocketAddr,
     clock: &ServerClock,
@@ -180,7 +182,7 @@ async fn exchange(
     Ok((sample, result.stratum()))
 }
 
-/// Sends requests to an NTP server at regular intervals until it is dropped.
+/// Compares the server's clock with an NTP server at regular intervals, until this value is dropped.
 #[derive(Debug)]
 pub struct NtpWatch {
     states: watch::Receiver<NtpState>,
@@ -188,7 +190,8 @@ pub struct NtpWatch {
 }
 
 impl NtpWatch {
-    /// Sends the first request at once, then one every `interval`. An answer must arrive before the next request. Needs a runtime.
+    /// Starts the watch. It sends the first request at once, then one every `interval`. An answer must arrive before the next request.
+    /// Must be called within a tokio runtime.
     #[must_use]
     pub fn start(server: String, clock: ServerClock, interval: Duration) -> Self {
         let (tell, states) = watch::channel(NtpState::default());
@@ -196,13 +199,13 @@ impl NtpWatch {
         Self { states, task }
     }
 
-    /// The current state.
+    /// Returns the latest state of the server's clock relative to NTP.
     #[must_use]
     pub fn state(&self) -> NtpState {
         *self.states.borrow()
     }
 
-    /// Waits for the next request, answered or not, and returns the state after it.
+    /// Waits until the next request has been answered or has failed, and returns the state after it.
     pub async fn next(&mut self) -> NtpState {
         if self.states.changed().await.is_err() {
             // The task lives as long as this value.
@@ -250,7 +253,8 @@ async fn watch_ntp(server: &str, clock: &ServerClock, interval: Duration, tell: 
         }
         let lost = unanswered >= NTP_LOST_AFTER;
         if lost {
-            // The name may lead to another server meanwhile. If its clock differs, the difference is treated as a step.
+            // The name is resolved again, because it may lead to another server meanwhile. If its clock differs, the difference is
+            // treated as a step.
             address = None;
         }
         let reading = estimate.reading_at(clock.now());
@@ -280,7 +284,7 @@ mod tests {
     struct Responder {
         offset_nanos: Arc<AtomicI64>,
         is_silent: Arc<AtomicBool>,
-        /// The questions that it refuses, counted from 0.
+        /// Indices of the requests that this server refuses, counted from 0.
         refuses: Vec<usize>,
         questions: Arc<AtomicUsize>,
     }
@@ -329,7 +333,7 @@ mod tests {
 
     #[track_caller]
     fn assert_is(state: NtpState, change: Span) {
-        // Anchoring reads two clocks, one after the other.
+        // Anchoring reads two clocks one after the other, which causes a small error.
         let error = (state.offset_change - change).abs();
         assert!(error <= state.uncertainty.unwrap() + Span::from_micros(5), "{state:?}");
     }

@@ -21,28 +21,28 @@ use downbeat_mission::Rest;
 /// A signal that asks the program to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked {
-    /// Ctrl-C.
+    /// SIGINT, for example from Ctrl-C.
     Interrupt,
-    /// A supervisor's SIGTERM.
+    /// SIGTERM, for example from a supervisor. Also SIGPWR and SIGXCPU.
     Terminate,
-    /// Ctrl-\.
+    /// SIGQUIT, for example from Ctrl-\.
     Quit,
-    /// The terminal was closed, or the connection to it was lost.
+    /// SIGHUP: the terminal was closed, or the connection to it was lost.
     HangUp,
-    /// Another process asks a scheduler to send its robots to their default state.
+    /// SIGRTMIN+1: another process asks a scheduler to send its robots to their default state.
     Home,
 }
 
 /// Whether the program ends when its terminal closes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnHangUp {
-    /// Ends as for SIGTERM, unless the program was started with SIGHUP ignored, as `nohup` does.
+    /// The program ends as for SIGTERM, unless the program was started with SIGHUP ignored, as `nohup` does.
     End,
-    /// Continues.
+    /// The program continues.
     Stay,
 }
 
-/// Catches the signals that would kill the program for no good reason. Child processes get the default effects.
+/// Catches signals that would kill the program by default, although they do not ask it to end. Child processes get the default effects.
 pub fn take_harmless() {
     let timers = [SIGALRM, SIGVTALRM, SIGPROF];
     for harmless in [SIGUSR1, SIGUSR2, SIGXFSZ, SIGIO, uapi::c::SIGSTKFLT].into_iter().chain(timers) {
@@ -56,9 +56,9 @@ fn take(number: i32) {
     }
 }
 
-/// Restores the state, for example of the terminal, before the process dies.
+/// The function that restores state, for example of the terminal, before the process dies.
 static BEFORE_DEATH: OnceLock<fn()> = OnceLock::new();
-/// Maximum time for [`BEFORE_DEATH`].
+/// Maximum time to wait for the function in [`BEFORE_DEATH`].
 const RESTORED_WITHIN: Duration = Duration::from_millis(500);
 
 /// Sets the function that [`die_of`] calls before it ends the process. Only the first call has an effect.
@@ -71,7 +71,7 @@ pub fn restore_before_death(restore: fn()) {
 pub fn die_of(asked: Asked) {
     if let Some(restore) = BEFORE_DEATH.get() {
         let (done, restored) = sync_channel(1);
-        // On its own thread, because the function may block for the same reason as the process.
+        // The function runs on its own thread, because it may block for the same reason as the process.
         std::thread::spawn(move || {
             restore();
             let _given_up = done.send(());
@@ -101,7 +101,8 @@ pub struct Signals {
     terminate: Signal,
     quit: Signal,
     hang_up: Option<Signal>,
-    /// The power supply fails, or the CPU time is used up. No other signal precedes the kill.
+    /// SIGPWR and SIGXCPU: the power supply fails, or the CPU time is used up. The system kills the process afterwards without another
+    /// signal.
     last: [Signal; 2],
     home: Option<Signal>,
 }
@@ -126,7 +127,7 @@ impl Signals {
         Ok(Self { interrupt, terminate, quit: signal(SignalKind::quit())?, hang_up, last, home: None })
     }
 
-    /// Same as [`listen`](Self::listen), for a scheduler, which can also be asked to send its robots home.
+    /// Like [`listen`](Self::listen), but for a scheduler: also catches the signal that asks it to send its robots home.
     ///
     /// # Errors
     /// Fails if the operating system refuses a signal handler.
@@ -135,7 +136,7 @@ impl Signals {
         Ok(Self { home, ..Self::listen(on_hang_up)? })
     }
 
-    /// Waits for the next signal.
+    /// Waits for the next signal that asks the program to end.
     pub async fn next(&mut self) -> Asked {
         let [power, processor] = &mut self.last;
         tokio::select! {
@@ -159,12 +160,13 @@ async fn received(signal: &mut Option<Signal>) {
     }
 }
 
-/// The signal that asks a scheduler to send its robots home.
+/// Returns the number of the signal that asks a scheduler to send its robots home.
 fn home_number() -> i32 {
     uapi::c::SIGRTMIN() + 1
 }
 
-/// Signals a scheduler to stop its robots. A suspended one does so once it continues. Returns the signal's name if it could be sent.
+/// Sends a scheduler the signal to stop its robots. A suspended scheduler stops them once it continues. Returns the signal's name if it
+/// could be sent.
 pub fn stop(scheduler: Pid, rest: Rest) -> Option<&'static str> {
     let (name, sent) = match rest {
         Rest::InPlace => ("SIGTERM", kill_process(scheduler, rustix::process::Signal::TERM).is_ok()),
@@ -179,7 +181,7 @@ fn is_ignored(number: i32) -> bool {
     ignored(&status) >> (number - 1) & 1 == 1
 }
 
-/// The mask of ignored signals in `/proc/self/status` (proc(5)).
+/// Returns the bit mask of ignored signals from the text of `/proc/self/status` (proc(5)).
 fn ignored(status: &str) -> u64 {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)

@@ -1,4 +1,4 @@
-//! The report of a mission in a few lines, for the people who run the show.
+//! The short form of a mission's report: a few lines for the people who run the show.
 
 use downbeat_mission::report::{ActReport, Report, RobotReport, StopState};
 use downbeat_mission::{Preflight, Verdict};
@@ -7,7 +7,7 @@ use urrcp::{RobotId, Span};
 
 use super::local::time_of_day;
 
-/// The figures of a mission, and what went wrong with its robots.
+/// Returns the most important figures of a mission, and the faults of its robots, as sentences.
 pub(super) fn sentences(report: &Report) -> Vec<String> {
     let mut sentences = Vec::new();
     if !report.acts.is_empty() {
@@ -19,7 +19,7 @@ pub(super) fn sentences(report: &Report) -> Vec<String> {
     sentences
 }
 
-/// The robots that did not do all that was planned. The table of the report lists only these.
+/// Whether a robot did not execute everything that was planned. The table of the short report lists only such robots.
 pub(super) fn deviates(robot: &&RobotReport) -> bool {
     !robot.accepted
         || robot.started < robot.scripts
@@ -85,10 +85,10 @@ fn confirmed_stops(report: &Report) -> Option<String> {
     (!all.is_empty()).then(|| all.join(", "))
 }
 
-/// Maximum number of robots in one warning.
+/// Maximum number of robots whose ids one warning contains.
 const NAMED_MAX: usize = 3;
 
-/// The warnings of a preflight, each with all robots that it concerns.
+/// Returns the warnings of a preflight. Each warning is listed once, with the robots that it concerns.
 #[must_use]
 pub fn preflight_warnings(preflight: &Preflight) -> Vec<String> {
     let mut warnings: Vec<(String, Vec<&RobotId>)> = Vec::new();
@@ -114,7 +114,7 @@ pub fn preflight_warnings(preflight: &Preflight) -> Vec<String> {
     warnings.into_iter().map(named).collect()
 }
 
-/// Milliseconds, or seconds from one second up, with two significant digits.
+/// Formats a duration with two significant digits: in milliseconds, or in seconds from one second up.
 pub fn rounded(span: Span) -> String {
     let millis = span.as_millis_f64();
     let (value, unit) = if millis.abs() < 1_000.0 { (millis, "ms") } else { (millis / 1_000.0, "s") };

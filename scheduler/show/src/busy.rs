@@ -3,15 +3,16 @@
 use downbeat_scripts::{Act, DeviceScript, FleetRobot};
 use urrcp::{ControlType, DeviceId, Interpolation, RobotId, Step};
 
-/// The times at which a robot moves.
+/// The intervals in which a robot moves during an act.
 #[derive(Debug)]
 pub(super) struct Busy<'a> {
     pub(super) robot: &'a RobotId,
-    /// Start and end in milliseconds from the act's start, in any order; a jump ends when it starts.
+    /// Start and end of each motion in milliseconds from the act's start. The motions are in any order. A jump ends when it starts.
     pub(super) moves: Vec<(f64, f64)>,
 }
 
-/// The robots of an act in the order of its plan; `robots` are the same robots from the fleet.
+/// Returns when each robot of an act moves, in the order of the act's plan. `robots` are the corresponding robots of the fleet, in the
+/// same order.
 pub(super) fn busy<'a>(act: &'a Act, robots: &[&FleetRobot]) -> Vec<Busy<'a>> {
     let moves = |(index, plan): (usize, &'a downbeat_scripts::RobotPlan)| {
         let robot = robots.get(index).copied();
@@ -25,13 +26,13 @@ pub(super) fn busy<'a>(act: &'a Act, robots: &[&FleetRobot]) -> Vec<Busy<'a>> {
     act.plan.robots.iter().enumerate().map(moves).collect()
 }
 
-/// How a device interpolates between steps, according to its robot's description.
+/// Returns how a device interpolates between steps, according to its robot's description. `None` if no description contains the device.
 pub(super) fn interpolation(robot: Option<&FleetRobot>, device: &DeviceId) -> Option<Interpolation> {
     let block = robot.and_then(|robot| robot.init.as_ref())?;
     Some(block.device(device.as_str())?.interpolation)
 }
 
-/// `begin`: the start of its motion, in milliseconds.
+/// Returns the start and end of each motion of a script, in milliseconds. `begin` is the start of the script's motion, in milliseconds.
 fn moves_of(script: &DeviceScript, begin: f64, interpolation: Option<Interpolation>) -> Vec<(f64, f64)> {
     let steps = script.script.steps();
     let first = steps.first().map(|step| step.offset.get()).map(|at| (begin + at, begin + at));
@@ -47,7 +48,7 @@ fn moves_of(script: &DeviceScript, begin: f64, interpolation: Option<Interpolati
     first.into_iter().chain(between).collect()
 }
 
-/// Whether the device keeps moving without a further step: at any speed other than zero.
+/// Whether the device keeps moving after this step if no other step follows: if the step sets a speed or acceleration other than zero.
 fn keeps_moving(step: &Step) -> bool {
     let is_rate = matches!(step.setpoint.control_type, ControlType::Speed | ControlType::Acceleration);
     is_rate && step.setpoint.values().any(|value| value != 0.0)
@@ -59,7 +60,7 @@ mod tests {
 
     use super::*;
 
-    /// The script starts at 1 s and has a step every second.
+    /// Checks the motions of a script that starts at 1 s and has a step every second.
     #[track_caller]
     fn check(
         control_type: ControlType,

@@ -1,13 +1,13 @@
-//! The result of every act of the scenario, as lines for people.
+//! Formats the result of every act of the scenario as lines for people.
 
 use downbeat_scripts::counted;
 
 use downbeat_mission::report::{ActCourse, ActFate, Report};
 
-/// With more acts, those played exactly once are only counted.
+/// Maximum number of acts to list in full. If there are more, acts that were played exactly once are only counted.
 const LISTED_MAX: usize = 20;
 
-/// One line per act; none if the scenario has only one act, which the rest of the report covers.
+/// Returns one line per act. Returns no lines if the scenario has only one act, because the rest of the report covers it.
 #[must_use]
 pub fn course_lines(report: &Report) -> Vec<String> {
     if report.course.len() < 2 {

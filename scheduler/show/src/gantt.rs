@@ -1,4 +1,4 @@
-//! The plan of an act as a chart for terminals: cues as bars over time, below them the times at which each robot moves.
+//! The plan of an act as a chart for terminals: cues are bars over time; below them, the chart shows when each robot moves.
 
 use std::ops::RangeInclusive;
 
@@ -14,11 +14,11 @@ use super::ruler::{Tick, length, ticks};
 use super::table::wrapped;
 use super::text::act_line;
 
-/// Width for a pipe or a file.
+/// Width of the chart, in columns, if it is written to a pipe or a file.
 const COLUMNS_OF_A_FILE: usize = 80;
-/// Minimum width of a chart; a narrower terminal breaks its lines.
+/// Minimum width of a chart in columns. A narrower terminal wraps the chart's lines.
 const COLUMNS_MIN: usize = 20;
-/// Longer names are cut, even if there is room.
+/// Maximum width of a name in columns. Longer names are cut, even if there is room.
 const NAME_MAX: usize = 28;
 /// Number of lines after which the ruler is repeated.
 const LINES_A_RULER: usize = 40;
@@ -26,7 +26,7 @@ const LINES_A_RULER: usize = 40;
 const LEGEND: &str = "━ plays or moves, · slack: it could start later by this much, ◆ a mark, * critical path: it determines when \
 the act ends";
 
-/// The content of a bar's column.
+/// The content of one column of a bar.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Cell {
     Empty,
@@ -48,7 +48,7 @@ impl Cell {
         }
     }
 
-    /// Stripped on output if that is not a terminal; the characters are distinct without it.
+    /// Returns the colour of the cell. It is removed if the output is not a terminal; the characters are distinguishable without it.
     fn style(self) -> Style {
         match self {
             Self::Empty | Self::Mark => Style::new(),
@@ -59,19 +59,19 @@ impl Cell {
     }
 }
 
-/// The layout of names and times.
+/// The layout of a chart: the columns for names and for times.
 struct Chart {
-    /// Columns for names.
+    /// Number of columns for names.
     names: usize,
-    /// Columns for the time from the act's start to its end.
+    /// Number of columns for the time from the act's start to its end.
     width: usize,
     /// Duration of the act in milliseconds.
     total: f64,
     ticks: Vec<Tick>,
 }
 
-/// Draws the cues of an act in the order of their starts, and the times at which its robots move, in this many columns. `robots` are
-/// those of the plan, in its order.
+/// Draws the cues of an act in the order of their starts, and the times at which its robots move. The chart is `columns` wide. `robots`
+/// are the robots of the plan, in the plan's order.
 #[must_use]
 pub fn gantt(act: &Act, robots: &[&FleetRobot], columns: usize) -> String {
     let columns = if columns == UNBOUNDED { COLUMNS_OF_A_FILE } else { columns.max(COLUMNS_MIN) };
@@ -95,18 +95,18 @@ impl Chart {
         let total = length(act);
         let label = ticks(total, 1).pop().map_or(1, |tick| tick.label.width());
         let mut ticks = ticks(total, width / (label + 5));
-        // A tick at the very end has no column of its own.
+        // A tick at the end of the act has no column, so it is omitted.
         ticks.retain(|tick| tick.millis < total);
         Self { names, width, total, ticks }
     }
 
-    /// The column in which an instant lies.
+    /// Returns the column that contains an instant, given in milliseconds.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded by the width")]
     fn column(&self, millis: f64) -> usize {
         ((millis / self.total * self.width as f64).max(0.0) as usize).min(self.width - 1)
     }
 
-    /// The columns that an interval touches, at least one.
+    /// Returns the columns that an interval touches, at least one. `start` and `end` are in milliseconds.
     fn columns(&self, start: f64, end: f64) -> RangeInclusive<usize> {
         let first = self.column(start);
         // An interval that ends exactly at the start of a column does not touch that column.
@@ -152,13 +152,14 @@ impl Chart {
         format!("{name}{}", " ".repeat(self.names.saturating_sub(name.width())))
     }
 
-    /// Lines under a ruler, which is repeated so that it stays in view.
+    /// Returns the lines below a ruler. The ruler is repeated at regular intervals so that it stays in view.
     fn section(&self, title: &str, lines: &[String]) -> String {
         let ruler = self.ruler(title);
         lines.chunks(LINES_A_RULER).map(|lines| format!("{ruler}{}", lines.concat())).collect()
     }
 
-    /// Each label starts next to its tick; labels that would overlap another one or exceed the chart are omitted.
+    /// Returns the line that contains the title and the labels of the ticks. Each label starts next to its tick. Labels that would
+    /// overlap another one or exceed the chart are omitted.
     fn ruler(&self, title: &str) -> String {
         let mut line = String::new();
         for tick in &self.ticks {
@@ -173,7 +174,7 @@ impl Chart {
     }
 }
 
-/// Merges equal cells, so that each run is coloured once.
+/// Formats cells in colour. Adjacent equal cells share one colour sequence.
 fn painted(cells: &[Cell]) -> String {
     let run = |cells: &[Cell]| {
         let style = cells[0].style();

@@ -1,4 +1,4 @@
-//! Plans, reports and fleets for people: text, tables, charts, graphs and pictures.
+//! Shows plans, reports and fleets to people, as text, tables, charts, graphs and pictures.
 
 mod brief;
 mod busy;

@@ -1,5 +1,5 @@
-//! A dry run as an SVG picture: cues as bars, below them a lane per device, with planned values as a line and the values that the robot
-//! set as dots.
+//! Draws a dry run as an SVG picture. Cues are bars. Below them, each device has a lane: a line shows the planned values, and dots show
+//! the values that the robot set.
 
 mod cues;
 mod head;
@@ -19,27 +19,27 @@ use super::ruler::{Tick, length, ticks};
 use downbeat_mission::report::ActReport;
 use downbeat_rehearsal::dry_run::Played;
 
-/// Pixels to the left and right of the time axis, for names and ranges.
+/// Space to the left and right of the time axis, in pixels, for names and ranges of values.
 const LEFT: f64 = 170.0;
 const RIGHT: f64 = 120.0;
-/// Pixels per second, within the limits of the total width.
+/// Pixels per second of the act. The total width may require fewer or more.
 const SECOND: f64 = 6.0;
 const WIDTH_MIN: f64 = 760.0;
 const WIDTH_MAX: f64 = 3_600.0;
-/// Minimum pixels between two ticks.
+/// Minimum distance between two ticks in pixels.
 const TICK: f64 = 64.0;
 
-/// Pixels from the top edge to the legend and to the lines of the upper ruler, and pixels below those lines.
+/// Distances in pixels: from the top edge to the legend, from the top edge to the lines of the upper ruler, and below these lines.
 const LEGEND: f64 = 62.0;
 const TOP: f64 = 92.0;
 const BOTTOM: f64 = 40.0;
-/// Pixels above and below the cues.
+/// Distance above and below the cues in pixels.
 const GAP: f64 = 8.0;
 
-/// Maximum columns of a name.
+/// Maximum width of a name in columns.
 const NAME_MAX: usize = 60;
 
-/// The time axis, from left to right.
+/// The time axis of the picture, from left to right.
 struct Frame {
     /// Duration of the act in milliseconds.
     total: f64,
@@ -56,17 +56,17 @@ impl Frame {
         Self { total, width, ticks: ticks(total, (width / TICK) as usize) }
     }
 
-    /// Pixels from the act's start.
+    /// Returns the distance of an instant from the act's start in pixels.
     fn offset(&self, millis: f64) -> f64 {
         self.width * millis / self.total
     }
 
-    /// Pixels from the picture's edge.
+    /// Returns the distance of an instant from the left edge of the picture in pixels.
     fn x(&self, millis: f64) -> f64 {
         LEFT + self.offset(millis)
     }
 
-    /// The limit to the right for names of cues.
+    /// Returns the right limit for names of cues, in pixels from the left edge.
     fn right(&self) -> f64 {
         self.full_width() - 6.0
     }
@@ -76,8 +76,8 @@ impl Frame {
     }
 }
 
-/// Draws the cues of an act, and for each device the plan and the values that were set in virtual time. `robots` are those of the plan,
-/// in its order; `reported` is the result of the act.
+/// Draws the cues of an act. For each device, also draws the planned values and the values that were set in the simulation. `robots` are
+/// the robots of the plan, in the plan's order; `reported` is the result of the act.
 #[must_use]
 pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Played) -> String {
     let frame = Frame::of(act);
@@ -97,7 +97,7 @@ pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Pl
     svg
 }
 
-/// The kinds of drawing in the picture of an act.
+/// Returns the kinds of drawing that occur in the picture of an act.
 fn kinds(act: &Act, lanes: &Lanes<'_>) -> Vec<Kind> {
     let occurs = [
         (Kind::Cue, act.cues.iter().any(|cue| !cue.critical)),

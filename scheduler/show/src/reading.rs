@@ -1,6 +1,7 @@
-//! A sensor reading in readable form.
+//! Formats sensor readings for people.
 
-/// Rounds to six decimal places; a value that would become zero is shown with two significant digits and its power of ten.
+/// Formats a reading with at most six decimal places. A value that would be rounded to zero is shown with two significant digits and a
+/// power of ten.
 pub(super) fn reading_text(value: f64) -> String {
     let rounded = (value * 1e6).round() / 1e6;
     if value != 0.0 && rounded == 0.0 { format!("{value:.1e}") } else { rounded.to_string() }

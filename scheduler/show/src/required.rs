@@ -1,9 +1,10 @@
-//! The requirements of a scenario and their results, as a table.
+//! Formats the requirements of a scenario and their results as a table.
 
 use super::table::{Rows, wrapped};
 use downbeat_mission::requirements::{Judged, Judgement};
 
-/// A row for each requirement, followed by notes on the limits of the results. Empty if nothing is required.
+/// Returns a table with a row for each requirement, followed by notes on the limits of the results. Returns an empty text if nothing is
+/// required.
 #[must_use]
 pub fn requirements_table(judged: &[Judged], columns: usize) -> String {
     if judged.is_empty() {
@@ -37,7 +38,7 @@ pub fn requirements_table(judged: &[Judged], columns: usize) -> String {
     text
 }
 
-/// At most three decimals, or six below one.
+/// Formats a value with its unit and at most three decimal places, or six if its magnitude is below one.
 fn figure(value: f64, unit: &str) -> String {
     let shown = if value.abs() < 1.0 { format!("{value:.6}") } else { format!("{value:.3}") };
     let shown = if shown.contains('.') { shown.trim_end_matches('0').trim_end_matches('.') } else { &shown };

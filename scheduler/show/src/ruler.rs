@@ -1,4 +1,4 @@
-//! Rulers of charts and pictures: round times and their labels.
+//! Rulers of charts and pictures: ticks at round times, such as every 0.5 s, and their labels.
 
 use downbeat_scripts::Act;
 
@@ -36,22 +36,23 @@ const ROUND: [f64; 26] = [
     2.0 * HOUR,
 ];
 
-/// A round time on a ruler.
+/// A tick at a round time on a ruler.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tick {
     /// Milliseconds since the act's start.
     pub(super) millis: f64,
-    /// Label in readable form: `0.5 s`, or `1:30` if the act lasts a minute or longer.
+    /// The tick's label: `0.5 s`, or `1:30` if the act lasts a minute or longer.
     pub(super) label: String,
 }
 
-/// The length of this act's ruler in milliseconds: until its last step or the end of its last cue, at least one.
+/// Returns the length of an act's ruler in milliseconds, at least 1. The ruler ends at the act's last step or at the end of its last cue,
+/// whichever is later.
 pub(super) fn length(act: &Act) -> f64 {
     let ends = act.cues.iter().map(|cue| cue.end).max().unwrap_or_default();
     act.duration().max(ends).as_millis_f64().max(1.0)
 }
 
-/// The ticks of an act that lasts `total` milliseconds: one at zero, and at most `most` more.
+/// Returns the ticks for an act that lasts `total` milliseconds: one tick at zero, and at most `most` more.
 pub(super) fn ticks(total: f64, most: usize) -> Vec<Tick> {
     let every = every(total, most.max(1) as f64);
     let count = (total / every * (1.0 + 1e-9)).floor() as u32;
@@ -80,7 +81,7 @@ fn label(millis: f64, total: f64, every: f64) -> String {
     if hours > 0.0 { format!("{hours}:{minutes:02}:{seconds}") } else { format!("{minutes}:{seconds}") }
 }
 
-/// Removes floating-point errors: ticks are multiples of a tenth of a millisecond.
+/// Removes floating-point errors from the time of a tick in milliseconds, which is a multiple of a tenth of a millisecond.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

@@ -1,4 +1,5 @@
-//! Tables that fit: if the columns exceed the terminal, each row becomes a few lines of its own. Cells are never broken.
+//! Formats tables that fit the terminal. If the columns are too wide for it, each row is printed on several lines instead. Line breaks
+//! never split a cell.
 
 use comfy_table::{CellAlignment, Table, presets};
 use downbeat_scripts::shown::{shown, within};
@@ -6,37 +7,37 @@ use unicode_width::UnicodeWidthStr;
 
 use super::UNBOUNDED;
 
-/// Maximum width of a cell if the total width is limited.
+/// Maximum width of a cell, in columns of the terminal, if the width of the table is limited.
 const CELL_MAX: usize = 60;
 
-/// Rows under a header.
+/// A table: a header and rows.
 #[derive(Clone, Debug)]
 pub struct Rows {
     header: Vec<&'static str>,
-    /// Columns from this index are right-aligned.
+    /// Index of the first right-aligned column. All later columns are right-aligned, too.
     numbers_from: usize,
     rows: Vec<Vec<String>>,
 }
 
 impl Rows {
-    /// Creates a table without rows; columns from `numbers_from` contain numbers.
+    /// Creates a table without rows. Columns from the index `numbers_from` contain numbers, so they are right-aligned.
     #[must_use]
     pub fn new(header: &[&'static str], numbers_from: usize) -> Self {
         Self { header: header.to_vec(), numbers_from, rows: Vec::new() }
     }
 
-    /// Adds a row; escapes its cells, because they may come from outside.
+    /// Adds a row. Escapes its cells, because their text may come from outside, for example from a robot.
     pub fn add(&mut self, cells: impl IntoIterator<Item = impl AsRef<str>>) {
         self.rows.push(cells.into_iter().map(|cell| shown(cell.as_ref()).into_owned()).collect());
     }
 
-    /// Formats lines of at most this many columns, unless a single cell is wider.
+    /// Formats the table in lines of at most `columns` columns, unless a single cell is wider.
     #[must_use]
     pub fn text(&self, columns: usize) -> String {
         self.painted(columns, |_, line| line)
     }
 
-    /// Like [`Rows::text`], with `paint` applied to each line of a row; rows are numbered from 0.
+    /// Like [`Rows::text`], but applies `paint` to each line of a row. `paint` receives the row's index, from 0, and the line.
     #[must_use]
     pub fn painted(&self, columns: usize, paint: impl Fn(usize, String) -> String) -> String {
         let rows: Vec<_> = self.rows.iter().map(|row| cut(row, columns)).collect();
@@ -73,7 +74,8 @@ impl Rows {
         table
     }
 
-    /// The first cell on its own line, followed by the others with their titles, several per line if there is room.
+    /// Formats a row on several lines: the first cell on its own line, then the other cells with their titles, several per line if there
+    /// is room.
     fn stacked(&self, row: &[String], columns: usize) -> String {
         let mut cells = row.iter();
         let mut text = wrapped(cells.next().map_or("", String::as_str), columns);
@@ -94,7 +96,7 @@ impl Rows {
     }
 }
 
-/// Cuts cells to fit a terminal; nothing is cut for a file or a pipe.
+/// Cuts the cells of a row to the maximum width for a terminal. For a file or a pipe, nothing is cut.
 fn cut(row: &[String], columns: usize) -> Vec<String> {
     let largest = if columns == UNBOUNDED { usize::MAX } else { CELL_MAX };
     row.iter().map(|cell| within(cell, largest).into_owned()).collect()
@@ -103,8 +105,8 @@ fn cut(row: &[String], columns: usize) -> Vec<String> {
 /// Units that stay on the same line as their number.
 const UNITS: [&str; 4] = ["us", "ms", "s", "min"];
 
-/// Wraps text to at most this many columns, between words and never between a number and its unit. Further lines are indented by two more
-/// columns than the first.
+/// Wraps text to at most `columns` columns. Line breaks are between words, but never between a number and its unit. Further lines are
+/// indented by two more columns than the first line.
 #[must_use]
 pub fn wrapped(text: &str, columns: usize) -> String {
     let inset = text.len() - text.trim_start_matches(' ').len();
@@ -127,7 +129,7 @@ pub fn wrapped(text: &str, columns: usize) -> String {
     lines
 }
 
-/// Splits a text into words; a number and its unit are one word.
+/// Splits a text into words. A number and its unit count as one word.
 fn words(text: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     for word in text.split(' ') {

@@ -1,4 +1,4 @@
-//! The report and the plan as tables for people.
+//! Formats reports and plans as tables for people.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,29 +17,29 @@ use downbeat_mission::{
     PreflightRow, SkewBudget, TransferReport, Verdict,
 };
 
-/// Stripped on output if that is not a terminal.
+/// Style of failures. It is removed if the output is not a terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
 
-/// The stop result of a robot that meanwhile belongs to another session.
+/// The stop result that is printed for a robot that another session drives meanwhile.
 pub const TAKEN_OVER: &str =
     "not stopped: another mission already drives it, and it holds no commands of this mission";
 
-/// Maximum number of devices in one line.
+/// Maximum number of devices whose ids one line contains.
 const DEVICES_NAMED_MAX: usize = 6;
 
 /// How much of a report to print.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
-    /// A few lines, and the robots that did not do all that was planned.
+    /// A few lines, and the robots that did not execute everything that was planned.
     Brief,
     /// A row per robot and act, and the figures of clocks, leases and scripts.
     Full,
 }
 
-/// No limit on the width: for files and pipes.
+/// The number of columns that stands for unlimited width, for files and pipes.
 pub const UNBOUNDED: usize = usize::MAX;
 
-/// Appends a sentence in lines of its own; escapes it, because parts of it may come from outside.
+/// Appends a sentence that begins on a new line. Escapes it, because parts of it may come from outside, for example from a robot.
 fn say(text: &mut String, columns: usize, sentence: &str) {
     text.push_str(&wrapped(&shown(sentence), columns));
 }
@@ -52,7 +52,7 @@ fn signed(span: Span) -> String {
     if span >= Span::ZERO { format!("+{span}") } else { span.to_string() }
 }
 
-/// Formats an act in this many columns: its cues with their times, and a row per device.
+/// Formats an act in at most `columns` columns: its cues with their times, and a row per device.
 #[must_use]
 pub fn plan_table(act: &Act, columns: usize) -> String {
     let cues = cue_table(act);
@@ -79,7 +79,7 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
     format!("{}\n{cues}\n{rows}\n{closest}{latencies}", act_line(act))
 }
 
-/// The times of each cue, and the length of each repetition if any cue is repeated.
+/// Returns a table with the times of each cue. If any cue is repeated, it also contains the length of each repetition.
 fn cue_table(act: &Act) -> Rows {
     let is_repeated = act.cues.iter().any(|cue| cue.repetition.is_some());
     let is_noted = act.cues.iter().any(|cue| cue.text.note.is_some());
@@ -102,7 +102,7 @@ fn repetition_text(Repetition { times, length, every }: Repetition) -> String {
     format!("{times} x {length}{apart}")
 }
 
-/// The devices whose speed is not checked because no limit is known.
+/// Returns a line that names the devices whose speed is not checked because no limit is known.
 fn unlimited_line(act: &Act) -> String {
     let all = || act.devices.iter().filter(|used| used.is_unlimited);
     let devices: BTreeSet<&str> = all().map(|used| used.device.as_str()).collect();
@@ -122,7 +122,7 @@ fn unlimited_line(act: &Act) -> String {
     )
 }
 
-/// The name of an act and its size.
+/// Returns a line with the name and the size of an act.
 pub(super) fn act_line(act: &Act) -> String {
     let lead_in = match act.lead_in {
         Span::ZERO => String::new(),
@@ -131,7 +131,7 @@ pub(super) fn act_line(act: &Act) -> String {
     format!("{}: {}{lead_in}", shown(&act.plan.scenario), plan_figures(act))
 }
 
-/// The latencies that are compensated, and the source of each.
+/// Returns a table of the latencies that are compensated, with the source of each.
 fn latencies_table(act: &Act, columns: usize) -> String {
     let mut rows = Rows::new(&["robot", "device", "latency", "spread", "from"], 2);
     for (robot, devices) in &act.latencies {
@@ -144,7 +144,7 @@ fn latencies_table(act: &Act, columns: usize) -> String {
     if act.latencies.is_empty() { String::new() } else { rows.text(columns) }
 }
 
-/// Summarizes how many devices have a latency that is compensated; `None` without any.
+/// Returns a sentence with the number of devices whose latency is compensated. Returns `None` if there are none.
 #[must_use]
 pub fn latencies_text(choreography: &Choreography) -> Option<String> {
     let known = choreography.acts.iter().flat_map(|act| &act.latencies);
@@ -163,14 +163,14 @@ pub fn latencies_text(choreography: &Choreography) -> Option<String> {
     ))
 }
 
-/// Total duration of the acts on the main line.
+/// Returns the total duration of the acts on the main line of the course.
 #[must_use]
 pub fn main_duration(choreography: &Choreography) -> Span {
     let acts = choreography.main_line().into_iter().map(|act| choreography.acts[act].duration());
     acts.fold(Span::ZERO, |sum, duration| sum + duration)
 }
 
-/// The size of a choreography in one line.
+/// Returns the size of a choreography in one line, for example its numbers of robots and steps.
 #[must_use]
 pub fn choreography_figures(choreography: &Choreography) -> String {
     if let [act] = choreography.acts.as_slice() {
@@ -194,7 +194,7 @@ fn steps_of(plan: &Plan) -> usize {
     scripts.map(|script| script.script.steps().len()).sum()
 }
 
-/// The size of a plan in one line.
+/// Returns the size of an act's plan in one line, for example its numbers of robots and steps.
 #[must_use]
 fn plan_figures(act: &Act) -> String {
     let plan = &act.plan;
@@ -212,10 +212,11 @@ fn plan_figures(act: &Act) -> String {
     )
 }
 
-/// The preflight checks: a row per robot, a column per check. If `told`, readings, problems and predictions follow.
+/// Returns the preflight checks as tables with a row per robot and a column per check. If `told` is true, readings, problems and
+/// predictions follow.
 #[must_use]
 pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> String {
-    // Half of the checks at a time, so that a row fits a terminal of 80 columns.
+    // Each of the two tables contains half of the checks, so that a row fits a terminal of 80 columns.
     let (who, how) = Check::ALL.split_at(Check::ALL.len().div_ceil(2));
     let tables = [who, how].map(|checks| checks_table(preflight, checks, columns));
     let mut text = tables.join("\n");
@@ -223,7 +224,7 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
         text.push_str(&readings_table(preflight, columns));
         let wrong = preflight.rows.iter().flat_map(wrong_lines);
         wrong.for_each(|line| say(&mut text, columns, &line));
-        // If the prediction consists of the clocks only, the table already contains it.
+        // If only the clocks contribute to the prediction, the table already contains it.
         if let Some(skew) = preflight.skew.as_ref().filter(|skew| skew.predicted != skew.clocks) {
             say(&mut text, columns, &budget_text(skew));
         }
@@ -282,7 +283,7 @@ fn wrong_lines(row: &PreflightRow) -> Vec<String> {
     wrong.collect()
 }
 
-/// Sensor readings and device positions, one row each.
+/// Returns a table of sensor readings and device positions, one row each.
 fn readings_table(preflight: &Preflight, columns: usize) -> String {
     let mut rows = Rows::new(&["robot", "device", "reads", "expected"], 2);
     for row in &preflight.rows {
@@ -300,7 +301,7 @@ fn readings_table(preflight: &Preflight, columns: usize) -> String {
     if rows.is_empty() { String::new() } else { format!("\n{}\n", rows.text(columns)) }
 }
 
-/// How a mission ended and why, for people.
+/// Returns sentences for people that state how a mission ended and why.
 #[must_use]
 pub fn ending_text(report: &Report, columns: usize) -> String {
     let mut text = String::new();
@@ -319,7 +320,8 @@ pub fn ending_text(report: &Report, columns: usize) -> String {
     text
 }
 
-/// The facts about a transfer after a stop that the list of acts does not contain.
+/// Returns a sentence about a transfer after a stop, with the facts that the list of acts does not contain. Returns `None` if there are
+/// none.
 fn transfer_sentence(transfer: &TransferReport, position: &str, stayed: &str) -> Option<String> {
     match transfer {
         TransferReport::Planned { without, .. } if without.is_empty() => None,
@@ -334,7 +336,7 @@ fn transfer_sentence(transfer: &TransferReport, position: &str, stayed: &str) ->
     }
 }
 
-/// Formats the report for people in this many columns: the outcome, the failures, and the figures that matter.
+/// Formats the report for people in at most `columns` columns: the outcome, the failures, and the important figures.
 #[must_use]
 pub fn report_text(report: &Report, detail: Detail, columns: usize) -> String {
     let mut text = ending_text(report, columns);
@@ -383,7 +385,7 @@ pub fn report_text(report: &Report, detail: Detail, columns: usize) -> String {
     text
 }
 
-/// The outcome with local times.
+/// Returns the outcome as text, with local times.
 fn outcome_text(outcome: &Outcome) -> String {
     match outcome {
         Outcome::StartTooSoon { start, safe_start } => format!(
@@ -475,20 +477,20 @@ fn robots_table<'a>(
     rows.text(columns)
 }
 
-/// Steps done and planned; `+` means at least, if the results of some scripts are unknown.
+/// Returns the numbers of executed and planned steps. A `+` means "at least": the results of some scripts are unknown.
 fn steps(robot: &RobotReport) -> String {
     let at_least = if robot.unaccounted > 0 { "+" } else { "" };
     format!("{}{at_least}/{}", robot.steps_done, robot.steps_planned)
 }
 
-/// Marks a number of starts if it relies on a claim that cannot be true.
+/// Returns a mark for the robot's number of starts if the number relies on a claim that cannot be true.
 fn claimed(report: &Report, robot: &RobotReport) -> &'static str {
     let doubted =
         |failure: &Failure| failure.robot == robot.robot && matches!(failure.kind, FailureKind::Claim { .. });
     if robot.started > 0 && report.failures.iter().any(doubted) { " claimed" } else { "" }
 }
 
-/// The drift of last steps is mentioned if their spread exceeds that of the starts by more than this.
+/// The report mentions the drift of last steps only if their spread exceeds the spread of the starts by more than this.
 const NOTABLE_DRIFT: Span = Span::from_millis(1);
 
 fn full_sentences(report: &Report) -> Vec<String> {
@@ -522,12 +524,12 @@ fn start_sentence(report: &Report) -> Option<String> {
     }
 }
 
-/// The robots that claim to have started, but whose claims cannot be true.
+/// Returns the robots that claim to have started, but whose claims cannot be true.
 fn disbelieved(report: &Report) -> impl Iterator<Item = &RobotReport> {
     report.robots.iter().filter(|robot| report.spread.is_none() && !claimed(report, robot).is_empty())
 }
 
-/// The facts that deserve attention in every report.
+/// Returns sentences about facts that deserve attention in every report.
 fn remarks(report: &Report) -> Vec<String> {
     let mut sentences = Vec::new();
     sentences.extend(
@@ -559,12 +561,12 @@ fn remarks(report: &Report) -> Vec<String> {
     sentences
 }
 
-/// Names the act if the report has several.
+/// Returns the name of the act as a prefix of a sentence. Returns an empty text if the report has only one act.
 fn of_act(report: &Report, act: &ActReport) -> String {
     if report.acts.len() > 1 { format!("act `{}`: ", act.act) } else { String::new() }
 }
 
-/// When devices started moving, according to their sensors.
+/// Returns sentences that state when devices started moving, according to their sensors.
 fn motions(act: &ActReport, of_act: String) -> Vec<String> {
     let mut sentences = Vec::new();
     for motion in &act.motions {
@@ -582,10 +584,10 @@ fn motions(act: &ActReport, of_act: String) -> Vec<String> {
     sentences
 }
 
-/// The maximum number of devices to list. Further devices with late steps are only counted.
+/// Maximum number of devices with late steps to list. Further ones are only counted.
 const LATE_LISTED_MAX: usize = 10;
 
-/// The devices with late steps, those with the latest steps first.
+/// Returns sentences about the devices with late steps, those with the latest steps first.
 fn late_steps(report: &Report) -> Vec<String> {
     let mut devices: BTreeMap<_, (u32, Option<Span>)> = BTreeMap::new();
     for robot in report.acts.iter().flat_map(|act| &act.robots) {
@@ -625,7 +627,7 @@ fn stop_text(robot: &RobotReport) -> Option<String> {
             format!("stop NOT confirmed; its lease ends at {}", time_of_day(at))
         }
         StopState::Unconfirmed { lease_ends: None } => {
-            "stop NOT confirmed, and it runs without a lease".to_owned()
+            "stop NOT confirmed; it has no lease, so it does not stop by itself".to_owned()
         }
     };
     Some(format!("{}: {rest}", robot.robot))

@@ -1,4 +1,4 @@
-//! The results of trials for people.
+//! Formats the results of trials for people.
 
 use downbeat_scripts::counted;
 use downbeat_scripts::shown::within;
@@ -7,12 +7,12 @@ use downbeat_rehearsal::trials::{Quantiles, Results, Share};
 
 use super::{requirements_table, table::Rows};
 
-/// Maximum number of reasons and robots to list; JSON contains all.
+/// Maximum number of reasons, and of robots, to list. JSON contains all of them.
 const LISTED_MAX: usize = 12;
-/// Maximum columns of an explanation.
+/// Maximum width of an explanation in columns.
 const TEXT_MAX: usize = 60;
 
-/// Formats the results in lines of about this many columns.
+/// Formats the results of trials in lines of about `columns` columns.
 #[must_use]
 pub fn trials_text(results: &Results, columns: usize) -> String {
     let mut text = format!(
@@ -120,7 +120,7 @@ fn interval(share: &Share) -> String {
     format!("{} to {} %", hundredths(share.least), hundredths(share.largest))
 }
 
-/// In percent, to a hundredth.
+/// Converts a share from 0 to 1 to per cent, rounded to a hundredth.
 fn hundredths(share: f64) -> f64 {
     (share * 10_000.0).round() / 100.0
 }

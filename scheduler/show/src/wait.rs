@@ -2,7 +2,7 @@
 
 use downbeat_scripts::{SensorRange, Wait};
 
-/// The start condition of an act as text; empty if it follows the previous act immediately.
+/// Returns the start condition of an act as text. Returns an empty text if the act follows the previous one immediately.
 #[must_use]
 pub fn waits(wait: &Wait) -> String {
     match wait {

@@ -1,4 +1,5 @@
-//! The usual practice without a decision: the same acts, robots, networks and faults, with a "go" message that starts on receipt.
+//! Simulates the usual practice, which has no joint decision to start: robots start when they receive a "go" message. Acts, robots,
+//! networks and faults are the same as in Downbeat's own mission.
 
 use fastrand::Rng;
 use urrcp::Span;
@@ -8,23 +9,24 @@ use super::draw::{Drawn, Fault, Network};
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::Direction;
 
-/// How the "go" is distributed.
+/// How the "go" message is sent to the robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Go {
-    /// To all at once, without any acknowledgement.
+    /// The message is sent to all robots at once, without any acknowledgement.
     Broadcast,
-    /// To one after another, each after the previous one has answered; after 500 ms without an answer the rest is not sent.
+    /// The message is sent to one robot after another, each time after the previous robot has answered. If a robot does not answer within
+    /// 500 ms, the rest is not sent.
     Sequential,
 }
 
-/// Interval between the messages to two robots.
+/// Interval between the messages to successive robots in a broadcast.
 const EACH: Span = Span::from_micros(50);
-/// Timeout of an answer.
+/// Time that a robot has to answer.
 const ANSWER: Span = Span::from_millis(500);
 
-/// Whether all, none or some robots of Downbeat's own act start. The "go" is sent at its planned start, and every script has arrived
-/// before the mission began. Robots that Downbeat had left out by then are also left out here, and robots that lie are excluded from
-/// both.
+/// Determines whether all, none or some of the robots of `act`, which Downbeat sent, would start with a "go". The "go" is sent at the
+/// planned start of the act, and every script has arrived before the mission began. Robots that Downbeat had left out before that are
+/// also left out here. Robots that lie are excluded from both.
 #[must_use]
 pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
     let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e ^ u64::from(act.number));
@@ -65,7 +67,7 @@ fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
     })
 }
 
-/// When a message that is sent now arrives; `None` if it is lost or no process listens.
+/// When a message that is sent to a robot at `now` arrives; `None` if it is lost or no process listens.
 fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Span> {
     let (least, largest) = drawn.delay;
     let mut arrival = now + Span::from_nanos(rng.i64(least.as_nanos()..=largest.as_nanos()));
@@ -87,7 +89,7 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
             Some(Meets::Nothing(lasts)) if *at <= now && lasts.is_none_or(|lasts| now < *at + lasts) => {
                 return None;
             }
-            // When it returns, earlier messages to it are lost too.
+            // Even if the robot returns, earlier messages to it are lost.
             Some(Meets::Gone) => return None,
             _ => {}
         }
@@ -97,17 +99,17 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
 
 /// The effect of a fault on a message to a robot.
 enum Meets {
-    /// The message waits for this long.
+    /// The message waits for the given time.
     Wait(Span),
-    /// Each message takes this much longer, for this long.
+    /// Each message takes longer by the first time; this lasts for the second time.
     Longer(Span, Span),
-    /// The message is lost, for this long or forever.
+    /// Messages are lost for the given time; `None`: forever.
     Nothing(Option<Span>),
     /// The robot is gone with its whole state.
     Gone,
 }
 
-/// The effect of a fault on messages to a robot.
+/// The effect of a fault on messages to the robot `to`; `None` if it has none.
 fn meets(fault: &Fault, to: usize) -> Option<Meets> {
     match *fault {
         Fault::Partition { robot, lasts, breaks: false }

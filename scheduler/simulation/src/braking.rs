@@ -1,33 +1,33 @@
-//! How devices come to rest: within their declared acceleration, without reversing, and from their actual position.
+//! Checks how devices come to rest: within their declared acceleration, without reversing, and from their actual position.
 
 use downbeat_robot::set_log::LogEntry;
 use urrcp::{ControlType, Device, DeviceId, Robot, Span, Timestamp};
 
-/// The number of equal intervals into which the time of a braking is divided.
+/// The number of equal intervals into which the duration of a braking is divided.
 const INTERVALS: usize = 32;
-/// Shorter brakings are not judged: times are rounded to nanoseconds.
+/// Minimum duration of a braking that is judged. In shorter ones, the rounding of times to nanoseconds matters too much.
 const LASTS_LEAST: Span = Span::from_millis(2);
-/// The longest time in which a device slows down, or goes home at its own speed.
+/// Maximum duration for which a device slows down, or goes home at its own speed.
 pub(crate) const LASTS_MAX: Span = Span::from_millis(600_000);
 /// The relative error of an acceleration that is computed from differences.
 const ERROR: f64 = 0.02;
 
-/// A device that comes to rest, or goes home, within its limits.
+/// The movement of a device that comes to rest or goes home, sampled at equal intervals.
 #[derive(Clone, Debug)]
 pub struct Braking {
-    /// The device.
+    /// The id of the device.
     pub device: DeviceId,
-    /// The control type that changes.
+    /// The control type whose values change.
     pub control_type: ControlType,
-    /// Start by the robot's clock.
+    /// Start of the braking by the robot's clock.
     pub since: Timestamp<Robot>,
-    /// Duration.
+    /// Duration of the braking.
     pub lasts: Span,
     /// The values at the ends of the equal intervals.
     pub values: Vec<f64>,
 }
 
-/// Whether an entry is of a control type.
+/// Whether a log entry concerns the given control type.
 pub(crate) fn is_of(entry: &LogEntry, control_type: ControlType) -> bool {
     match control_type {
         ControlType::Position => entry.control_type == "position",
@@ -37,7 +37,7 @@ pub(crate) fn is_of(entry: &LogEntry, control_type: ControlType) -> bool {
 }
 
 impl Braking {
-    /// Samples the way to rest that starts with an entry. `value` returns the value of the device at an instant.
+    /// Samples the movement to rest that starts with the log entry `entry`. `value` returns the value of the device at an instant.
     pub(crate) fn of(
         entry: &LogEntry,
         value: impl Fn(ControlType, Timestamp<Robot>) -> Option<f64>,
@@ -63,7 +63,7 @@ impl Braking {
         Some(Self { device: entry.device.clone(), control_type, since, lasts: largest, values })
     }
 
-    /// Whether it starts with this entry of the log.
+    /// Whether the braking starts with the log entry `entry`.
     #[must_use]
     pub fn is_of(&self, entry: &LogEntry) -> bool {
         self.device == entry.device && self.since == entry.due && is_of(entry, self.control_type)
@@ -74,7 +74,7 @@ impl Braking {
         self.lasts.as_millis_f64() / 1_000.0 / (self.values.len() - 1) as f64
     }
 
-    /// Its change per second at an instant, and the error of that.
+    /// The change of the value per second at an instant, and the error of that rate.
     pub(crate) fn rate(&self, at: Timestamp<Robot>) -> Option<(f64, f64)> {
         let rates = self.rates();
         let index = ((at - self.since).as_millis_f64() / 1_000.0 / self.interval()) as usize;
@@ -86,8 +86,8 @@ impl Braking {
         self.values.windows(2).map(|two| (two[1] - two[0]) / self.interval()).collect()
     }
 
-    /// The fault of the way to rest, if any. `rate`: the change of a position per second before it, and the error of that. `stays`:
-    /// whether the device comes to rest at its current position.
+    /// Describes a violation by the movement to rest, if any. `rate`: the change of a position per second before the braking, and the
+    /// error of that rate. `stays`: whether the device comes to rest at its current position.
     #[must_use]
     pub fn flaw(&self, device: &Device, rate: Option<(f64, f64)>, stays: bool) -> Option<String> {
         let accelerates = acceleration(device);
@@ -133,7 +133,7 @@ impl Braking {
     }
 }
 
-/// The acceleration that keeps a device within its limits when it brakes.
+/// The acceleration with which a device must brake to stay within its position limits.
 pub(crate) fn harder_at_limit(device: &Device, position: f64, rate: f64) -> f64 {
     let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return 0.0 };
     let room = if rate > 0.0 { limits.max_value - position } else { position - limits.min_value };

@@ -1,6 +1,6 @@
-//! Missions under faults, in virtual time, with the same mission machine and the same robot machines as a real show. The network
-//! loses, duplicates, delays and reorders messages, and breaks into partitions. Processes die or stall, clocks are off, drift and
-//! are set, and robots lie. Everything follows from a seed, so each violation can be reproduced and read as a trace.
+//! Plays missions with faults in virtual time, with the same mission machine and robot machines as a real show. The network loses,
+//! duplicates, delays and reorders messages, and breaks into partitions. Processes die or stall, clocks are off, drift and are set, and
+//! robots lie. Everything follows from a seed, so each violation can be reproduced and read as a trace.
 
 pub mod baseline;
 pub mod braking;
@@ -28,36 +28,36 @@ pub use shrink::{Shrunk, shrunk};
 pub use stage::{Stage, faults_met};
 pub use trace::trace;
 
-/// The result of running a seed.
+/// The result of playing the mission of a seed.
 #[derive(Debug)]
 pub struct Ran {
     /// The mission drawn from the seed.
     pub drawn: Drawn,
-    /// The report of the process that ended the mission, if one did.
+    /// The report of the process that ended the mission; `None` if no process ended it.
     pub report: Option<Report>,
     /// The records in the journal, with their times.
     pub records: Vec<(Timestamp<Server>, Record)>,
-    /// The values that each robot really set.
+    /// For each robot: the log of the values that it really set.
     pub logs: Vec<Vec<LogEntry>>,
-    /// How its devices came to rest, if that took time.
+    /// For each robot: how its devices came to rest, if that took time.
     pub brakings: Vec<Vec<Braking>>,
-    /// The actions of other robots that answered at the addresses of these.
+    /// For each robot: the log of other robots that answered at its address.
     pub logs_of_strangers: Vec<Vec<LogEntry>>,
-    /// For each robot, the scripts that it began although its hardware had been dead long enough for it to notice.
+    /// For each robot: the scripts that it began although its hardware had been dead long enough for the robot to notice.
     pub starts_of_dead: Vec<Vec<String>>,
-    /// The clock of the last process minus the true time: times in the report are by that clock, all others are true.
+    /// The clock of the last scheduler process minus the true time. Times in the report are by that clock; all other times are true.
     pub server_ahead: Span,
     /// All events, for the trace and for the checks.
     pub history: Vec<(Timestamp<Server>, Happened)>,
-    /// The end of the observation of the robots.
+    /// The time until which the robots were observed.
     pub watched_until: Timestamp<Server>,
     /// Whether the mission never ended.
     pub hung: bool,
-    /// The assertion that failed during the mission, if any.
+    /// The message of the assertion that failed during the mission, if any.
     pub broken: Option<String>,
 }
 
-/// An event of a run.
+/// An event of a run. A `usize` is the index of a robot.
 #[derive(Clone, Debug)]
 pub enum Happened {
     /// A message was sent to a robot.
@@ -68,25 +68,25 @@ pub enum Happened {
     FromRobot(usize, Option<Message>),
     /// A message was lost on the way to or from a robot.
     Lost(usize),
-    /// A message to or from a robot was in transit for this long.
+    /// A message to or from a robot was in transit for the given time.
     Slow(usize, Span),
-    /// A message to or from a robot was queued behind others for this long, on a link in its usual state.
+    /// A message to or from a robot was queued behind others for the given time, on a link in its usual state.
     Queued(usize, Span),
-    /// A stop was queued for this long behind earlier messages to a robot, on a link in its usual state.
+    /// A stop was queued behind earlier messages to a robot for the given time, on a link in its usual state.
     StopQueued(usize, Span),
     /// A fault occurred.
     Fault(Fault),
-    /// A robot is back.
+    /// A robot's process has restarted.
     Back(usize),
-    /// A robot belongs to an operator who has seized it.
+    /// An operator has seized a robot, which now belongs to that operator.
     Seized(usize),
     /// A link was established.
     LinkUp(usize),
     /// A link broke, as the scheduler sees it.
     LinkDown(usize),
-    /// The mission was resumed from its journal.
+    /// A process resumed or withdrew the mission by its journal; the text states which.
     TakenUp(&'static str),
-    /// This many bytes of records were on the disk and are not read again.
+    /// The given number of bytes of records were on the disk, but the next process did not read them.
     Forgotten(usize),
     /// The operator received a message.
     Told(Box<Progress>),
@@ -94,7 +94,7 @@ pub enum Happened {
     Stuck(String),
 }
 
-/// Plays a seed to its end and observes the robots afterwards.
+/// Plays the mission of a seed to its end, and observes the robots afterwards.
 #[must_use]
 pub fn run(seed: u64) -> Ran {
     world::play(draw(seed), false)
@@ -106,13 +106,13 @@ pub fn play(drawn: Drawn) -> Ran {
     world::play(drawn, false)
 }
 
-/// Like [`play`], but keeps every message.
+/// Like [`play`], but keeps every message for a trace.
 #[must_use]
 pub fn play_verbosely(drawn: Drawn) -> Ran {
     world::play(drawn, true)
 }
 
-/// Returns all violations of a mission. If it could find any, also plays the same mission without its faults and compares both.
+/// Returns all violations of a mission. If a comparison could find any, also plays the same mission without faults and compares both.
 #[must_use]
 pub fn judge(ran: &Ran) -> Verdict {
     let mut verdict = ran.verdict();
@@ -129,7 +129,7 @@ pub fn judge(ran: &Ran) -> Verdict {
     verdict
 }
 
-/// Like [`run`], but keeps every message.
+/// Like [`run`], but keeps every message for a trace.
 #[must_use]
 pub fn run_verbosely(seed: u64) -> Ran {
     world::play(draw(seed), true)

@@ -1,5 +1,5 @@
-//! Runs any number of seeds with faults on all cores. Reports the violations, how often starts are mixed and why, and how a broadcast or
-//! sequential "go" performs with the same acts and faults.
+//! Plays missions with faults from any number of seeds on all cores. Reports the violations, how often starts are mixed and why, and how
+//! a broadcast or sequential "go" performs with the same acts and faults.
 //!
 //! `cargo run --release -p soak -- --seeds 1000000`; `--seed N` prints the shortest mission that shows the violation of a seed, `--trace
 //! N` the full one.
@@ -21,7 +21,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Prints a line to standard output. Ignores a closed pipe: the exit code reports the result.
+/// Prints a line to standard output. Ignores a closed pipe, because the exit code reports the result.
 macro_rules! say {
     ($($text:tt)*) => {
         let _nobody_reads = writeln!(io::stdout(), $($text)*);
@@ -103,7 +103,7 @@ fn percent(count: u64, of: u64) -> f64 {
     100.0 * count as f64 / of.max(1) as f64
 }
 
-/// The number of violations that a cause excused, and the first seed with one.
+/// The number of violations that a cause excused, and the first seed with such a violation.
 #[derive(Clone, Copy)]
 struct Excused {
     count: u64,
@@ -119,7 +119,7 @@ struct Found {
     situations: BTreeMap<Situation, Reached>,
 }
 
-/// How often missions reached a situation, and the first seed of one.
+/// How often missions reached a situation, and the first seed whose mission reached it.
 #[derive(Clone, Copy)]
 struct Reached {
     count: u64,
@@ -191,7 +191,7 @@ impl Found {
         }
     }
 
-    /// Prints how often each fault occurred at each stage of a mission; `-` if it cannot occur there.
+    /// Prints how often each fault occurred at each stage of a mission; `-` if the fault cannot occur at the stage.
     fn print_met(&self) {
         say!("");
         let stages: String = Stage::ALL.iter().map(|stage| format!("{stage:>10}")).collect();
@@ -217,7 +217,8 @@ impl Found {
         }
     }
 
-    /// The faults that have not occurred at a possible stage, and the situations that no mission reached, if enough missions were played.
+    /// Lists the faults that have not occurred at a possible stage, and the situations that no mission reached. Empty unless enough
+    /// missions were played.
     fn not_met(&self, seeds: u64) -> Vec<String> {
         let cells = FaultKind::ALL.iter().flat_map(|kind| Stage::ALL.map(|stage| (*kind, stage)));
         let missing = cells.filter(|cell| cell.1.meets(cell.0) && !self.met.contains_key(cell));
@@ -229,7 +230,7 @@ impl Found {
         missing.chain(never.map(|situation| format!("no mission reached: {situation}"))).collect()
     }
 
-    /// The causes that excuse more acts than permitted.
+    /// Lists the causes that excuse more acts than permitted.
     fn beyond_limits(&self) -> Vec<String> {
         let acts = self.counts[0].acts;
         let beyond = |(&(invariant, cause), excused): (&(char, Cause), &Excused)| {
@@ -248,7 +249,7 @@ impl Found {
         self.excuses.iter().filter_map(beyond).collect()
     }
 
-    /// Prints the excused violations of an invariant: a line per cause, and their sum.
+    /// Prints the excused violations of an invariant: one line per cause, and the sum.
     fn print_excuses(&self, invariant: char, title: &str, acts: u64) {
         say!("\n{title:<58} {:>8} {:>11} {:>11} {:>10}", "", "of acts", "at most", "first seed");
         let excused =

@@ -1,4 +1,4 @@
-//! Shrinks a seed to the smallest mission that violates the same invariant: removes faults, acts, robots and scripts.
+//! Shrinks the mission of a seed to the smallest one that violates the same invariant, by removing faults, acts, robots and scripts.
 
 use downbeat_plan::Way;
 use urrcp::Span;
@@ -6,19 +6,19 @@ use urrcp::Span;
 use super::draw::{Drawn, DrawnDisk, Network};
 use super::{judge, play};
 
-/// Maximum number of attempts; each plays one or two missions.
+/// Maximum number of attempts to shrink a mission. Each attempt plays one or two missions.
 const ATTEMPTS_MAX: usize = 400;
 
-/// A shrunk seed.
+/// A shrunk mission.
 #[derive(Clone, Debug)]
 pub struct Shrunk {
-    /// The drawn mission, without all parts that the violation does not need.
+    /// The drawn mission without the parts that are not necessary for the violation.
     pub drawn: Drawn,
-    /// The invariant that it violates.
+    /// The letter of the invariant that the mission violates.
     pub invariant: char,
 }
 
-/// Shrinks a seed that violates an invariant; `None` if it violates nothing.
+/// Shrinks the mission of a seed; `None` if the mission violates no invariant.
 #[must_use]
 pub fn shrunk(seed: u64) -> Option<Shrunk> {
     let drawn = super::draw(seed);
@@ -30,7 +30,7 @@ fn violates(drawn: &Drawn, invariant: char) -> bool {
     judge(&play(drawn.clone())).violations.iter().any(|violation| violation.invariant == invariant)
 }
 
-/// Removes as much as possible while `shows` holds.
+/// Removes as many parts of a mission as possible such that `shows` still returns true.
 fn shrink(mut drawn: Drawn, shows: impl Fn(&Drawn) -> bool) -> Drawn {
     let mut attempts = 0;
     loop {
@@ -45,7 +45,7 @@ fn shrink(mut drawn: Drawn, shows: impl Fn(&Drawn) -> bool) -> Drawn {
     }
 }
 
-/// All missions that are one piece simpler, with the largest removed piece first.
+/// All missions that lack one further part, with the largest removed part first.
 fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     let mut all = Vec::new();
     let mut with = |change: &dyn Fn(&mut Drawn)| {
@@ -99,7 +99,7 @@ fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     all
 }
 
-/// Later acts move up; an act that led to the removed one leads to its successor.
+/// Removes an act. Later acts move up. An act that led to the removed act leads to its successor.
 fn without_act(drawn: &mut Drawn, act: usize) {
     if act < drawn.comes_after.len() {
         let _taken_away = drawn.comes_after.remove(act);
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use crate::{Fault, draw};
 
-    /// The first seed with several acts and several faults, one of them a stop.
+    /// The mission of the first seed with several acts and several faults, one of them a stop.
     fn rich() -> Drawn {
         let several = |drawn: &Drawn| drawn.choreography.acts.len() > 2 && drawn.faults.len() > 2;
         let stop = |drawn: &Drawn| drawn.faults.iter().any(|(_, fault)| matches!(fault, Fault::Stop));

@@ -1,4 +1,4 @@
-//! The stages of a mission, and the stages at which faults occur.
+//! The stages of a mission, and at which stages faults occurred.
 
 use std::fmt;
 
@@ -7,12 +7,12 @@ use urrcp::{Server, Span, Timestamp};
 use super::{Fault, FaultKind, Hands, Happened, Ran};
 use downbeat_mission::{Progress, Record};
 
-/// The stage of a mission at an instant.
+/// A stage of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
-    /// Nothing has been sent yet, and no act waits.
+    /// No act has been sent yet, and none waits.
     Greeting,
-    /// An act waits for its operator, its sensor or its time, and none plays.
+    /// An act waits for the operator, a sensor or a time, and no act plays.
     Waits,
     /// An act has been promised and sent.
     Prepared,
@@ -53,9 +53,9 @@ impl Stage {
         Self::Ended,
     ];
 
-    /// Whether a fault of this kind can occur at this stage. Without a process, nothing can end, stall or receive the operator's
-    /// commands. A mission that has ended needs neither its disk nor its host's clock, and has no journal through which it could be
-    /// stopped. A mission plans no act after a stop if a robot does not state its positions, for example a robot with hardware.
+    /// Whether a fault of kind `kind` can occur at this stage. While no scheduler process runs, none can end, stall or receive the
+    /// operator's commands. A mission that has ended needs neither its disk nor its host's clock, and has no journal through which it
+    /// could be stopped. A mission plans no act after a stop if a robot does not state its positions, for example a robot with hardware.
     #[must_use]
     pub const fn meets(self, kind: FaultKind) -> bool {
         use FaultKind::{
@@ -226,7 +226,7 @@ pub(super) fn intervals(ran: &Ran, stage: Stage) -> Vec<(Timestamp<Server>, Time
     of_stage.map(|(index, (from, _))| (*from, until(index).unwrap_or(*from + LASTS_AFTER_END))).collect()
 }
 
-/// The faults of a run, each with the stage at which it occurred. Hardware that a robot does not have cannot die.
+/// The faults of a run, each with the stage at which it occurred. Leaves out the death of hardware that a robot does not have.
 #[must_use]
 pub fn faults_met(ran: &Ran) -> Vec<(FaultKind, Stage)> {
     let faults = ran.history.iter().filter_map(|(at, happened)| match happened {

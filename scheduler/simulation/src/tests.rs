@@ -9,7 +9,7 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
     let mut violated = Vec::new();
     let mut mixed = 0;
     for seed in 0..seeds {
-        // A general fault is evident after ten violations.
+        // Ten violations are enough to show a general fault.
         if violated.len() >= 10 {
             break;
         }
@@ -24,7 +24,7 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
 
 #[test]
 fn a_seed_replays_exactly() {
-    // In the last three, robots are queried repeatedly for the resting positions of their devices.
+    // With the last three seeds, the mission repeatedly queries robots for the resting positions of their devices.
     for seed in [3, 77, 1_234, 171, 237, 246] {
         assert_eq!(trace(&run_verbosely(seed)), trace(&run_verbosely(seed)));
     }
@@ -41,7 +41,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             && drawn.tail == 0.0
     };
     let (mut done, mut refused) = (0, 0);
-    // Clocks with too much uncertainty, scripts that cannot be sent in time, and wrong start poses.
+    // A mission without faults may fail because of uncertain clocks, scripts that cannot be sent in time, or wrong start positions.
     let unplayable = |failure: &Failure| {
         use FailureKind::{Clock, NoTimeToSend, Position};
         matches!(failure.kind, Clock { .. } | NoTimeToSend { .. } | Position { .. })
@@ -64,7 +64,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             Outcome::NotStarted | Outcome::DoneWithout if report.failures.iter().all(unplayable) => {
                 refused += 1;
             }
-            // Another act follows the one that was not started.
+            // Another act may follow the act that was not started.
             Outcome::Failed if !report.failures.is_empty() && report.failures.iter().all(unplayable) => {
                 refused += 1;
             }
@@ -73,7 +73,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             {
                 done += 1;
             }
-            // Leads and leases of the scenario are met or refused.
+            // The mission meets or refuses the leads and leases of the scenario.
             Outcome::LeadTooShort { .. } | Outcome::LeaseTooShort { .. } => refused += 1,
             Outcome::Failed | Outcome::DoneSkipping { .. }
                 if report.failures.is_empty()
@@ -206,8 +206,8 @@ fn a_robot_whose_clock_is_ahead_within_the_tolerance_keeps_its_lease_until_the_c
     assert!(played > 30, "{played}");
 }
 
-/// Missions without faults whose first act is decided, with faults added. `faults` receives the instants of its promise, decision and
-/// start, relative to the beginning.
+/// Adds faults to missions without faults whose first act is decided. `faults` receives the instants of the promise, the decision and the
+/// start of that act, relative to the start of the mission.
 fn with_faults_around_the_decision(
     seeds: std::ops::Range<u64>,
     faults: impl Fn([Span; 3]) -> Vec<(Span, Fault)>,

@@ -1,4 +1,4 @@
-//! A run in readable form: one line per event, in the order of time.
+//! Formats a run for people: one line per event, in order of time.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use urrcp::{Command, Message, Server, Timestamp};
 use super::{Drawn, Happened, Ran};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// The full trace of a run: the drawn mission, the events, the values that the robots set, and the violations.
+/// Formats the full trace of a run: the drawn mission, the events, the values that the robots set, and the violations.
 #[must_use]
 pub fn trace(ran: &Ran) -> String {
     let mut text = what_was_drawn(&ran.drawn);
@@ -76,7 +76,7 @@ fn what_was_drawn(drawn: &Drawn) -> String {
     text
 }
 
-/// The events, records and set values in the order of time.
+/// The lines for events, records and set values, in order of time.
 fn events(ran: &Ran) -> Vec<(Timestamp<Server>, String)> {
     let mut lines: Vec<(Timestamp<Server>, String)> = Vec::new();
     lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));

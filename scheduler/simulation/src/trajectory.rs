@@ -7,13 +7,13 @@ use urrcp::{ControlType, Device, DeviceId, Robot, Script, Span, Timestamp};
 
 use crate::braking::{self, Braking, is_of};
 
-/// The largest relative difference, by rounding, between two computations of the same value.
+/// The largest relative difference between two computations of the same value due to rounding.
 const ROUNDING: f64 = 1e-6;
 
-/// Distance from a value above which a device jumps to it: twice its granularity.
+/// Distance from the current position, in the device's unit, above which a movement counts as a jump: twice the granularity.
 pub const JUMP: f64 = 2.0;
 
-/// A script that was promised to a device of the robot.
+/// A script that was promised to a device of a robot.
 #[derive(Clone, Copy, Debug)]
 pub struct Promised<'a> {
     /// The device that received the script.
@@ -27,14 +27,14 @@ pub struct Promised<'a> {
 pub struct Resting<'a> {
     /// The device, with the limits that it declares.
     pub device: &'a Device,
-    /// Its way to rest. `None` if it is unknown, or if it takes no time.
+    /// The movement of the device to rest. `None` if it is unknown or takes no time.
     pub braking: Option<&'a Braking>,
 }
 
-/// The last movement of a signal of a device. Times are those of its robot's clock.
+/// The last movement of one signal (position, speed or acceleration) of a device. Times are by the robot's clock.
 #[derive(Clone, Copy)]
 struct Movement<'a> {
-    /// `None` if the start of the movement is unknown, as for the first movement of a process.
+    /// The value at the start of the movement. `None` if it is unknown, as for the first movement of a process.
     from: Option<f64>,
     since: Timestamp<Robot>,
     to: f64,
@@ -52,7 +52,7 @@ impl Movement<'_> {
         at >= self.until || self.until <= self.since
     }
 
-    /// Its change per second and the error of that. `None` if it is unknown.
+    /// The change of the value per second, and the error of that rate. `None` if the rate is unknown.
     fn rate(&self, at: Timestamp<Robot>) -> Option<(f64, f64)> {
         if self.rests(at) {
             return Some((0.0, 0.0));
@@ -77,13 +77,13 @@ impl Movement<'_> {
 /// A jump of a device from the position at which a stop has left it.
 #[derive(Clone, Copy, Debug)]
 pub struct JumpAfterStop<'a> {
-    /// The entry of the stop.
+    /// The log entry of the stop.
     pub stop: &'a LogEntry,
-    /// The entry with which the device jumps.
+    /// The log entry with which the device jumps.
     pub entry: &'a LogEntry,
 }
 
-/// The jumps after stops in the log of one process. The log contains a stop only if the device was moving.
+/// Finds the jumps after stops in the log of one process. The log contains a stop only if the device was moving.
 pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec<JumpAfterStop<'a>> {
     let mut stopped: HashMap<&DeviceId, &LogEntry> = HashMap::new();
     let mut jumps = Vec::new();
@@ -104,9 +104,9 @@ pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec
     jumps
 }
 
-/// Describes the movements without a reason in the log of one process of a robot. `promised` returns the script that a request id names.
-/// `goes_home` returns whether an entry follows from a request for the default state. `resting` returns the limits and the braking of the
-/// device if an entry brings it to rest.
+/// Finds movements without a reason in the log of one process of a robot, and describes them. `promised` returns the script that a
+/// request id names. `goes_home` returns whether an entry follows from a request for the default state. `resting` returns the limits and
+/// the braking of the device if an entry brings it to rest.
 pub fn unexplained<'a>(
     log: impl IntoIterator<Item = &'a LogEntry>,
     promised: impl Fn(&str) -> Option<Promised<'a>>,
@@ -181,7 +181,8 @@ fn is_rounded(off: f64, value: f64) -> bool {
     off.abs() <= ROUNDING * (1.0 + value.abs())
 }
 
-/// The fault of the way to rest: it starts at another place than the device, or violates the declared acceleration.
+/// Describes a violation by the movement to rest: it does not start at the position of the device, or it violates the declared
+/// acceleration.
 fn flaw(
     entry: &LogEntry,
     before: Option<Movement<'_>>,

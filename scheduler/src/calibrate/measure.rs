@@ -1,4 +1,4 @@
-//! Measures one device: readings at rest, movements to and fro until the spread is known, and back.
+//! Measures one device: reads the sensor at rest, moves the device to and fro until the latency is known, and moves it back.
 
 use downbeat_onset::{Commanded, Estimate, Latencies, Readable, Sample, Trial, Unclear, estimate};
 use downbeat_scripts::Lag;
@@ -8,14 +8,14 @@ use super::NotMeasured;
 use super::plan::PlannedDevice;
 use super::talk::{DialogueError, RobotDialogue};
 
-/// Number of readings before the first movement.
+/// Number of readings at rest before the first movement.
 const AT_REST: usize = 24;
 /// The movement must be at least this many times the noise at rest.
 const NOISE_RATIO: f64 = 5.0;
-/// Minimum duration of a movement, in halves of the interval between two readings, so that one reading falls on it. A larger value would
-/// make the movement slower, and its beginning less sharp.
+/// Minimum duration of a movement, in halves of the interval between two readings, so that at least one reading falls within the
+/// movement. A larger value would make the movement slower, and its start less distinct.
 const HALF_READINGS_ON_MOVEMENT: i64 = 3;
-/// Minimum number of readings before a movement.
+/// Minimum number of readings between a movement's command and its start.
 const READINGS_BEFORE: i64 = 10;
 /// Minimum pause between two readings.
 const BETWEEN_READINGS: std::time::Duration = std::time::Duration::from_millis(1);
@@ -27,40 +27,41 @@ const WATCHED_MAX: Span = Span::from_millis(3_000);
 const STAIRS_MAX: u32 = 20;
 /// If the error of the median is at most this, the requested number of trials is sufficient.
 const MEDIAN_ERROR_MAX: Span = Span::from_millis(1);
-/// Maximum number of trials, as a multiple of the requested number, to find the median and to judge the requested number.
+/// Maximum number of trials, as a multiple of the requested number, so that the median error becomes small enough and the requested
+/// number of trials can be evaluated.
 const TRIALS_FACTOR: usize = 3;
-/// If this many movements cannot be judged, and none can, more trials are useless.
+/// If there is no result after this number of movements because some cannot be evaluated, more trials are useless.
 const UNCLEAR_MAX: usize = 3;
 
-/// The measured values of a device.
+/// The result of measuring one device.
 #[derive(Clone, Debug)]
 pub struct Measured {
-    /// The combined result of all trials.
+    /// Summary of the latencies in all trials.
     pub latencies: Latencies,
-    /// How the device follows, if known.
+    /// The lag with which the device follows. `None` if it is indistinguishable from no lag.
     pub lag: Option<Lag>,
-    /// How far the device lags behind a ramp.
+    /// Time by which the device lags behind a ramp. `None` if it is unknown.
     pub tracking_lag: Option<Span>,
-    /// Possible common error of all latencies: it is unknown when, within its round trip, the sensor takes its value.
+    /// Maximum systematic error of all latencies. It is unknown when, within a round trip, the sensor takes its value.
     pub systematic: Span,
-    /// The median time between two readings.
+    /// The interval between two readings, from the median round trip.
     pub interval: Span,
-    /// The median time that the sensor itself takes to answer.
+    /// The median time that the sensor itself takes to respond, without the round trip to the robot.
     pub sensor_delay: Span,
-    /// The number of movements that could not be judged.
+    /// The number of movements that could not be evaluated.
     pub unclear: usize,
 }
 
 /// The progress of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// The number of movements so far.
+    /// The number of movements made so far.
     pub trials: usize,
     /// The number of requested movements.
     pub of: usize,
 }
 
-/// The state of the sensor while nothing moves.
+/// The properties of the sensor's readings while nothing moves.
 struct AtRest {
     position: f64,
     interval: Span,
@@ -71,7 +72,7 @@ struct AtRest {
 /// Measures one device and moves it back to its original position.
 ///
 /// # Errors
-/// Returns [`NotMeasured`]. The device may not be at its original position then: call [`hold`](RobotDialogue::hold) for it.
+/// Returns [`NotMeasured`]. In that case, the device may not be at its original position; call [`hold`](RobotDialogue::hold) for it.
 pub async fn measure(
     talk: &mut RobotDialogue,
     planned: &PlannedDevice,
@@ -94,7 +95,7 @@ pub async fn measure(
     let was = planned.on_grid(rest.position);
     mover.settle(was, from).await?;
     let result = mover.trials((from, to), trials, &mut tell).await;
-    // Moves back whatever the result. If this fails too, the first error is more informative.
+    // The device is moved back whatever the result. If that fails too, the first error is returned, because it is more informative.
     let here = if mover.at_from { from } else { to };
     let back = mover.settle(here, was).await;
     let estimate = result?;
@@ -134,12 +135,12 @@ struct Mover<'a> {
     rest: &'a AtRest,
     lasts: Span,
     watched: Span,
-    /// Whether the last movement of the trials ended at the start position.
+    /// Whether the device is at the start position of the trials, not at the other end.
     at_from: bool,
 }
 
 impl Mover<'_> {
-    /// Moves to and fro until the result is known.
+    /// Moves the device to and fro until its latency is known, or until the maximum number of trials.
     async fn trials(
         &mut self,
         (from, to): (f64, f64),
@@ -162,7 +163,7 @@ impl Mover<'_> {
                 unclear(&first, UNCLEAR_MAX)?;
                 self.watched = self.enough(&first);
             }
-            // After an even number of movements, the device is where it began.
+            // Trials end only after an even number of movements, when the device is at the start position.
             if trials.len() < wanted || !self.at_from {
                 continue;
             }
@@ -178,7 +179,7 @@ impl Mover<'_> {
 }
 
 impl Mover<'_> {
-    /// How long later movements are watched: until the device has settled, with a reserve for slower movements.
+    /// Returns how long the sensor is read after later movements: until the device has settled, with a reserve for slower movements.
     fn enough(&self, found: &Estimate) -> Span {
         let slowest = found.onsets.iter().flatten().map(|onset| onset.latency).max();
         let Some(slowest) = slowest else { return self.watched };
@@ -195,7 +196,7 @@ impl Mover<'_> {
         Ok(())
     }
 
-    /// Performs one movement and reads the sensor meanwhile.
+    /// Moves the device once and reads the sensor meanwhile.
     async fn movement(&mut self, here: f64, there: f64) -> Result<Trial, NotMeasured> {
         let (script, commanded) = self.script(here, there)?;
         // Readings before the start show the rest position.
@@ -215,13 +216,13 @@ impl Mover<'_> {
             });
             tokio::time::sleep(BETWEEN_READINGS).await;
         }
-        // The clocks drift during a movement.
+        // The clocks drift during a movement, so the robot's clock is measured again.
         self.talk.ping().await?;
         self.talk.check(device, request.as_ref())?;
         Ok(Trial { commanded, movement: there - here, samples })
     }
 
-    /// Returns the movement as a script, and in the format of the estimator.
+    /// Returns the movement as a script for the robot, and as input of the estimator.
     fn script(&self, here: f64, there: f64) -> Result<(Script, Commanded), NotMeasured> {
         let step = |at: Span, value: f64| {
             Step::new(Millis::from_span(at), Setpoint::new(ControlType::Position, value))
@@ -235,7 +236,7 @@ impl Mover<'_> {
         Ok((script, commanded))
     }
 
-    /// Moves a device that holds each value in many small steps, each at the middle of its part of the way.
+    /// Returns the movement as many small steps, for a device that holds each value until the next step.
     fn stairs(&self, here: f64, there: f64, step: impl Fn(Span, f64) -> Step) -> (Vec<Step>, Commanded) {
         let count = STAIRS_MAX.min(self.planned.steps_max).max(1);
         let share = |index: u32| f64::from(index) / f64::from(count);
@@ -253,7 +254,7 @@ impl Mover<'_> {
     }
 }
 
-/// Runs the fit on another thread, because it takes longer than the link may be left unattended.
+/// Runs the estimator on another thread, because it takes longer than the link to the robot may be left without messages.
 async fn estimated(trials: Vec<Trial>, readable: Readable) -> (Vec<Trial>, Estimate) {
     let fit = move || {
         let estimate = estimate(&trials, readable);
@@ -265,7 +266,7 @@ async fn estimated(trials: Vec<Trial>, readable: Readable) -> (Vec<Trial>, Estim
     }
 }
 
-/// Returns an error if too many movements cannot be judged, with the first reason; otherwise their number.
+/// Returns the number of movements that cannot be evaluated. If there are too many, returns an error with the first reason.
 fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
     let reasons: Vec<Unclear> = estimate.onsets.iter().filter_map(|onset| onset.err()).collect();
     let (count, trials) = (reasons.len(), estimate.onsets.len());
@@ -278,7 +279,7 @@ fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
 }
 
 fn measured(estimate: &Estimate, rest: &AtRest) -> Result<Measured, NotMeasured> {
-    // Slow readings may spoil at most a quarter of the movements.
+    // At most a quarter of the movements may be unusable, for example because of slow readings.
     let unclear = unclear(estimate, estimate.onsets.len() / 4 + 1)?;
     let too_few = Unclear::TooSparse { before: 0, after: 0, least: 1 };
     let Some(latencies) = estimate.latencies else {

@@ -1,5 +1,5 @@
-//! Measures how long devices take from a command to visible motion. Each device is moved by a small amount to and fro, as its fleet file
-//! permits, while its sensor is read. [`downbeat_onset`] estimates when it began to move.
+//! Measures how long devices take from a command to visible motion. Each device is moved to and fro by a small amount, as the fleet file
+//! permits, while its sensor is read. [`downbeat_onset`] estimates when the device began to move.
 //!
 //! ```text
 //!   fleet ─▶ plan: what may be moved, how far, how fast
@@ -24,17 +24,17 @@ pub use talk::{DialogueError, RobotDialogue};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NotMeasured {
-    /// The robot does not answer, refuses, or is a different one.
+    /// The robot does not answer, refuses a request, or is not the expected robot.
     #[error(transparent)]
     Dialogue(#[from] DialogueError),
-    /// The sensor shows no motion that can be judged.
+    /// Too many movements cannot be evaluated from the sensor's readings.
     #[error("{of} of {trials} movements cannot be evaluated: {why}")]
     Unclear {
-        /// The number of movements that cannot be judged.
+        /// The number of movements that cannot be evaluated.
         of: usize,
         /// The number of all movements.
         trials: usize,
-        /// The first reason.
+        /// The reason for the first of these movements.
         why: Unclear,
     },
     /// The noise of the sensor at rest is too large for the movement.
@@ -42,29 +42,29 @@ pub enum NotMeasured {
         "sensor `{sensor}` has a noise of {noise:.4} at rest, too much for a movement of {by}; declare a larger movement if that is safe"
     )]
     Noise {
-        /// The sensor.
+        /// The id of the sensor.
         sensor: String,
-        /// The standard deviation of its readings.
+        /// The standard deviation of the sensor's readings at rest, in the sensor's unit.
         noise: f64,
-        /// The movement.
+        /// The size of the commanded movement, in the device's unit.
         by: f64,
     },
-    /// The device is not where the movement should begin.
+    /// The device is too far from the position at which the movement should start.
     #[error(
         "the device is at {at:.4}, but the movement starts at {from}; move the device there first, or correct `from`"
     )]
     Elsewhere {
         /// The position that the sensor shows.
         at: f64,
-        /// Where the movement should begin.
+        /// The position at which the movement should start.
         from: f64,
     },
     /// The movement would exceed the device's limits.
     #[error("the movement from {from} to {to} would exceed the limits {least} to {largest}")]
     BeyondLimits {
-        /// Where it would begin.
+        /// The position at which the movement would start.
         from: f64,
-        /// Where it would end.
+        /// The position at which the movement would end.
         to: f64,
         /// The lowest permitted position.
         least: f64,

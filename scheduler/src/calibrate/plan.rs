@@ -1,10 +1,10 @@
-//! Plans the movements, with their range and speed, from the fleet file alone.
+//! Plans the movements of a calibration, with their range and speed, from the fleet file alone.
 
 use downbeat_scripts::{Calibration, Fleet, FleetRobot};
 use serde::Serialize;
 use urrcp::{ControlType, Device, DeviceId, Interpolation, Limits, RobotId, Span};
 
-/// Minimum duration of a movement, whatever speed a device permits.
+/// Minimum duration of a movement, however fast the device may move.
 const LASTS_LEAST: Span = Span::from_millis(40);
 /// Maximum speed of a movement, as a share of the device's maximum speed.
 const SPEED_SHARE: f64 = 0.5;
@@ -12,22 +12,22 @@ const SPEED_SHARE: f64 = 0.5;
 /// A robot with devices to measure.
 #[derive(Clone, Debug)]
 pub struct PlannedRobot<'a> {
-    /// The robot.
+    /// The robot in the fleet file.
     pub robot: &'a FleetRobot,
-    /// Its devices to measure, in the order of their description.
+    /// The devices to measure, in the order of the robot's description.
     pub devices: Vec<PlannedDevice>,
 }
 
-/// A device, and the movement with which it is measured.
+/// A device to measure, with all data needed for its movements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannedDevice {
-    /// The device.
+    /// The device's id.
     pub device: DeviceId,
-    /// Its unit, if it declares one.
+    /// The device's unit. `None` if its description states none.
     pub unit: Option<String>,
-    /// The calibration, as declared in the fleet file.
+    /// The settings from the key `calibrate` in the fleet file.
     pub how: Calibration,
-    /// The device's maximum speed, in its unit per second, if known.
+    /// The device's maximum speed, in its unit per second. `None` if it is unknown.
     pub speed: Option<f64>,
     /// Minimum duration of a movement, so that half of the maximum speed is not exceeded.
     pub lasts: Span,
@@ -35,7 +35,7 @@ pub struct PlannedDevice {
     pub limits: Limits,
     /// How the device moves from one step to the next.
     pub interpolation: Interpolation,
-    /// Maximum number of steps of a script.
+    /// Maximum number of steps in a script for the device.
     pub steps_max: u32,
     /// The lowest and the highest reading of the sensor.
     pub sensor_range: (f64, f64),
@@ -44,16 +44,17 @@ pub struct PlannedDevice {
 /// A device that is not measured, and the reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Unplanned {
-    /// The robot.
+    /// The robot's id.
     pub robot: RobotId,
-    /// The device.
+    /// The device's id.
     pub device: DeviceId,
-    /// The reason.
+    /// Why the device is not measured.
     pub reason: String,
 }
 
-/// Plans the measurement of a fleet: of all robots, or of `only` these. The second list contains devices with `calibrate` that cannot be
-/// measured, and devices that take positions but have no `calibrate`, each with the reason.
+/// Plans the measurement of a fleet: of the robots in `only`, or of all robots if it is `None`. The second returned list contains devices
+/// that are not measured, each with the reason. These are devices with `calibrate` that cannot be measured, and devices that accept
+/// positions but have no `calibrate`.
 #[must_use]
 pub fn plan<'a>(fleet: &'a Fleet, only: Option<&[RobotId]>) -> (Vec<PlannedRobot<'a>>, Vec<Unplanned>) {
     let (mut planned, mut unplanned) = (Vec::new(), Vec::new());
@@ -77,7 +78,8 @@ pub fn plan<'a>(fleet: &'a Fleet, only: Option<&[RobotId]>) -> (Vec<PlannedRobot
     (planned, unplanned)
 }
 
-/// Returns `None` for a device that is not driven by position.
+/// Plans the measurement of one device. Returns `None` for a device that does not accept positions, and the reason if the device cannot
+/// be measured.
 fn of_device(robot: &FleetRobot, device: &Device) -> Result<Option<PlannedDevice>, String> {
     let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return Ok(None) };
     let Some(how) = robot.mission.calibrate.get(&device.id) else {
@@ -106,7 +108,7 @@ fn of_device(robot: &FleetRobot, device: &Device) -> Result<Option<PlannedDevice
 }
 
 impl PlannedDevice {
-    /// Returns the nearest position that the device can be set to.
+    /// Returns the position nearest to `value` that the device can be set to.
     #[must_use]
     pub fn on_grid(&self, value: f64) -> f64 {
         self.limits.nearest_settable(value)

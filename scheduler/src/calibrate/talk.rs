@@ -1,4 +1,4 @@
-//! A dialogue with one robot for a session: one link, one question at a time.
+//! A dialogue with one robot during a session: over one link, with one request at a time.
 
 use std::collections::VecDeque;
 
@@ -18,16 +18,16 @@ use crate::mission::Event;
 use crate::server_clock::ServerClock;
 use crate::session::Session;
 
-/// Number of exchanges to measure the clock.
+/// Number of exchanges with which the robot's clock is measured.
 const EXCHANGES: u32 = 16;
-/// Maximum error of a clock that follows NTP.
+/// Maximum permitted error of a robot's clock that follows NTP.
 const CLOCK_OFF_MAX: Span = Span::from_millis(10);
-/// A robot that receives nothing for this long ends the movement by itself.
+/// Duration of the lease of each movement. A robot that receives nothing for this long ends the movement by itself.
 const LEASE: Span = Span::from_millis(1_000);
 /// Minimum delay between a request and its start, so that the request arrives in time.
 const LEAD: Span = Span::from_millis(150);
 
-/// A robot cannot be measured.
+/// Why the dialogue with a robot failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DialogueError {
@@ -40,18 +40,18 @@ pub enum DialogueError {
     /// Another session drives the robot.
     #[error("the robot belongs to another session; wait until its mission has ended")]
     Busy,
-    /// The robot refuses.
+    /// The robot refuses a request, for the contained reason.
     #[error("the robot refused the request: {0}")]
     Refused(String),
     /// A movement ended early.
     #[error("a movement of `{device}` failed: {reason}")]
     Failed {
-        /// The device.
+        /// The id of the device.
         device: DeviceId,
         /// The reason that the robot reports.
         reason: String,
     },
-    /// Another robot answers.
+    /// Another robot answers at the address.
     #[error("another robot: its id is `{found}`, expected `{expected}`")]
     Another {
         /// The id that the robot reports.
@@ -59,12 +59,12 @@ pub enum DialogueError {
         /// The id in the fleet file.
         expected: String,
     },
-    /// A device differs from its description.
+    /// The contained device differs from the description in the init file.
     #[error(
         "the robot's description of `{0}` differs from its init file; `downbeat fleet describe` shows the description"
     )]
     Different(DeviceId),
-    /// The robot's clock is wrong.
+    /// The robot's clock differs from the server's clock by the contained amount.
     #[error("its clock is off by {0}: check its NTP")]
     Clock(Span),
 }
@@ -79,20 +79,20 @@ pub struct RobotDialogue {
     estimate: ClockEstimate,
     patience: Span,
     asked: u64,
-    /// Reports of movements that arrived while waiting for something else.
+    /// Reports about movements that arrived while the dialogue waited for something else.
     reports: VecDeque<ControlResponse>,
 }
 
 /// Maximum number of consecutive readings that may be missed.
 const MISSED_MAX: u32 = 3;
-/// Maximum number of stored reports.
+/// Maximum number of stored reports about movements.
 const REPORTS_MAX: usize = 256;
 
 impl RobotDialogue {
     /// Connects to a robot and checks its description and its clock against the fleet file. Then claims the robot.
     ///
     /// # Errors
-    /// Returns [`DialogueError`].
+    /// Returns [`DialogueError`] if the robot does not answer, refuses, or cannot be used.
     pub async fn begin(
         robot: &FleetRobot,
         endpoint: Endpoint,
@@ -139,7 +139,7 @@ impl RobotDialogue {
         self.clock.now()
     }
 
-    /// Returns the next event of the link, or `None` at `until`.
+    /// Returns the next event of the link, or `None` if no event arrives before `until`.
     async fn next(
         &mut self,
         until: Timestamp<Server>,
@@ -181,10 +181,10 @@ impl RobotDialogue {
         Err(DialogueError::Silent(self.patience))
     }
 
-    /// Asks for availability. This claims the robot, renews its leases and measures its clock.
+    /// Sends an availability request. It claims the robot, renews the robot's leases and measures its clock.
     ///
     /// # Errors
-    /// Returns [`DialogueError`].
+    /// Returns [`DialogueError`] if the robot does not answer, refuses, or cannot be used.
     pub async fn ping(&mut self) -> Result<(), DialogueError> {
         let sent = self.now();
         let session = Some(self.session.on_the_wire().clone());
@@ -219,14 +219,14 @@ impl RobotDialogue {
         }
     }
 
-    /// Returns a new request id. It is unique within the session, and differs from those of other runs against the same robot.
+    /// Returns a new request id. It is unique within the session, and differs from the ids that other runs send to the same robot.
     fn name(&mut self) -> RequestId {
         self.asked += 1;
         let name = format!("{}/{}", self.session.name(), self.asked);
         RequestId::new(name).unwrap_or_else(|_| unreachable_name())
     }
 
-    /// Sends a request and waits for its first answer.
+    /// Sends a request and waits for the first response to it.
     async fn ask(
         &mut self,
         mut request: ControlRequest,
@@ -250,10 +250,10 @@ impl RobotDialogue {
         Err(DialogueError::Silent(self.patience))
     }
 
-    /// Reads a sensor.
+    /// Requests one reading of a sensor.
     ///
     /// # Errors
-    /// Returns [`DialogueError`].
+    /// Returns [`DialogueError`] if the robot does not answer, refuses, or cannot be used.
     pub async fn read(
         &mut self,
         sensor: &DeviceId,
@@ -266,7 +266,7 @@ impl RobotDialogue {
         }
     }
 
-    /// Reads a sensor, and tries again if a reading is missed, for example because the sensor is busy.
+    /// Requests a reading of a sensor, and repeats the request if the reading is missed, for example because the sensor is busy.
     ///
     /// # Errors
     /// Returns [`DialogueError`], also if several consecutive readings are missed.
@@ -283,10 +283,10 @@ impl RobotDialogue {
         self.read(sensor).await
     }
 
-    /// Sends a movement with a later start. Returns the start by the server's clock, and the request id.
+    /// Sends a script that starts later. Returns the start time on the server's clock, and the request id.
     ///
     /// # Errors
-    /// Returns [`DialogueError`].
+    /// Returns [`DialogueError`] if the robot does not answer, refuses, or cannot be used.
     pub async fn command(
         &mut self,
         device: &DeviceId,
@@ -298,7 +298,8 @@ impl RobotDialogue {
         let usual = reading.map_or(Span::ZERO, |reading| reading.delay_high);
         let lead = lead.max(LEAD) + usual * 2;
         let now = self.now();
-        // A robot without NTP is sent times of its own clock. One with NTP has a small measured offset, and starts that much earlier.
+        // A robot without NTP receives times of its own clock. The clock of a robot with NTP has a small measured offset, and the robot
+        // starts that much earlier.
         let (timestamp, start) = match self.mode {
             ClockMode::Measured => (now + offset, now + lead),
             ClockMode::Ntp => (now, now + lead - offset),
@@ -319,10 +320,10 @@ impl RobotDialogue {
         }
     }
 
-    /// Returns the reason why a movement has failed, if the robot has reported a failure.
+    /// Checks whether the robot has reported that a movement failed.
     ///
     /// # Errors
-    /// Returns [`DialogueError::Failed`].
+    /// Returns [`DialogueError::Failed`] with the reason if the movement has failed.
     pub fn check(&mut self, device: &DeviceId, request: Option<&RequestId>) -> Result<(), DialogueError> {
         let failed = |report: &ControlResponse| {
             report.status == Status::Failed && request.is_some() && report.request_id.as_ref() == request
@@ -341,7 +342,7 @@ impl RobotDialogue {
     /// Orders a device to stay where it is.
     ///
     /// # Errors
-    /// Returns [`DialogueError`]. The device may not be at rest then.
+    /// Returns [`DialogueError`]. The device may not be at rest in that case.
     pub async fn hold(&mut self, device: &DeviceId) -> Result<(), DialogueError> {
         let stop = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
         let (_, _, response) = self.ask(stop).await?;
@@ -351,7 +352,7 @@ impl RobotDialogue {
         }
     }
 
-    /// Converts a reading for the estimator, with times since a start.
+    /// Converts a reading for the estimator, with times relative to `start`.
     #[must_use]
     pub fn reading_since(
         start: Timestamp<Server>,
@@ -381,7 +382,7 @@ fn refusal(error: Option<&urrcp::ControlError>) -> DialogueError {
     }
 }
 
-/// Rejects a different robot, and a robot whose devices differ from the plan.
+/// Returns an error for a different robot, or for a robot whose devices differ from the init file.
 fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(), DialogueError> {
     let Some(expected) = &robot.init else { return Ok(()) };
     if block.id != expected.id {

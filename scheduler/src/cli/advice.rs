@@ -1,4 +1,4 @@
-//! Guesses the intended arguments if they cannot be parsed, and adds tips below clap's own message.
+//! Guesses which arguments the user intended if they cannot be parsed, and adds tips below clap's own message.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use downbeat_scripts::did_you_mean;
 
 use super::Cli;
 
-/// Names that other programs use for commands of this one.
+/// Names that other programs use for commands, with the corresponding command of this program.
 const COMMANDS: [(&str, &str); 15] = [
     ("abort", "stop"),
     ("list", "missions"),
@@ -28,7 +28,7 @@ const COMMANDS: [(&str, &str); 15] = [
     ("verify", "check"),
 ];
 
-/// Names that other programs use for options of this one.
+/// Names that other programs use for options, with the corresponding option of this program.
 const OPTIONS: [(&str, &str); 6] = [
     ("--robots", "--only"),
     ("--robot", "--only"),
@@ -38,7 +38,7 @@ const OPTIONS: [(&str, &str); 6] = [
     ("--start-at", "--at"),
 ];
 
-/// Suggestions for missing arguments.
+/// Arguments that may be missing, with a suggestion for each.
 const MISSING: [(&str, &str); 4] = [
     ("<SCENARIO>", "`downbeat init first-show` creates an example scenario: `first-show/show.yaml`"),
     ("--driver <DRIVER>", "to get started, use `--driver sim`, which drives no hardware"),
@@ -49,7 +49,7 @@ const MISSING: [(&str, &str); 4] = [
     ("--output <DIR>", "specify a folder for the files, for example `--output out`"),
 ];
 
-/// Pairs of options that exclude each other, with suggestions.
+/// Pairs of options that exclude each other, with a suggestion for each pair.
 const CONFLICTS: [(&str, &str); 3] = [
     (
         "--no-journal",
@@ -65,7 +65,7 @@ const CONFLICTS: [(&str, &str); 3] = [
     ),
 ];
 
-/// Adds tips to an error of clap.
+/// Adds tips to clap's error for arguments that cannot be parsed.
 pub(super) fn advise(error: &mut clap::Error, args: &[String]) {
     let tips = match error.kind() {
         ErrorKind::UnknownArgument => of_argument(&text(error, ContextKind::InvalidArg), args),
@@ -151,7 +151,7 @@ fn of_command(error: &mut clap::Error) -> Vec<String> {
     vec![near.unwrap_or_else(|| "`downbeat --help` lists the commands".to_owned())]
 }
 
-/// Whether clap's suggestion is similar to the given text.
+/// Whether clap's suggestion is similar to the user's text.
 fn is_near(wrong: &str, suggested: Option<&ContextValue>) -> bool {
     let near = |right: &String| did_you_mean(wrong, [right.as_str()]).is_some();
     match suggested {

@@ -71,7 +71,7 @@ pub(super) struct CalibrateArgs {
     drivers: DriverArgs,
 }
 
-/// The result for one device.
+/// The result of measuring one device.
 struct Outcome {
     robot: RobotId,
     device: String,
@@ -150,7 +150,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, format: Format) -> Exit {
     })
 }
 
-/// Reports failures and the written file, and returns the exit code.
+/// Prints the failures and the path of the written file, and returns the exit code.
 fn told(
     path: &Path,
     outcomes: &[Outcome],
@@ -184,7 +184,7 @@ fn usage(reason: &str) -> Exit {
     Exit::Usage
 }
 
-/// Returns the existing entries of the file.
+/// Returns the existing entries of the latency file.
 fn kept(path: &Path) -> Result<LatencyFile, Exit> {
     if !path.exists() {
         return Ok(LatencyFile::new());
@@ -195,7 +195,8 @@ fn kept(path: &Path) -> Result<LatencyFile, Exit> {
     })
 }
 
-/// The new content is written to this file first, which is then renamed, so that nobody reads an incomplete file.
+/// Returns the path of a temporary file. The new contents are written to it, and it is then renamed, so that nobody reads an incomplete
+/// file.
 fn part_of(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
@@ -206,14 +207,14 @@ fn refused(path: &Path, error: &std::io::Error) -> String {
     format!("cannot write {}: {}", path.display(), Refusal::of(Attempt::Write(path), error))
 }
 
-/// Checks this before anything moves.
+/// Checks, before anything moves, that the latency file can be written.
 fn writable(path: &Path) -> Result<(), String> {
     let part = part_of(path);
     let tried = std::fs::write(&part, "").and_then(|()| std::fs::remove_file(&part));
     tried.map_err(|error| refused(path, &error))
 }
 
-/// Asks on the terminal. Returns `None` if there is no terminal.
+/// Asks on the terminal whether devices may be moved. Returns `None` if there is no terminal.
 fn confirmed() -> Option<bool> {
     if !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
         return None;
@@ -334,7 +335,7 @@ async fn one(
     Exit::Done
 }
 
-/// Adds the measurements to the existing entries and writes the file. Returns whether there was anything to write.
+/// Adds the measurements to the existing entries and writes the latency file. Returns whether there was anything to write.
 fn write(path: &Path, mut file: LatencyFile, outcomes: &[Outcome]) -> Result<bool, String> {
     let mut any = false;
     for Outcome { robot, device, result } in outcomes {
@@ -350,7 +351,7 @@ fn write(path: &Path, mut file: LatencyFile, outcomes: &[Outcome]) -> Result<boo
     Ok(any)
 }
 
-/// Digits beyond a hundredth of a millisecond are meaningless.
+/// Rounds to a hundredth of a millisecond, because further digits are meaningless.
 fn rounded(span: Span) -> Span {
     const STEP: i64 = 10_000;
     Span::from_nanos((span.as_nanos() + STEP / 2).div_euclid(STEP) * STEP)

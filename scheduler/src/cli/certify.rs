@@ -11,16 +11,16 @@ use super::{Exit, Format, console, load};
 use crate::certificate::{self, Certificate, Subject, Trial};
 use crate::journal::Asked;
 
-/// The plan to be certified.
+/// The plan to be certified, with its fleet.
 pub(super) struct Plan<'a> {
     pub(super) choreography: &'a Choreography,
     pub(super) fleet: &'a Fleet,
     pub(super) asked: &'a Asked,
-    /// The index of the first act.
+    /// The index of the first act to play.
     pub(super) first_act: usize,
 }
 
-/// Plays the plan against every fault, and writes the certificate if all promises held.
+/// Plays the plan with every simulated fault. Writes the certificate if all promises were kept.
 pub(super) fn certify(plan: &Plan<'_>, seed: u64, path: &Path, sources: &[&Path], format: Format) -> Exit {
     if let Some(error) = load::replaces(path, sources) {
         console::error(&error.replace("the page", "the certificate"));
@@ -97,7 +97,7 @@ fn text(plan: &Plan<'_>, subject: &Subject, trials: &[Trial], written: Option<&P
     text
 }
 
-/// Shortens a hash for people.
+/// Returns the first 12 characters of a hash, for people.
 fn short(hash: urrcp::ContentHash) -> String {
     hash.to_string().chars().take(12).collect()
 }
@@ -111,7 +111,7 @@ pub(super) struct CertifiedArgs {
 }
 
 impl CertifiedArgs {
-    /// Checks whether this plan may be played, and prints the reason if not.
+    /// Checks whether the required certificate permits this plan, and prints the reason if not.
     pub(super) fn check(
         &self,
         choreography: &Choreography,

@@ -1,4 +1,4 @@
-//! `downbeat check`: prints all findings at once.
+//! `downbeat check`: prints all findings about a scenario and its fleet.
 
 use std::path::PathBuf;
 
@@ -86,7 +86,7 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
     }
 }
 
-/// Judges the requirements that need no run.
+/// Evaluates those requirements of a scenario that need only the plan, without playing it.
 pub(super) fn of_the_plan(choreography: &Choreography) -> Vec<Judged> {
     let asked = Requirements { closest: choreography.requirements.closest, ..Requirements::default() };
     judge(&asked, &Figures { closest: closest_of(choreography), ..Figures::default() })

@@ -1,4 +1,4 @@
-//! The part of a scenario to be played, and its speed: a rehearsal is a choreography with parts left out or slowed down.
+//! The operator's choice of which part of a scenario to play, and at which speed, for example for a rehearsal.
 
 use downbeat_scripts::{Approach, Choreography, Fleet, add_approach, did_you_mean};
 use urrcp::RobotId;
@@ -39,7 +39,7 @@ fn listed(names: &[String]) -> String {
     names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the question whether a similar name was meant, to be appended to a sentence.
+/// Returns a question that suggests a similar name, to be appended to a sentence. Empty if no name is similar.
 fn meant(name: &str, names: &[String]) -> String {
     let question = did_you_mean(name, names.iter().map(String::as_str));
     question.map(|question| format!("; {question}")).unwrap_or_default()
@@ -49,7 +49,7 @@ fn no_act(name: &str, choreography: &Choreography, asked: &Asked) -> String {
     no_such_act(if asked.act.is_some() { "--act" } else { "--from" }, name, choreography)
 }
 
-/// Returns the error message for an unknown act in this option.
+/// Returns the error message for an unknown act that was given to `option`.
 pub(super) fn no_such_act(option: &str, name: &str, choreography: &Choreography) -> String {
     let acts: Vec<String> = choreography.acts.iter().map(|act| act.name.clone()).collect();
     let acts: Vec<String> = acts.into_iter().filter(|act| !act.is_empty()).collect();
@@ -81,7 +81,7 @@ fn not_playing(unknown: &[RobotId], playing: &[String], fleet: &Fleet) -> String
     format!("--only: the scenario does not move {}; it moves {}{near}", listed(&names), listed(playing))
 }
 
-/// Returns the choreography to be played, and the index of its first act.
+/// Applies the operator's choice. Returns the choreography to play, and the index of its first act.
 pub(super) fn choose(
     choreography: Choreography,
     fleet: &Fleet,
@@ -119,7 +119,8 @@ pub(super) fn choose(
     }
 }
 
-/// Adds an act that moves devices to their first positions. Returns the choreography and the index of its first act.
+/// Adds an act that moves devices to their first positions, if any has to move. Returns the choreography and the index of the act to
+/// begin with.
 pub(super) fn approached(
     chosen: Choreography,
     first: usize,

@@ -1,4 +1,4 @@
-//! `downbeat completions` and `downbeat man`: the files that a package installs with the program.
+//! `downbeat completions` and `downbeat man`: write the shell completions and man pages that a package installs with the program.
 
 use std::fs;
 use std::io;

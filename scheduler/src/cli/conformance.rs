@@ -118,7 +118,7 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     let interrupted = Arc::new(AtomicBool::new(false));
     super::with_runtime(async {
         let told = Arc::clone(&interrupted);
-        // Ends with the process. Signals the checks to stop and bring the robot to rest.
+        // The task ends with the process. On a signal, it makes the checks stop and bring the robot to rest.
         tokio::spawn(async move {
             if let Ok(mut signals) = Signals::listen(OnHangUp::End) {
                 signals.next().await;
@@ -146,7 +146,7 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     })
 }
 
-/// Returns the robot's address, and how the test and an observer authenticate.
+/// Returns the robot's address, and how the conformance test and the observer authenticate.
 fn reach(
     text: &str,
     observer: Option<&Path>,
@@ -209,7 +209,7 @@ fn width() -> usize {
     requirements().map(|requirement| requirement.name.len()).max().unwrap_or(0)
 }
 
-/// On a terminal, shows the current requirement and the failures so far. Elsewhere, shows nothing.
+/// The progress display. On a terminal, it shows the current requirement and the failures so far; elsewhere, it shows nothing.
 struct Live {
     checked: Arc<Mutex<&'static str>>,
     on_terminal: bool,
@@ -242,7 +242,7 @@ impl Drop for Live {
     }
 }
 
-/// Shows the current requirement in the last line of the terminal.
+/// The last line of the terminal, which shows the current requirement.
 struct Checked(Arc<Mutex<&'static str>>);
 
 impl Display for Checked {

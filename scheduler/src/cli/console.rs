@@ -1,4 +1,5 @@
-//! Prints. Colours are used only on a terminal and without NO_COLOR. A closed reader is not an error, but a full disk is.
+//! Prints the output of all commands. Colours are used only on a terminal and without NO_COLOR. A reader that closes its pipe is not an
+//! error, but a full disk is.
 //!
 //! While a mission runs, all output goes through a separate thread ([`super::outlet`]), so that a blocked terminal delays nothing else.
 //! Commands that move nothing write directly and wait for their reader, as `less` requires.
@@ -20,20 +21,20 @@ const BOLD: Style = Style::new().bold();
 const RED: Style = AnsiColor::Red.on_default().bold();
 const YELLOW: Style = AnsiColor::Yellow.on_default().bold();
 
-/// At the end of a mission: if nothing can be written for this long, the rest of the output is dropped.
+/// If, at the end of a mission, nothing can be written for this long, the rest of the output is dropped.
 const IDLE_MAX: Duration = Duration::from_secs(3);
 
-/// The writing threads, once they have started.
+/// The queues of the threads that write the output. Empty until they have started.
 static OUTLETS: OnceLock<Outlets> = OnceLock::new();
 /// Size, in bytes, of the parts in which a long JSON document is printed.
 const DOCUMENT_PART: usize = 64 * 1_024;
 
 /// Whether anything was printed to standard output.
 static PRINTED: AtomicBool = AtomicBool::new(false);
-/// The printed errors, at most [`ERRORS_MAX`], so that a document with them stays readable.
+/// The printed errors, at most [`ERRORS_MAX`], so that a JSON document that contains them stays readable.
 static ERRORS: Mutex<Vec<String>> = Mutex::new(Vec::new());
 const ERRORS_MAX: usize = 16;
-/// The reason why standard output could not be written.
+/// The reason why standard output could not be written. `None` if it could.
 static FAILURE: Mutex<Option<String>> = Mutex::new(None);
 
 /// Whether `--verbose` was given.
@@ -54,14 +55,15 @@ impl OutputArgs {
     }
 }
 
-/// How much of a mission to print.
+/// Returns how much of a mission's report to print.
 pub(super) fn detail() -> Detail {
     if IS_VERBOSE.load(Ordering::Relaxed) { Detail::Full } else { Detail::Brief }
 }
 
 struct Outlets {
     stderr: Outlet,
-    /// `None` if both streams go to the same place: one thread then preserves their order.
+    /// The queue for standard output. `None` if both streams go to the same terminal, pipe or file: one thread then preserves their
+    /// order.
     stdout: Option<Outlet>,
 }
 
@@ -80,7 +82,7 @@ impl Outlets {
     }
 }
 
-/// After this call, no output blocks its caller.
+/// Starts the threads that write the output, so that printing no longer blocks the caller.
 pub(super) fn never_wait() {
     if OUTLETS.get().is_none()
         && let Ok(outlets) = Outlets::start()
@@ -89,8 +91,8 @@ pub(super) fn never_wait() {
     }
 }
 
-/// Waits until the remaining output is written, with a time limit if a mission ran. Returns the exit code of the process: output that
-/// could not be written turns a success into a failure.
+/// Waits until the remaining output is written, with a time limit if a mission ran. Returns the exit code of the process, which is a
+/// failure if output could not be written.
 pub(super) fn finish(exit: Exit) -> Exit {
     if let Some(outlets) = OUTLETS.get() {
         for outlet in [Some(&outlets.stderr), outlets.stdout.as_ref()].into_iter().flatten() {
@@ -125,19 +127,19 @@ pub(super) fn begin_display(display: Box<dyn Display>) {
     }
 }
 
-/// Removes the display from the screen.
+/// Removes the display that [`begin_display`] started.
 pub(super) fn end_display() {
     if let Some(outlets) = OUTLETS.get() {
         outlets.stderr.display(None);
     }
 }
 
-/// Prints lines to standard output. Parts from outside must have passed [`shown::shown`].
+/// Prints lines to standard output. Text from outside must have been escaped by [`shown::shown`].
 pub(super) fn print(text: &str) {
     let _failed = print_while_read(text);
 }
 
-/// Prints a part of an output. If it fails, nobody reads the output, and the caller need not produce the rest.
+/// Prints a part of an output. After an error, the output can no longer be written, so the caller need not produce the rest.
 fn print_while_read(text: &str) -> std::io::Result<()> {
     PRINTED.store(true, Ordering::Relaxed);
     let text = Stream::Stdout.coloured(&shown::block(text)).into_owned();
@@ -152,7 +154,7 @@ fn print_while_read(text: &str) -> std::io::Result<()> {
     })
 }
 
-/// Prints lines to standard error. Parts from outside must have passed [`shown::shown`].
+/// Prints lines to standard error. Text from outside must have been escaped by [`shown::shown`].
 pub(super) fn note_block(text: &str) {
     let text = format!("{}\n", text.trim_end_matches('\n'));
     let text = Stream::Stderr.coloured(&shown::block(&text)).into_owned();
@@ -164,12 +166,12 @@ pub(super) fn note_block(text: &str) {
     }
 }
 
-/// Prints one sentence to standard error, whatever its characters. On a terminal, lines break between words.
+/// Escapes one sentence and prints it to standard error. On a terminal, lines break between words.
 pub(super) fn note(sentence: &str) {
     note_block(&fitted(sentence));
 }
 
-/// Formats text that reports a fault.
+/// Colours text that reports a fault red.
 pub(super) fn red(text: &str) -> String {
     format!("{RED}{text}{RED:#}")
 }
@@ -180,7 +182,7 @@ fn fitted(sentence: &str) -> String {
     wrapped(&shown::shown(sentence), columns.unwrap_or(UNBOUNDED))
 }
 
-/// Prints a document for a command that failed without one, so that machines can always read one.
+/// Prints a JSON document with the errors if a command failed without printing a document, so that machines can always read one.
 pub(super) fn document_failure(exit: Exit) {
     if exit == Exit::Done || PRINTED.load(Ordering::Relaxed) {
         return;
@@ -208,7 +210,7 @@ pub(super) fn warn(line: &str) {
     note_block(&format!("{YELLOW}warning{YELLOW:#}{BOLD}: {}{BOLD:#}", shown::shown(line)));
 }
 
-/// Prints one indented JSON document. A long one is printed while it is produced.
+/// Prints one indented JSON document. A long document is printed in parts while it is produced.
 pub(super) fn print_json(value: &impl Serialize) {
     let mut document = Document::default();
     match serde_json::to_writer_pretty(&mut document, value) {
@@ -219,7 +221,7 @@ pub(super) fn print_json(value: &impl Serialize) {
     }
 }
 
-/// A JSON document in progress. Its unprinted part may end within a line.
+/// The unprinted part of a JSON document that is being produced. It may end within a line.
 #[derive(Default)]
 struct Document(Vec<u8>);
 
@@ -229,7 +231,7 @@ impl Document {
         let _failed = self.print(self.0.len());
     }
 
-    /// Prints the first `length` bytes, which end with a line.
+    /// Prints the first `length` bytes, which must end at the end of a line.
     fn print(&mut self, length: usize) -> std::io::Result<()> {
         let lines: Vec<u8> = self.0.drain(..length).collect();
         let lines = String::from_utf8(lines).map_err(std::io::Error::other)?;
@@ -242,7 +244,7 @@ impl std::io::Write for Document {
         self.0.extend_from_slice(part);
         // The document of a mission must not be mixed with lines of other threads.
         if self.0.len() >= DOCUMENT_PART && OUTLETS.get().is_none() {
-            // Line ends within strings are escaped, so this one is between two values.
+            // Line ends within strings are escaped, so this line end is between two values.
             let length = self.0.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
             self.print(length)?;
         }
@@ -254,7 +256,7 @@ impl std::io::Write for Document {
     }
 }
 
-/// The width of the terminal on standard output. Elsewhere, lines may have any length.
+/// Returns the width of the terminal on standard output. Without a terminal, the width is unlimited.
 pub(super) fn columns() -> usize {
     let size = rustix::termios::tcgetwinsize(rustix::stdio::stdout());
     size.ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0).unwrap_or(UNBOUNDED)
@@ -265,7 +267,7 @@ pub(super) fn stderr_has_colour() -> bool {
     anstream::AutoStream::choice(&std::io::stderr()) != anstream::ColorChoice::Never
 }
 
-/// The destination of `--log`: each event is a line on standard error, without colours.
+/// The writer for the events of `--log`: each event is a line on standard error, without colours.
 pub(super) struct Log;
 
 impl std::io::Write for Log {

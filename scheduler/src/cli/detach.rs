@@ -19,11 +19,11 @@ use crate::journal::{has_begun, state_folder};
 use crate::run::control;
 use crate::signals::{OnHangUp, Signals};
 
-/// Passes the name of the mission to the background process.
+/// The environment variable that passes the mission's name to the background process.
 const NAME: &str = "DOWNBEAT_DETACHED_AS";
-/// The log, in the mission's folder.
+/// The name of the log file in the mission's folder.
 const LOG: &str = "log";
-/// Interval between checks of whether the mission has begun.
+/// Interval between checks whether the mission has begun.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// Interval between checks that the log can still be found under its name.
 const KEEP_EVERY: Duration = Duration::from_millis(250);
@@ -38,7 +38,7 @@ pub(super) fn detached_as() -> Option<SessionId> {
     }
     if let Ok(state) = state_folder() {
         let folder = state.join(session.as_str());
-        // Ends with the process.
+        // The thread ends with the process.
         let keeping =
             std::thread::Builder::new().name("log".to_owned()).spawn(move || keep_log(&state, &folder));
         if let Err(error) = keeping {
@@ -77,7 +77,7 @@ fn log_is_gone(written: &File, folder: &Path) -> io::Result<bool> {
     }
 }
 
-/// Copies the log to its former path, and redirects further output there. A copy of its beginning may already exist there.
+/// Copies the log to its original path, and redirects further output there. A copy of the log's beginning may already exist there.
 fn write_log_again(written: &File, state: &Path, folder: &Path) -> io::Result<File> {
     private::create_folder(state)?;
     private::create_folder(folder)?;
@@ -86,12 +86,12 @@ fn write_log_again(written: &File, state: &Path, folder: &Path) -> io::Result<Fi
     let copied = copy_from(written, there, &mut again)?;
     rustix::stdio::dup2_stdout(again.as_fd())?;
     rustix::stdio::dup2_stderr(again.as_fd())?;
-    // The output that was printed meanwhile.
+    // Output that was printed during the first copy is copied as well.
     copy_from(written, copied, &mut again)?;
     Ok(again)
 }
 
-/// Copies everything after `from` and returns the end position.
+/// Copies all bytes of the log after the position `from`, and returns the position of its end.
 fn copy_from(log: &File, mut from: u64, to: &mut File) -> io::Result<u64> {
     let mut bytes = [0; 8 * 1024];
     loop {
@@ -105,8 +105,8 @@ fn copy_from(log: &File, mut from: u64, to: &mut File) -> io::Result<u64> {
     }
 }
 
-/// Starts this command again in the background. Waits until its fleet is checked and it can be stopped from other terminals. If it ends
-/// before that, prints its output and returns its exit code.
+/// Starts this command again in the background. Waits until the mission has checked its fleet and other terminals can stop it. If the
+/// background process ends before that, prints its output and returns its exit code.
 pub(super) fn detach(session: &SessionId, state: &Path, format: Format) -> Exit {
     let folder = &state.join(session.as_str());
     let log = folder.join(LOG);
@@ -141,7 +141,7 @@ pub(super) fn detach(session: &SessionId, state: &Path, format: Format) -> Exit 
     })
 }
 
-/// Waits for a moment. Returns whether the operator wants the mission to stop, which only this process can receive yet.
+/// Waits for a moment. Returns whether the operator has requested a stop meanwhile. At this stage, only this process can receive it.
 async fn asked_to_stop(signals: Option<&mut Signals>) -> bool {
     let asked = async {
         match signals {

@@ -104,7 +104,7 @@ fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
     let a =
         ScenarioArgs { scenario: args.a.clone(), fleet: args.fleet.clone(), project: args.project.clone() };
     let b = ScenarioArgs { scenario: args.b.clone(), fleet: fleet_b, project: args.project.clone() };
-    // Exit code 1 would mean that they differ.
+    // Exit code 1 would mean that the scenarios differ.
     let load = |side: &ScenarioArgs| load::load_whole(side, format).map_err(|_| Exit::Usage);
     let ((plan_a, fleet_a, path_a, _), (plan_b, fleet_b, path_b, findings)) = (load(&a)?, load(&b)?);
     let found = compare::plans((&plan_a, &fleet_a), (&plan_b, &fleet_b));

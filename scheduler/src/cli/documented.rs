@@ -1,4 +1,4 @@
-//! Tests that commands, options and exit codes are as documented.
+//! Tests that the documents describe the actual commands, options and exit codes.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,7 @@ fn document(name: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// Returns the codes in the first column of the table with this head.
+/// Returns the exit codes in the first column of the document's table of exit codes.
 fn codes(document: &str) -> Vec<u8> {
     let lines = document.lines().skip_while(|line| !line.starts_with("| code | meaning |")).skip(2);
     lines.map_while(|line| line.strip_prefix("| ")?.split(' ').next()?.parse().ok()).collect()
@@ -61,7 +61,8 @@ fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<Strin
     command.get_subcommands().for_each(|inner| options(inner, found));
 }
 
-/// Options of cargo, cargo-mutants, systemctl, zenohd, Blender, jq, `soak` and the experiments in `lab/`, which documents also call.
+/// Options of other programs that the documents call: cargo, cargo-mutants, systemctl, zenohd, Blender, jq, `soak` and the experiments in
+/// `lab/`.
 const FOREIGN: [&str; 25] = [
     "version",
     "locked",
@@ -90,7 +91,7 @@ const FOREIGN: [&str; 25] = [
     "exit-status",
 ];
 
-/// Contains calls of package managers, systemd and containers.
+/// A document that also calls package managers, systemd and containers.
 const INSTALL: &str = "docs/install.md";
 
 #[test]

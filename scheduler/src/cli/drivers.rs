@@ -1,4 +1,4 @@
-//! The options of commands that run drivers of robots in this process.
+//! Options for commands that run drivers of robots in this process.
 
 use std::time::Duration;
 

@@ -192,7 +192,7 @@ fn not_written(path: &Path, error: &std::io::Error) -> Exit {
     Exit::Usage
 }
 
-/// The figures of one run for the requirements.
+/// Returns the figures of one run that the scenario's requirements refer to.
 fn figures(choreography: &Choreography, played: &Played) -> Figures {
     Figures {
         spread_max: played.report.largest_true_spread(),
@@ -201,7 +201,7 @@ fn figures(choreography: &Choreography, played: &Played) -> Figures {
     }
 }
 
-/// Plays a whole scenario, for a page.
+/// Plays a whole scenario in virtual time, for an HTML page.
 pub(super) fn rehearse(
     choreography: &Choreography,
     fleet: &Fleet,
@@ -220,7 +220,7 @@ pub(super) fn rehearse(
     Ok((played?, viewers.told.unwrap_or_default()))
 }
 
-/// The options of a dry run from the arguments.
+/// The options of a dry run, taken from the command line.
 struct Choice<'a> {
     readings: &'a [(RobotId, DeviceId, f64)],
     seed: u64,
@@ -234,10 +234,10 @@ fn cut_text(cut: &Cut) -> String {
     )
 }
 
-/// The watchers of a dry run.
+/// The recipients of a dry run's progress reports.
 struct Viewers {
     bar: Bar,
-    /// The progress reports to the operator, if a page needs them.
+    /// The collected progress reports. `None` if no HTML page needs them.
     told: Option<Vec<Told>>,
 }
 
@@ -254,7 +254,7 @@ impl Audience for Viewers {
     }
 }
 
-/// Shows virtual time on a terminal.
+/// A progress bar that shows virtual time on a terminal.
 struct Bar(ProgressBar);
 
 impl Bar {
@@ -296,14 +296,14 @@ fn draw(path: &Path, choreography: &Choreography, fleet: &Fleet, played: &Played
     Ok(())
 }
 
-/// Returns `swap-2.svg` for `swap.svg`, for example.
+/// Adds a number to a file name: returns `swap-2.svg` for `swap.svg`, for example.
 fn numbered(path: &Path, number: usize) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
     path.with_file_name(format!("{stem}-{number}{extension}"))
 }
 
-/// Returns why a reading cannot be given, and which ones can.
+/// Returns an error message for a reading of an unknown sensor, with the sensors that exist.
 fn no_sensor(robot: &RobotId, sensor: &DeviceId, robots: &[&FleetRobot]) -> String {
     let sensors = robots.iter().flat_map(|robot| {
         let devices = robot.init.iter().flat_map(|init| &init.devices);
@@ -325,7 +325,7 @@ impl DryRunArgs {
         if self.picture.is_some() || self.html.is_some() { Logs::Kept } else { Logs::Dropped }
     }
 
-    /// Returns the command that plays one of the trials again, without `--trial K`.
+    /// Returns the words of the command that plays one of the trials again, except for `--trial K`.
     fn replay(&self) -> Vec<String> {
         let mut words = vec!["downbeat".to_owned(), "dry-run".to_owned(), named(&self.scenario.scenario)];
         let mut add = |option: &str, value: Option<String>| {

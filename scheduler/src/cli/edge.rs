@@ -1,4 +1,4 @@
-//! `downbeat edge`: a real robot behind a driver, in its own process.
+//! `downbeat edge`: runs a real robot behind a driver, in its own process.
 #![expect(
     clippy::disallowed_methods,
     reason = "repetitions on the terminal are left out by the time between them"
@@ -56,7 +56,7 @@ pub(super) struct EdgeArgs {
     patience: DriverArgs,
 }
 
-/// Samples per second of one device, or of all.
+/// Samples per second of one device, or of all devices if `device` is `None`.
 #[derive(Clone, Debug, PartialEq)]
 struct Samples {
     device: Option<DeviceId>,
@@ -86,7 +86,7 @@ fn rate(text: &str, (least, most): (f64, f64)) -> Result<f64, String> {
         .ok_or_else(|| format!("expected a number from {least} to {most}"))
 }
 
-/// Returns the driver options from the arguments.
+/// Converts the command-line arguments to the driver's options.
 fn options(args: &EdgeArgs, block: &InitializationBlock) -> Result<DriverOptions, String> {
     let mut options = DriverOptions::default();
     options.pings_per_second = args.pings_per_second;
@@ -140,7 +140,7 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
     args.process.run(id, Hosted::driven(block, driver, used).watched(watch), format)
 }
 
-/// Within this time, the same line is not printed again, and at most this many lines are printed.
+/// Within this time, the same line is printed only once, and at most this number of lines are printed.
 const QUIET: (Duration, usize) = (Duration::from_secs(10), 8);
 
 /// The lines about the hardware that were printed on the terminal.
@@ -148,19 +148,19 @@ const QUIET: (Duration, usize) = (Duration::from_secs(10), 8);
 struct Told {
     /// The lines of the last ten seconds.
     lines: VecDeque<(Instant, String)>,
-    /// Whether the last printed line about the hardware's availability reported a loss.
+    /// Whether the last printed line about the hardware's availability reported that it is unavailable.
     lost: bool,
     latency_told: bool,
 }
 
 impl Told {
-    /// Returns the line to print for an event, if any. If a loss was printed, the return of the hardware is always printed.
+    /// Returns the line to print for an event, if any. If a line reported that the hardware is unavailable, its return is always printed.
     fn line(&mut self, robot: &str, event: &HardwareEvent, now: Instant) -> Option<String> {
         let line = match event {
             HardwareEvent::There { .. } if std::mem::take(&mut self.lost) => {
                 return Some(format!("{robot}: the hardware is available again"));
             }
-            // Availability alone, without a latency, is not worth a line.
+            // Available hardware without a reported latency is not worth a line.
             HardwareEvent::There { latency } if latency.is_empty() || self.latency_told => return None,
             HardwareEvent::There { .. } => {
                 self.latency_told = true;
@@ -180,7 +180,8 @@ impl Told {
     }
 }
 
-/// Returns the file with which a program's command begins, if it does not exist. Files that only the shell can find are not checked.
+/// Returns the first word of a program's command if it is a path of a file that does not exist. Files that only the shell can find are
+/// not checked.
 fn missing_program(driver: &DriverSpec) -> Option<&str> {
     let DriverSpec::Program { command } = driver else { return None };
     let file = command.split_whitespace().next()?;

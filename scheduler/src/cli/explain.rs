@@ -1,4 +1,4 @@
-//! `downbeat explain`: explains the code of a finding.
+//! `downbeat explain`: explains a finding, given its code.
 
 use downbeat_scripts::{Code, Severity};
 

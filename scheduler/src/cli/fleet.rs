@@ -112,10 +112,10 @@ fn parse_address(text: &str) -> Result<Address, String> {
     })
 }
 
-/// Number of exchanges with each robot.
+/// Number of exchanges with each robot to measure its clock.
 const SAMPLES: u32 = 8;
 
-/// The answer of one robot.
+/// The response of one robot, or the reason for its absence.
 #[derive(Debug, Serialize)]
 struct Answer {
     robot: RobotId,
@@ -171,7 +171,7 @@ fn show_problems(answers: &[Answer]) {
     }
 }
 
-/// Returns the fault of a robot that answers: it is a different one, or its clock is off.
+/// Returns the fault of a robot that answers: it is not the expected robot, or its clock is wrong.
 fn wrong_with(answer: &Answer, robot: &FleetRobot, tolerance: Option<Span>) -> Option<String> {
     let expected = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
     if let Some(block) = answer.block.as_ref().filter(|block| block.id != *expected) {
@@ -266,7 +266,7 @@ async fn ask_all(fleet: &Fleet, drivers: Drivers, patience: Span) -> Result<Vec<
         let (events, happened) = mpsc::channel(64);
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let id = robot.id.clone();
-        // One task per robot, so that a silent robot delays no other. Ends after `patience`.
+        // Each robot has its own task, so that a silent robot does not delay others. The task ends after `patience`.
         tokio::spawn(ask(id, link, happened, clock, patience))
     });
     let mut answers = Vec::new();

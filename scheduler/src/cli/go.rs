@@ -1,4 +1,4 @@
-//! `downbeat go`: begins an act from another terminal.
+//! `downbeat go`: begins the act that waits for the operator, from another terminal.
 
 use urrcp::SessionId;
 

@@ -1,4 +1,5 @@
-//! The identity of this terminal for robots with TLS: the identity file in the fleet file, unless the environment names another.
+//! The identity that this terminal uses for robots with TLS: the identity file that the fleet file names, unless the environment names
+//! another one.
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +13,17 @@ use crate::keys::calendar;
 use crate::link::Site;
 use crate::run::desk::{Desk, Presented};
 
-/// Names an operator's identity file, because several people may use one fleet file.
+/// The environment variable that contains the path of the operator's identity file. Several people may use one fleet file.
 const IDENTITY: &str = "DOWNBEAT_IDENTITY";
-/// Names the configuration of the Zenoh network. It may differ between machines, even if they use the same fleet file.
+/// The environment variable that contains the path of the Zenoh configuration. The configuration may differ between machines, even if
+/// they use the same fleet file.
 const ZENOH: &str = "DOWNBEAT_ZENOH";
 
-/// Number of days before the expiry of a certificate at which warnings begin.
+/// Warnings begin this number of days before a certificate expires.
 const SOON: i64 = 30;
 const DAY: i64 = 24 * 3_600;
 
-/// Returns the files, with absolute paths.
+/// Returns the absolute paths of the files for TLS and Zenoh, from the fleet file and the environment.
 pub(super) fn keys(fleet: &Fleet) -> OpenedKeys {
     let own = named_by(IDENTITY);
     let whole = |path: PathBuf| std::path::absolute(&path).unwrap_or(path);
@@ -36,7 +38,7 @@ fn named_by(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).filter(|path| !path.is_empty()).map(PathBuf::from)
 }
 
-/// Returns the Zenoh configuration from the command line, or else from the environment.
+/// Returns the path of the Zenoh configuration: from the command line, or else from the environment.
 pub(super) fn zenoh(named: Option<&Path>) -> Option<PathBuf> {
     named.map(Path::to_owned).or_else(|| named_by(ZENOH))
 }
@@ -46,12 +48,13 @@ pub(super) fn site(fleet: &Fleet) -> Result<Site, String> {
     site_of(&keys(fleet))
 }
 
-/// Returns those for a robot that no fleet file names. The environment names the files.
+/// Returns the credentials and networks for a robot that is in no fleet file. Only the environment names the files in that case.
 pub(super) fn site_of_terminal() -> Result<Site, String> {
     site(&Fleet::default())
 }
 
-/// Returns the desk of a mission with these keys. If they cannot be used, presented identities are ignored.
+/// Returns the desk that identifies operators for a mission with these key files. If the files cannot be used, prints a warning and
+/// returns `None`: identities are then ignored.
 pub(super) fn desk(keys: &OpenedKeys) -> Option<Desk> {
     Desk::of(keys).unwrap_or_else(|error| {
         console::warn(&format!("operators at other terminals cannot be identified: {error}"));
@@ -59,7 +62,7 @@ pub(super) fn desk(keys: &OpenedKeys) -> Option<Desk> {
     })
 }
 
-/// Returns the identity that this terminal presents to missions, from the environment.
+/// Returns the identity that this terminal presents to missions. `None` if the environment names no identity file.
 ///
 /// # Errors
 /// Returns the reason as a sentence if the file cannot be used.
@@ -69,7 +72,7 @@ pub(super) fn presented() -> Result<Option<Presented>, String> {
     own.map_err(|error| error.to_string())
 }
 
-/// Same as [`site`], with known files.
+/// Like [`site`], but with the given paths of the files.
 pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
     let site = Site::of_files(keys.identity.as_deref(), keys.revoked.as_deref())?;
     let site = site.with_zenoh(keys.zenoh.clone());

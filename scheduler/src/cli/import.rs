@@ -114,9 +114,9 @@ Examples:
 /// A format, as given on the command line.
 #[derive(Clone, Copy, Debug)]
 enum From {
-    /// A choreography.
+    /// Files that contain choreographies.
     Motions(ImportFormat),
-    /// The description of a robot.
+    /// A file that describes a robot.
     Urdf,
 }
 
@@ -142,7 +142,7 @@ impl clap::ValueEnum for From {
     }
 }
 
-/// Parses a rate in Hz.
+/// Parses a rate from 0.001 to 1000 Hz.
 pub(super) fn rate(text: &str) -> Result<f64, String> {
     let rate = text.parse::<f64>().ok().filter(|rate| *rate >= 0.001 && *rate <= 1_000.0);
     rate.ok_or_else(|| "expected a rate from 0.001 to 1000 Hz".to_owned())
@@ -176,20 +176,20 @@ struct Done<'a> {
     robots: usize,
     scenes: usize,
     steps: usize,
-    /// Number of steps that repeat the previous one, for pauses and for values that a file leaves out.
+    /// Number of steps that repeat the previous value, for pauses and for values that a file omits.
     held: usize,
     duration_ms: Span,
     #[serde(flatten)]
     told: Told<'a>,
 }
 
-/// The common part of every import's output: notes on conversion rules, findings and written files.
+/// The part of the output that all imports have: notes on conversion rules, findings and written files.
 #[derive(Serialize)]
 struct Told<'a> {
     notes: &'a [String],
     findings: &'a [Finding],
     files: &'a [String],
-    /// The imported text, if it is not written to files.
+    /// The resulting text. `None` if it is written to files.
     #[serde(skip_serializing_if = "Option::is_none")]
     text: Option<&'a str>,
 }
@@ -252,7 +252,7 @@ fn exit_of(findings: &[Finding]) -> Exit {
     }
 }
 
-/// Returns the fault in the options for a format.
+/// Returns the fault if an option does not apply to the format, or if options contradict each other.
 fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> {
     let for_csv = [
         args.time.is_some(),
@@ -261,7 +261,7 @@ fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> 
         args.decimal.is_some(),
         !args.hold.is_empty(),
     ];
-    // The text that a star stands for may name the robot.
+    // The text that `*` stands for may contain the robot's name.
     let whose = |(to, _): &(String, String)| to.contains('/');
     let nobodys = |(to, _): &(String, String)| !to.contains(['/', '*']);
     if from == ImportFormat::Csv && args.map.is_empty() {
@@ -279,7 +279,7 @@ fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> 
     }
 }
 
-/// The block in the file that the user names, and its text.
+/// The initialization block from the file that the user names, and the text of this file.
 struct Init {
     block: urrcp::InitializationBlock,
     text: String,

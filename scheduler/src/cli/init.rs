@@ -1,4 +1,4 @@
-//! `downbeat init`: writes a folder with a fleet, its robots and a scenario that run at once.
+//! `downbeat init`: writes a folder with a fleet, its robots and a scenario that can be played without changes.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -59,7 +59,7 @@ impl Template {
     }
 }
 
-/// Configures completion and checks in an editor; see `docs/editors.md`.
+/// Editor settings for completion and checks; see `docs/editors.md`.
 const SETTINGS: &str = r#"{
   "yaml.schemas": {
     "./schemas/scenario.schema.json": ["show.yaml", "shows/*.yaml"],

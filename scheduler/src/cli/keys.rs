@@ -1,4 +1,4 @@
-//! `downbeat keys`: the site's own authority, and keys for robots and operators.
+//! `downbeat keys`: creates the site's own certificate authority, and keys for robots and operators.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use crate::show::table::Rows;
 
 /// Default validity of a certificate in days.
 const DAYS: i64 = 365;
-/// Maximum validity in days. It would be useless to exceed that of the authority.
+/// Maximum validity of a certificate in days: that of the authority, because a longer validity would be useless.
 const DAYS_MAX: i64 = 3_650;
 const DAY: i64 = 24 * 3_600;
 
@@ -144,7 +144,7 @@ pub(super) struct RenewArgs {
     days: DaysArgs,
 }
 
-/// Maximum length of an operator's name in characters, as for a robot's id.
+/// Maximum length of an operator's name in characters. A robot's id has the same limit.
 const OPERATOR_NAME_MAX: usize = 256;
 
 fn operator_name(text: &str) -> Result<String, String> {

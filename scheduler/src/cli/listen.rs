@@ -1,4 +1,4 @@
-//! Where a robot of this process listens: at a TCP address, or at a key of a Zenoh network.
+//! The address at which a robot of this process listens: a TCP address, or a key of a Zenoh network.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use urrcp::RobotId;
 use super::identity;
 use super::robot::GuardArgs;
 
-/// The prefix of a place that is a key.
+/// The prefix of an address that is a Zenoh key.
 const ZENOH: &str = "zenoh:";
 
 /// The network on which robots of this process can be reached.
@@ -24,7 +24,8 @@ pub(super) struct NetworkArgs {
 }
 
 impl NetworkArgs {
-    /// Returns the Zenoh access from the command line, the environment, or else the fleet file.
+    /// Returns the access to Zenoh. Its configuration file is named on the command line, or else in the environment, or else in the fleet
+    /// file.
     pub(super) fn way(&self, of_fleet: Option<&Path>) -> Way {
         let file = identity::zenoh(self.file.as_deref());
         Way {
@@ -35,7 +36,7 @@ impl NetworkArgs {
     }
 }
 
-/// Access to a Zenoh network, which is joined when it is first needed.
+/// Access to a Zenoh network. The network is joined when a robot first needs it.
 #[derive(Debug)]
 pub(super) struct Way {
     #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "named, though this build has no Zenoh"))]
@@ -44,7 +45,7 @@ pub(super) struct Way {
     joined: Option<zenoh::Networks>,
 }
 
-/// A robot's place that is not served yet.
+/// An opened address of a robot whose clients are not served yet.
 #[derive(Debug)]
 pub(super) enum Listening {
     Tcp(TcpListener, Door),
@@ -53,7 +54,7 @@ pub(super) enum Listening {
 }
 
 impl Listening {
-    /// Opens the place that `--listen` names.
+    /// Opens the address that `--listen` names.
     pub(super) async fn at(
         place: &str,
         robot: &RobotId,
@@ -73,13 +74,13 @@ impl Listening {
         Ok(Self::Tcp(listener, door))
     }
 
-    /// Opens a socket at HOST:PORT.
+    /// Opens a TCP socket at the address `place`, given as HOST:PORT.
     pub(super) async fn bind(place: &str) -> Result<TcpListener, String> {
         let refused = |error| format!("cannot listen on {place}: {}", Refusal::of(Attempt::Listen, &error));
         TcpListener::bind(place).await.map_err(refused)
     }
 
-    /// Returns the robot's current place. `None` if the system has closed the socket.
+    /// Returns the address at which the robot listens. `None` if the system has closed the socket.
     pub(super) fn place(&self) -> Option<String> {
         match self {
             Self::Tcp(listener, _) => listener.local_addr().ok().map(|address| address.to_string()),
@@ -88,7 +89,7 @@ impl Listening {
         }
     }
 
-    /// Serves a robot at this place until its host stops.
+    /// Serves clients of a robot at this address until the robot's host stops.
     pub(super) async fn serve(self, host: HostHandle, robot: usize) -> std::io::Result<()> {
         match self {
             Self::Tcp(listener, door) => serve_behind(listener, host, robot, door).await,
@@ -100,13 +101,13 @@ impl Listening {
 
 #[cfg(feature = "zenoh")]
 impl Way {
-    /// Listens at a key. `anyone` means that the operator accepts that anyone on the network could drive the robot.
+    /// Listens at a key of the Zenoh network. `anyone` states that the operator accepts that anyone on the network could drive the robot.
     pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
         let networks = match &self.joined {
             Some(networks) => networks.clone(),
             None => {
                 let file = self.file.clone();
-                // Joining waits for routers.
+                // Joining waits for routers, so another thread does it.
                 let joining = tokio::task::spawn_blocking(move || crate::link::join(file.as_deref()));
                 joining.await.map_err(|error| error.to_string())??
             }

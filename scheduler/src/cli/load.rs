@@ -1,4 +1,4 @@
-//! Reads a scenario with its fleet, for every command that takes one.
+//! Reads a scenario with its fleet, for all commands that need them.
 
 use std::path::{Path, PathBuf};
 
@@ -54,13 +54,13 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     loaded
 }
 
-/// Returns where the cues of a compiled scenario are written.
+/// Returns the outline of a scenario: where its cues are in the source. Empty if the file cannot be read.
 pub(super) fn outline(args: &ScenarioArgs, fleet: &Fleet) -> Outline {
     let Ok(source) = Source::read(&args.scenario) else { return Outline::default() };
     downbeat_scripts::outline(&source, fleet, &folder(args))
 }
 
-/// Returns why a page or another output cannot be written to this path: it would replace its own source, or it is not a file.
+/// Returns why a page or another output cannot be written to this path: it would replace one of the `sources`, or it is not a file.
 pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
     let whole = |path: &Path| path.canonicalize().ok();
     if page == Path::new("-") {
@@ -70,7 +70,7 @@ pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
     Some(format!("this would replace its own source `{}`; choose another name", replaced.display()))
 }
 
-/// The folder of the scenario's includes.
+/// Returns the folder that the scenario's includes are relative to.
 fn folder(args: &ScenarioArgs) -> Folder {
     Folder::within(folder_of(args).to_path_buf(), args.project.of(&args.scenario))
 }
@@ -79,7 +79,7 @@ fn folder_of(args: &ScenarioArgs) -> &Path {
     args.scenario.parent().unwrap_or(Path::new(""))
 }
 
-/// Reads the fleet file. If the scenario names it, it must be in the project.
+/// Reads the fleet file of a scenario. If the scenario names this file, it must be in the project. Also returns the path.
 fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>, Vec<Finding>)) {
     let project = args.project.of(&args.scenario);
     let named = match &args.fleet {
@@ -98,31 +98,31 @@ fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>,
         return (path, (fleet, findings));
     }
     let path = args.fleet.clone().unwrap_or_else(|| PathBuf::from("fleet.yaml"));
-    // A file within the scenario's project belongs to that project, even if a deeper folder has its own.
+    // A file within the scenario's project belongs to that project, even if a subfolder is a project of its own.
     let project = if project.holds(&path) { project } else { args.project.of(&path) };
     let read = downbeat_scripts::read_fleet_within(&path, &project);
     (path, read)
 }
 
 impl ProjectArgs {
-    /// Returns the project of a file that the operator has named.
+    /// Returns the project of a file: the project that the operator has named, or else the one that contains the file.
     pub(super) fn of(&self, file: &Path) -> Project {
         self.project.clone().unwrap_or_else(|| Project::of(file))
     }
 
-    /// Restores the project from a journal.
+    /// Restores the project from the folder that a journal contains.
     pub(super) fn remembered(folder: Option<&Path>) -> Self {
         Self { project: folder.and_then(|folder| Project::within(folder).ok()) }
     }
 
-    /// The folder that the operator has named.
+    /// Returns the project folder that the operator has named. `None` if the operator named none.
     pub(super) fn folder(&self) -> Option<PathBuf> {
         self.project.as_ref().map(|project| project.root().to_path_buf())
     }
 }
 
-/// Same as [`load`], for commands that need the compiled scenario, with the fleet and its file. Errors end the command; warnings are
-/// printed.
+/// Like [`load`], for commands that need the compiled scenario, its fleet and the path of the fleet file. Prints warnings. After an
+/// error, returns the exit code of the command.
 pub(super) fn load_choreography(
     args: &ScenarioArgs,
     format: Format,
@@ -130,7 +130,7 @@ pub(super) fn load_choreography(
     load_whole(args, format).map(|(choreography, fleet, fleet_path, _)| (choreography, fleet, fleet_path))
 }
 
-/// Same as [`load_choreography`], with the warnings.
+/// Like [`load_choreography`], but also returns the warnings.
 pub(super) fn load_whole(
     args: &ScenarioArgs,
     format: Format,
@@ -150,7 +150,7 @@ pub(super) fn load_whole(
     }
 }
 
-/// If a fleet file does not exist, adds how to name another one to the hint.
+/// If the fleet file does not exist, adds to the finding's hint how to name another fleet file.
 fn say_how_to_name_it(findings: &mut [Finding], how: &str) {
     for hint in findings.iter_mut().filter_map(|finding| finding.hint.as_mut()) {
         if hint.starts_with("a fleet file lists your robots") {
@@ -159,12 +159,12 @@ fn say_how_to_name_it(findings: &mut [Finding], how: &str) {
     }
 }
 
-/// Reads only a fleet file.
+/// Reads a fleet file without a scenario.
 pub(super) fn load_fleet(path: &Path, project: &ProjectArgs, format: Format) -> Result<Fleet, Exit> {
     shown_fleet(downbeat_scripts::read_fleet_within(path, &project.of(path)), format)
 }
 
-/// Same as [`load_fleet`], for a fleet whose latencies are still to be measured.
+/// Like [`load_fleet`], but for a fleet whose latencies are yet to be measured.
 pub(super) fn load_fleet_to_measure(
     path: &Path,
     project: &ProjectArgs,

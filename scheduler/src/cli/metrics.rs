@@ -1,4 +1,4 @@
-//! `--metrics`: an endpoint for Prometheus and for health checks, while the command runs.
+//! `--metrics`: serves an endpoint for Prometheus and for health checks while the command runs.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
@@ -26,7 +26,7 @@ fn parse(text: &str) -> Result<SocketAddr, String> {
     })
 }
 
-/// The endpoint, if there is one.
+/// The endpoint that was started for `--metrics`. Without the option, it has no effect.
 #[derive(Default)]
 pub(super) struct Metrics {
     #[cfg(feature = "metrics")]
@@ -34,10 +34,10 @@ pub(super) struct Metrics {
 }
 
 impl MetricsArgs {
-    /// Starts the endpoint if requested. Must be called before anything moves.
+    /// Starts the endpoint if the user has requested it. Must be called before anything moves.
     ///
     /// # Errors
-    /// Fails if the address cannot be listened on, or if this program has no metrics.
+    /// Fails if the process cannot listen on the address, or if this build does not support metrics.
     #[cfg(feature = "metrics")]
     pub(super) fn serve(self, format: Format) -> Result<Metrics, String> {
         let Some(address) = self.metrics else { return Ok(Metrics::default()) };
@@ -53,7 +53,7 @@ impl MetricsArgs {
         Ok(Metrics { board: Some(board) })
     }
 
-    /// Same, in a program without metrics.
+    /// Returns an error if the user has requested metrics, because this build does not support them.
     #[cfg(not(feature = "metrics"))]
     pub(super) fn serve(self, _: Format) -> Result<Metrics, String> {
         match self.metrics {
@@ -70,7 +70,7 @@ impl MetricsArgs {
     expect(clippy::unused_self, reason = "there is nothing to tell of without the feature")
 )]
 impl Metrics {
-    /// Adds the robots of a host, with these names in the host's order.
+    /// Adds the metrics of a host's robots. `names` are their ids, in the host's order.
     pub(super) fn add_host(&self, host: &Host, names: Vec<RobotId>) {
         #[cfg(feature = "metrics")]
         if let Some(board) = &self.board {
@@ -80,7 +80,7 @@ impl Metrics {
         let _nothing_to_tell = (host, names);
     }
 
-    /// Adds a mission with these robots. The host runs those that are reached in this process.
+    /// Adds the metrics of a mission and its robots. `host` runs the robots that are in this process.
     pub(super) fn add_mission(
         &self,
         clock: ServerClock,

@@ -1,4 +1,4 @@
-//! `downbeat missions`: lists missions that other processes run or ran.
+//! `downbeat missions`: lists the missions of this machine, which other processes run or ran.
 
 use std::io;
 use std::path::Path;
@@ -86,7 +86,7 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-/// Returns the missions of this machine. Prints unreadable missions, and paths to which other users have access.
+/// Returns the missions of this machine. Prints which missions are unreadable, and to which paths other users have access.
 pub(super) fn listed() -> Result<Missions, Exit> {
     let told = |message: &str| {
         console::error(message);
@@ -110,7 +110,7 @@ pub(super) fn listed() -> Result<Missions, Exit> {
     Ok(missions)
 }
 
-/// Returns why missions cannot be listed.
+/// Returns the error message for missions that cannot be listed.
 pub(super) fn unusable(state: &Path, error: &io::Error) -> String {
     match NotPrivate::of(error) {
         Some(refused) => format!("cannot use the missions of this machine: {refused}"),
@@ -121,7 +121,7 @@ pub(super) fn unusable(state: &Path, error: &io::Error) -> String {
     }
 }
 
-/// Returns the requested mission with this state.
+/// Returns the mission with this name and state. Without a name, there must be exactly one mission with this state.
 pub(super) fn one(named: Option<&str>, life: MissionState, format: Format) -> Result<Found, Exit> {
     let (what, what_several) = match life {
         MissionState::Running => ("runs", "run"),
@@ -148,12 +148,12 @@ pub(super) fn one(named: Option<&str>, life: MissionState, format: Format) -> Re
     }
 }
 
-/// Whether a mission has this name, if one is given.
+/// Whether a mission has the given name. True if no name is given.
 pub(super) fn is_called(found: &Found, named: Option<&str>) -> bool {
     named.is_none_or(|name| found.opened.session.as_str() == name)
 }
 
-/// Prints that there is no such mission.
+/// Prints that no mission has the given name or state, and returns the exit code.
 pub(super) fn none(named: Option<&str>, what: &str, format: Format) -> Exit {
     let text = match named {
         Some(name) => format!("no mission `{name}` {what}; `downbeat missions --all` lists all missions"),

@@ -220,7 +220,7 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// All exit codes, in ascending order.
+    /// All exit codes, in ascending order of their numbers.
     const ALL: [Self; 8] = [
         Self::Done,
         Self::Failed,
@@ -232,7 +232,7 @@ impl Exit {
         Self::Unwritten,
     ];
 
-    /// Returns the exit code of another process of this program.
+    /// Returns the exit code with this number, which another process of this program has returned.
     fn of_code(code: i32) -> Self {
         Self::ALL.into_iter().find(|exit| *exit as i32 == code).unwrap_or(Self::Failed)
     }
@@ -287,14 +287,14 @@ pub fn main() -> ExitCode {
     ExitCode::from(console::finish(exit) as u8)
 }
 
-/// Whether arguments that cannot be parsed request JSON.
+/// Whether the arguments request JSON output. It works even if they cannot be parsed.
 fn wants_json() -> bool {
     let args: Vec<_> = std::env::args().collect();
     let apart = args.windows(2).any(|two| two[0] == "--format" && two[1] == "json");
     apart || args.iter().any(|arg| arg == "--format=json")
 }
 
-/// Prints help, a version or the fault of the arguments, and returns the exit code.
+/// Prints clap's message, which is help, the version or an error in the arguments, and returns the exit code.
 fn told_by_clap(error: &clap::Error) -> Exit {
     let exit = if error.use_stderr() { Exit::Usage } else { Exit::Done };
     if exit == Exit::Usage && wants_json() {
@@ -324,7 +324,7 @@ fn start_log(filter: Targets) {
     }
 }
 
-/// Runs a command that communicates with robots.
+/// Runs a command that communicates with robots, and returns its exit code.
 fn with_runtime(work: impl Future<Output = Exit>) -> Exit {
     crate::open_files::raise_limit();
     console::never_wait();

@@ -1,4 +1,4 @@
-//! `downbeat moves`: lists the moves and sequences for cues.
+//! `downbeat moves`: lists the moves and sequences that cues can use.
 
 use std::path::PathBuf;
 
@@ -43,7 +43,7 @@ pub(super) fn moves(args: &MovesArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-/// A heading with name and parameters, then one line for each of the rest.
+/// Returns a heading with the name and parameters, followed by one line for each other property.
 fn told(offer: &Offer) -> String {
     let parameter = |parameter: &Parameter| match &parameter.default {
         Some(default) => format!("{}: {}", shown(&parameter.name), shown(default)),

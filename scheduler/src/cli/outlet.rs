@@ -1,8 +1,8 @@
-//! A thread that writes to a terminal, a pipe or a file, so that nothing else waits for it.
+//! An output thread, which writes to a terminal, a pipe or a file, so that no other thread waits for it.
 //!
 //! The output of a running mission waits in a bounded queue. A blocked reader, such as a terminal after Ctrl-S or a full pipe, delays
-//! only this thread. If the queue is full, lines are dropped. Their number is written in their place once there is room again. On a
-//! terminal, the thread also draws the live display below the lines.
+//! only this thread. If the queue is full, further lines are dropped. Once there is room again, the number of dropped lines is written
+//! instead of them. On a terminal, the thread also draws the live display below the lines.
 
 use std::borrow::Cow;
 use std::collections::VecDeque;
@@ -14,14 +14,14 @@ use rustix::event::{PollFd, PollFlags};
 use rustix::fd::BorrowedFd;
 use rustix::io::Errno;
 
-/// Maximum number of lines that may wait to be written.
+/// Maximum number of entries that may wait to be written.
 const WAITING_MAX: usize = 1_024;
-/// Number of bytes per write. A pipe with room takes this many without blocking the writer.
+/// Maximum number of bytes per write. A pipe that is ready for writing accepts this number without blocking.
 const CHUNK: usize = 4_096;
 /// Interval between two frames of the display.
 const FRAME_INTERVAL: Duration = Duration::from_millis(100);
 
-/// The destination of output.
+/// One of the two standard output streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stream {
     Stdout,
@@ -44,7 +44,7 @@ impl Stream {
         place(Self::Stdout) == place(Self::Stderr)
     }
 
-    /// Returns the text with colours if they are wanted, otherwise without.
+    /// Returns the text with its colours if this stream should be coloured, otherwise without them.
     pub(super) fn coloured(self, text: &str) -> Cow<'_, str> {
         let choice = match self {
             Self::Stdout => anstream::AutoStream::choice(&io::stdout()),
@@ -57,36 +57,36 @@ impl Stream {
     }
 }
 
-/// The display below the lines. Each call returns bytes to be written at once.
+/// A display below the printed lines. Each method returns bytes that must be written at once.
 pub(super) trait Display: Send {
-    /// Removes the last frame from the screen, so that lines can take its place.
+    /// Returns the bytes that remove the last frame from the screen, so that lines can be printed there.
     fn lift(&mut self) -> Vec<u8>;
-    /// Draws the changes since the last frame.
+    /// Returns the bytes that draw the changes since the last frame.
     fn draw(&mut self) -> Vec<u8>;
 }
 
 enum Entry {
     Text(Stream, String),
-    /// The number of lines that are missing here.
+    /// The number of lines that were dropped at this point.
     Dropped(usize),
-    /// The display begins or ends here.
+    /// The display starts at this point, or ends if the value is `None`.
     Display(Option<Box<dyn Display>>),
 }
 
 #[derive(Default)]
 struct Queue {
     entries: VecDeque<Entry>,
-    /// Number of lines dropped since the last entry.
+    /// Number of lines dropped since the last queued entry.
     dropped: usize,
-    /// Whether the thread is writing.
+    /// Whether the output thread is writing.
     busy: bool,
-    /// Whether a display is drawn.
+    /// Whether the output thread draws a display.
     drawing: bool,
-    /// Increases with every successful write.
+    /// Number of successful writes, which shows whether the thread makes progress.
     progress: u64,
-    /// The reason why standard output cannot be written.
+    /// The reason why standard output cannot be written. `None` if no write has failed.
     failure: Option<String>,
-    /// Streams whose reader is gone.
+    /// Streams to which a write has failed, for example because the reader has closed its pipe.
     closed: Vec<Stream>,
 }
 
@@ -122,7 +122,7 @@ impl Shared {
     }
 }
 
-/// The queue to a writing thread. The thread ends with the process.
+/// The queue to an output thread. The thread ends with the process.
 #[derive(Clone)]
 pub(super) struct Outlet(Arc<Shared>);
 
@@ -156,7 +156,7 @@ impl Outlet {
         self.0.changed.notify_all();
     }
 
-    /// Begins or ends a display below the lines.
+    /// Starts a display below the printed lines. `None` ends the current display.
     pub(super) fn display(&self, display: Option<Box<dyn Display>>) {
         let mut queue = self.0.lock();
         queue.mark_dropped();
@@ -164,8 +164,8 @@ impl Outlet {
         self.0.changed.notify_all();
     }
 
-    /// Waits until everything is written, or until no write has succeeded for `idle`. Returns the reason if standard output could not be
-    /// written.
+    /// Waits until everything is written, or until no write has succeeded for `idle`. If standard output could not be written, returns
+    /// the reason.
     pub(super) fn drain(&self, idle: Duration) -> Option<String> {
         let mut queue = self.0.lock();
         queue.mark_dropped();
@@ -188,7 +188,7 @@ impl Outlet {
     }
 }
 
-/// The thread's loop: writes the queued entries, and draws the display in between.
+/// The loop of the output thread: writes the queued entries, and draws the display in between.
 fn write_on(shared: &Shared) {
     let mut display: Option<Box<dyn Display>> = None;
     loop {
@@ -213,7 +213,7 @@ fn write_on(shared: &Shared) {
     }
 }
 
-/// Waits for entries or, if there is a display, for the next frame.
+/// Waits for entries and returns them. If there is a display, returns no entries when the next frame is due.
 fn next_entries(shared: &Shared) -> VecDeque<Entry> {
     let mut queue = shared.lock();
     while queue.entries.is_empty() {
@@ -257,7 +257,7 @@ fn write(shared: &Shared, stream: Stream, bytes: &[u8]) {
     }
 }
 
-/// Writes without Rust's own buffers, whose locks would block others. Waits for the reader without a limit.
+/// Writes bytes without Rust's own buffers, because their locks would block other threads. Waits for the reader without a time limit.
 ///
 /// # Errors
 /// Returns the operating system's error. For a closed pipe, that is [`io::ErrorKind::BrokenPipe`].
@@ -266,7 +266,7 @@ pub(super) fn write_all(stream: Stream, mut bytes: &[u8]) -> io::Result<()> {
         match rustix::io::write(stream.fd(), bytes) {
             Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
             Err(Errno::INTR) => {}
-            // Another process has made the shared terminal non-blocking.
+            // Another process may have made the shared terminal non-blocking.
             Err(Errno::AGAIN) => {
                 let mut room = [PollFd::from_borrowed_fd(stream.fd(), PollFlags::OUT)];
                 let _interrupted = rustix::event::poll(&mut room, None);
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn lines_that_find_no_room_are_counted_in_their_place() {
-        // Without the thread, so that nothing is read.
+        // The outlet has no output thread, so that no entry is taken from the queue.
         let outlet = Outlet(Arc::default());
         let offer = |lines| (0..lines).for_each(|_| outlet.offer(Stream::Stderr, "line\n".to_owned()));
         offer(WAITING_MAX + 7);

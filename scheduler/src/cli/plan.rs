@@ -95,19 +95,19 @@ struct PlannedAct<'a> {
     robots: Requests<'a>,
 }
 
-/// Times and budgets of an act.
+/// Times and budgets of an act, for the JSON output.
 #[derive(Serialize)]
 pub(super) struct ActFigures<'a> {
     act: &'a str,
     duration_ms: Span,
-    /// By how much the act's motions are delayed compared with the scenario, if devices have a latency.
+    /// Delay of the act's motions compared with the scenario, to compensate latencies. `None` if no device has a latency.
     #[serde(skip_serializing_if = "Option::is_none")]
     lead_in_ms: Option<Span>,
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     latencies: &'a BTreeMap<RobotId, BTreeMap<DeviceId, DeviceLatency>>,
     cues: &'a [PlannedCue],
     devices: &'a [DeviceUse],
-    /// `None` if the fleet file describes no bodies.
+    /// The closest approach of two bodies. `None` if the fleet file describes no bodies.
     #[serde(skip_serializing_if = "Option::is_none")]
     closest: Option<&'a Closest>,
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
@@ -150,7 +150,7 @@ fn planned_act<'a>(act: &'a Act, choreography: &'a Choreography) -> PlannedAct<'
     }
 }
 
-/// The requests of each robot. They are created robot by robot during the output, because a plan may have millions of steps.
+/// Serializes the requests of each robot. They are created robot by robot during the output, because a plan may have millions of steps.
 struct Requests<'a>(&'a Plan);
 
 impl Serialize for Requests<'_> {

@@ -1,4 +1,4 @@
-//! `--realtime`: the scheduling that the thread that wakes this process's robots requests, and what it obtained.
+//! `--realtime`: the scheduling that is requested for the thread that wakes this process's robots, and the scheduling that it obtained.
 
 use clap::ValueEnum;
 use downbeat_robot::realtime::Realtime;
@@ -34,7 +34,7 @@ impl RealtimeArgs {
         }
     }
 
-    /// Prints the scheduling of this host's robots. With JSON output, prints it only if something is missing.
+    /// Prints the scheduling that the host's robots have obtained. With JSON output, prints it only if it is less than requested.
     pub(super) fn tell(self, host: &Host, format: Format) {
         let scheduling = host.scheduling();
         let asked = self.realtime() != Realtime::Off;
@@ -44,7 +44,7 @@ impl RealtimeArgs {
     }
 }
 
-/// Returns the exit code if the robots of this process cannot run.
+/// Returns the exit code for an error that prevents the robots of this process from running.
 pub(super) const fn exit_of(error: &EndpointError) -> Exit {
     match error {
         EndpointError::Host(HostError::Realtime(_)) => Exit::Usage,

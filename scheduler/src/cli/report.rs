@@ -61,7 +61,7 @@ pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-/// Reads the history of a mission. Refuses an incomplete file unless `partial`. `does` is the verb of the command for the hint.
+/// Reads the history of a mission. Refuses an incomplete file unless `partial` is true. `does` is the command's verb, for the hint.
 pub(super) fn read(file: &Path, partial: bool, does: &str) -> Result<History, Exit> {
     let history = match History::read(file) {
         Ok(history) => history,

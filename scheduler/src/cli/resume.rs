@@ -105,7 +105,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     }
 }
 
-/// Prints the result of withdrawing a mission instead of resuming it. If all stops are confirmed, the exit code is that of the
+/// Prints the result of withdrawing a mission instead of resuming it. If all stops are confirmed, returns the exit code for the mission's
 /// outcome.
 fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Format) -> Exit {
     if let (Ok(withdrawn), Format::Text) = (&withdrawn, format) {
@@ -119,7 +119,7 @@ fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Fo
     }
 }
 
-/// A mission to be continued.
+/// A mission to be resumed.
 struct Resumption<'a> {
     found: Found,
     contents: Contents,
@@ -243,13 +243,13 @@ impl<'a> Resumption<'a> {
     }
 }
 
-/// Returns the fleet file that the operator names, or else that of the mission.
+/// Returns the path of the fleet file that the operator names, or else of the file with which the mission began.
 fn fleet_file<'a>(opened: &'a Opened, args: &'a ResumeArgs) -> &'a Path {
     args.fleet.as_deref().unwrap_or(&opened.fleet)
 }
 
-/// Checks whether the programs that drive these robots may be started. A fleet file that the operator names is permission enough. The
-/// mission's own file must be writable only by the operator, and name the same programs as before.
+/// Checks whether the programs that drive these robots may be started. If the operator names a fleet file, they may. The mission's own
+/// fleet file must be writable only by the operator, and must name the same programs as before.
 fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Result<(), String> {
     let mut programs = robots.iter().filter(|robot| matches!(robot.address, Address::Program { .. }));
     let Some(first) = programs.next() else { return Ok(()) };
@@ -277,7 +277,7 @@ fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Resu
     }
 }
 
-/// Returns the programs of a withdrawn mission that may be started. Prints why others may not.
+/// Returns those programs of a withdrawn mission that may be started. Prints why the others may not.
 fn programs_to_reach(opened: &Opened, args: &ResumeArgs, format: Format) -> Programs {
     let is_program = |robot: &&OpenedRobot| matches!(robot.address.parse(), Ok(Address::Program { .. }));
     let driven: Vec<_> = opened.robots.iter().filter(is_program).map(|robot| &robot.robot).collect();
@@ -297,7 +297,7 @@ fn programs_to_reach(opened: &Opened, args: &ResumeArgs, format: Format) -> Prog
     robots.into_iter().map(|robot| (robot.id.clone(), robot.address.clone())).collect()
 }
 
-/// Returns the robots whose address has changed since their scripts were sent, each with both addresses.
+/// Returns a text for each robot whose address has changed since its scripts were sent, with the old and the new address.
 fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
     let is_now = |id| fleet.robots.iter().find(|robot: &&FleetRobot| robot.id == id);
     let moved = |opened: &OpenedRobot| {
@@ -315,7 +315,7 @@ fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
     opened.iter().filter_map(moved).collect()
 }
 
-/// Plays the rest of the mission and returns the report.
+/// Plays the rest of the mission and returns its report.
 async fn go_on(
     found: &Found,
     (mut keep, metrics, traces): (Keep, &Metrics, Traces),

@@ -1,4 +1,4 @@
-//! `downbeat robot`: one simulated robot in its own process.
+//! `downbeat robot`: runs one simulated robot in its own process.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -102,7 +102,8 @@ pub(super) struct GuardArgs {
 }
 
 impl GuardArgs {
-    /// Returns the robot's door. If it listens beyond this machine, it must not be open without `--insecure`.
+    /// Returns the robot's access control ([`Door`]). If the robot can be reached from other machines, access without authentication
+    /// requires `--insecure`.
     pub(super) fn door(&self, robot: &RobotId, listener: &TcpListener) -> Result<Door, String> {
         match (&self.identity, &self.secret) {
             (Some(path), _) => self.by_identity(robot, path),
@@ -125,7 +126,7 @@ impl GuardArgs {
         }
     }
 
-    /// At a key of a Zenoh network, the network decides who may drive a robot.
+    /// Returns an error if an option for access control is given for a Zenoh key: the network decides who may drive such a robot.
     pub(super) fn refuse_at_key(&self) -> Result<(), String> {
         let given = [("identity", &self.identity), ("secret", &self.secret), ("revoked", &self.revoked)];
         match given.into_iter().find(|(_, file)| file.is_some()) {
@@ -157,7 +158,7 @@ impl GuardArgs {
 }
 
 impl ProcessArgs {
-    /// Reads the robot's description.
+    /// Reads the robot's description from the init file, and replaces its id if `--id` is given.
     pub(super) fn block(&self) -> Result<InitializationBlock, Exit> {
         let mut block = downbeat_scripts::read_init(&self.init).map_err(|findings| {
             super::load::show_findings(&findings);
@@ -170,12 +171,12 @@ impl ProcessArgs {
         Ok(block)
     }
 
-    /// Runs the robot until it is interrupted. Nothing moves before the robot has its socket.
+    /// Runs the robot until a signal asks the program to end. Nothing moves before the robot listens on its address.
     pub(super) fn run(&self, id: RobotId, robot: Hosted, format: Format) -> Exit {
         let mut options = HostOptions::default().with_realtime(self.realtime.realtime());
         options.log.clone_from(&self.log_file);
         super::with_runtime(async {
-            // Before anything moves.
+            // Signals are handled before anything moves.
             let signals = match Signals::listen(OnHangUp::End) {
                 Ok(signals) => signals,
                 Err(error) => return failed(&format!("cannot install signal handlers: {error}")),
@@ -203,13 +204,13 @@ impl ProcessArgs {
     }
 }
 
-/// Reports immediately if the robots' log ends before the robots do.
+/// Watches the log of the robots' values. It prints an error immediately if the log ends before the robots do.
 pub(super) struct LogWatch(Option<JoinHandle<bool>>);
 
 impl LogWatch {
     pub(super) fn of(host: &mut Host) -> Self {
         let watch = |lost: oneshot::Receiver<HostError>| {
-            // Ends with the host.
+            // The task ends with the host.
             tokio::spawn(async move {
                 let lost = lost.await.ok();
                 lost.iter().for_each(|error| console::error(&error.to_string()));
@@ -219,7 +220,7 @@ impl LogWatch {
         Self(host.log_lost().map(watch))
     }
 
-    /// Returns the exit code after the host has stopped. An incomplete log is not a success.
+    /// Returns the exit code after the host has stopped: `exit`, or that of a failure if the log is incomplete.
     pub(super) async fn spoils(self, exit: Exit) -> Exit {
         let lost = match self.0 {
             Some(watch) => watch.await.unwrap_or(false),
@@ -277,7 +278,7 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
     args.process.run(id, robot.into(), format)
 }
 
-/// Parses a time that may be negative.
+/// Parses a time that may have a minus sign.
 fn parse_offset(text: &str) -> Result<Span, String> {
     match text.strip_prefix('-') {
         Some(behind) => parse_span(behind).map(|behind| Span::ZERO - behind),
@@ -298,7 +299,7 @@ pub(super) fn failed(message: &str) -> Exit {
     Exit::Usage
 }
 
-/// Returns why the robots of this process cannot run.
+/// Returns the error message if the robots of this process cannot run.
 pub(super) fn not_hosted(error: &HostError) -> String {
     match error {
         HostError::Log { path, error } => {
@@ -324,7 +325,7 @@ pub(super) fn stop_for(report: &mut Report, host: Option<Host>) {
     report.not_at_rest.iter().for_each(|robot| console::error(robot));
 }
 
-/// Prints where a robot listens.
+/// Prints the address at which a robot listens.
 pub(super) fn announce(host: &Host, index: usize, listening: &Listening, format: Format) {
     let robot = host.handle().robots()[index].clone();
     let Some(place) = listening.place() else { return };
@@ -339,7 +340,7 @@ pub(super) fn announce(host: &Host, index: usize, listening: &Listening, format:
     }
 }
 
-/// Serves robots, in the order of the host, until a signal asks the program to end.
+/// Serves clients of the host's robots until a signal asks the program to end. `places` are the robots' addresses, in the host's order.
 pub(super) async fn serve_until_asked_to_end(
     places: Vec<Listening>,
     host: &Host,

@@ -1,5 +1,5 @@
-//! `downbeat run`: a mission on the fleet. `approach` asks robots for their positions, `opening` begins the journal, `others`
-//! finds missions that have the same robots.
+//! `downbeat run`: plays a mission on the fleet. The module `approach` asks robots for their positions, `opening` begins the journal, and
+//! `others` finds missions that contain the same robots.
 
 mod approach;
 mod opening;
@@ -163,7 +163,7 @@ enum JoinArg {
     NextAct,
 }
 
-/// The start given by `--at`.
+/// The start time given by `--at`.
 #[derive(Clone, Copy, Debug)]
 enum StartAt {
     TimeOfDay(Span),
@@ -253,19 +253,19 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
     work.run()
 }
 
-/// Where a mission runs.
+/// The process in which a mission runs.
 #[derive(Clone)]
 enum Place {
     Terminal,
-    /// In a process that is not started yet.
+    /// In a background process that has not been started yet.
     Detaching,
-    /// In this process, which belongs to no terminal, with this session name.
+    /// In this process, which runs in the background without a terminal. The session has the contained name.
     Background(SessionId),
-    /// Before a mission in the same process: robots are asked for the positions of their devices.
+    /// In this process, as a preparation of the actual mission: it only asks robots for the positions of their devices.
     Asking,
 }
 
-/// The reason why a mission did not begin, and the exit code.
+/// The reason why a mission did not begin, and the exit code of the command.
 type Stopped = (String, Exit);
 
 fn failed(message: String) -> Stopped {
@@ -276,7 +276,7 @@ fn usage(message: String) -> Stopped {
     (message, Exit::Usage)
 }
 
-/// A mission with its journal, before its robots are contacted.
+/// A mission whose resources, such as the journal, are ready, but whose robots have not been contacted.
 struct Prepared<'a> {
     choreography: Arc<Choreography>,
     fleet: &'a Fleet,
@@ -290,7 +290,7 @@ struct Prepared<'a> {
     traces: Traces,
 }
 
-/// The requested mission.
+/// A mission as requested by the command's options.
 #[derive(Clone)]
 struct Work<'a> {
     scenario: &'a ScenarioArgs,
@@ -302,7 +302,7 @@ struct Work<'a> {
     traces: TracesArgs,
     at: Option<StartAt>,
     start_within: Span,
-    /// The act that starts at that time. `None` for the first one.
+    /// The index of the act that starts at the time `at`. `None` for the first act.
     starts_with: Option<usize>,
     lead: Option<Span>,
     join: Join,
@@ -403,7 +403,8 @@ impl Work<'_> {
             .map_err(|why| failed(format!("{}: {why}", self.scenario.scenario.display())))?;
         let mut keep = self.keep(fleet, clock)?;
         let lane = match self.place {
-            // Nothing moves, so a signal may end the process. A second lane would also receive the signals for the mission.
+            // Nothing moves, so a signal may end the process. This lane must not handle signals, because they are for the mission's own
+            // lane.
             Place::Asking => StopLane::deaf().map_err(|error| failed(error.to_string())),
             _ => stop_lane(self.on_hang_up()).map_err(failed),
         };
@@ -423,7 +424,8 @@ impl Work<'_> {
             .await
     }
 
-    /// Returns the state folder, if no other mission in it has these robots. A mission without a journal can do without.
+    /// Returns the state folder. Returns an error if another mission of this machine has these robots. A mission without a journal does
+    /// not need the folder.
     fn state(&self, robots: &[&FleetRobot]) -> Result<Option<PathBuf>, Stopped> {
         let read = journal::state_folder().map_err(|error| error.to_string()).and_then(|state| {
             let missions = Missions::of(&state).map_err(|error| unusable(&state, &error))?;
@@ -464,7 +466,7 @@ impl Work<'_> {
             preflight_only: self.preflight_only,
             zone: ZONE,
             transfer: Some(fleet::transfer(fleet)),
-            // A show continues even if an invariant is violated.
+            // Invariants are not checked, because a show must continue even if one is violated.
             check_invariants: false,
         }
     }
@@ -475,7 +477,7 @@ impl Work<'_> {
         Ok(FixedStarts { operator, within: self.start_within })
     }
 
-    /// Returns the instant of `--at`, in the time zone of this machine.
+    /// Returns the instant that `--at` means, in the time zone of this machine. `None` without `--at`.
     fn start(&self, now: Timestamp<Server>) -> Result<Option<Timestamp<Server>>, Stopped> {
         let Some(at) = self.at else { return Ok(None) };
         let start = at.instant(now, ZONE).map_err(|skipped| usage(format!("--at: {}", refusal(skipped))))?;
@@ -507,7 +509,7 @@ impl Work<'_> {
         }
     }
 
-    /// Returns the first line of the journal.
+    /// Returns the contents of the journal's first line.
     fn opened(
         &self,
         (session, key): (SessionId, SessionKey),
@@ -536,7 +538,7 @@ impl Work<'_> {
         }
     }
 
-    /// Connects to the robots, plays the mission and releases its resources.
+    /// Connects to the robots, plays the mission and releases its resources. Returns the mission's report.
     async fn perform(&self, prepared: Prepared<'_>) -> Result<Report, Stopped> {
         let Prepared { choreography, fleet, robots, clock, options, mut keep, with, metrics, traces } =
             prepared;
@@ -552,7 +554,7 @@ impl Work<'_> {
         if let Some(host) = &host {
             tokio::select! {
                 () = fleet::await_hardware(host, self.drivers) => {}
-                // The mission has not sent anything yet, and handles the stop.
+                // The mission has not sent anything yet. It handles the stop when it begins.
                 () = stopped => {}
             }
         }
@@ -602,7 +604,8 @@ impl StartAt {
         }
     }
 
-    /// States which instant `--at` means if the clocks show its time of day twice.
+    /// Returns a sentence about which instant `--at` means if the clocks show its time of day twice on that date. Otherwise returns
+    /// `None`.
     fn choice_of_two(self, at: Timestamp<Server>, zone: Zone) -> Option<String> {
         let other = zone.repeated(at).filter(|_| matches!(self, Self::TimeOfDay(_)))?;
         let which = if at < other { "the first" } else { "the second" };
@@ -615,7 +618,7 @@ impl StartAt {
     }
 }
 
-/// Rejects a scenario with an act that would wait for a time that the clocks skip.
+/// Rejects a scenario if an act would wait for a time of day that the clocks skip on that date.
 fn check_waits(
     choreography: &Choreography,
     options: &MissionOptions,
@@ -643,7 +646,7 @@ fn refusal(skipped: SkippedTime) -> String {
     format!("{skipped}; the nearest existing times are {}", skipped.nearest())
 }
 
-/// If it fails, the mission plays without a control socket.
+/// Creates the mission's control socket. If that fails, prints a warning and returns `None`: the mission plays without it.
 pub(super) fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> Option<Control> {
     let listening = Control::listen(folder, lane, desk);
     let failed = |error: &std::io::Error| {
@@ -654,7 +657,7 @@ pub(super) fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> Opti
     listening.inspect_err(failed).ok()
 }
 
-/// Returns a unique name: from the scenario, this machine, this process, and the current time.
+/// Returns a unique session name, made from the scenario, this machine, this process and the current time.
 fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
     let plain: String =
         scenario.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(20).collect();
@@ -662,7 +665,7 @@ fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
     let host: String = uname.nodename().to_string_lossy().chars().take(12).collect();
     let now = chrono::DateTime::from_timestamp_nanos(clock.now().as_nanos()).format("%Y%m%dT%H%M%S%3f");
     let name = format!("{plain}@{host}-{}-{now}", std::process::id());
-    // Never empty, and so short that the path of the mission's socket, at most 107 bytes, fits below most state folders.
+    // The name is never empty. It is short, because the path of the mission's socket may have at most 107 bytes.
     name.parse().unwrap_or_else(|_| unnamed())
 }
 
@@ -671,13 +674,14 @@ fn unnamed() -> SessionId {
     "downbeat".parse().expect("a constant below every limit")
 }
 
-/// Measures how late this host wakes its robots. Takes a moment.
+/// Measures how late this host wakes its robots. The measurement takes a moment. Returns `None` if it fails.
 async fn measured_wake_up(realtime: RealtimeArgs) -> Option<WakeUp> {
     let measure = move || WakeUp::measure(realtime.realtime());
     tokio::task::spawn_blocking(measure).await.ok()?.ok()
 }
 
-/// Returns the server's time: by NTP if the fleet file names a server, else from the system clock.
+/// Creates the server's clock: by NTP if the fleet file names an NTP server, else from the system clock. Also returns its offset from the
+/// system clock.
 pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(ServerClock, Span), String> {
     let Some(server) = &fleet.ntp else { return Ok((ServerClock::anchored(Span::ZERO), Span::ZERO)) };
     let reading = server_clock::ask_ntp(server).await.map_err(|error| error.to_string())?;
@@ -690,7 +694,7 @@ pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(Serve
     Ok((ServerClock::anchored(reading.offset), reading.uncertainty))
 }
 
-/// Starts the stop lane and returns it with the receiver of the operator's commands.
+/// Starts the stop lane. Returns it and the receiver of the operator's commands.
 pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receiver<Operator>), String> {
     StopLane::start(on_hang_up).map_err(|error| format!("cannot prepare to stop the robots: {error}"))
 }

@@ -1,4 +1,4 @@
-//! `downbeat sim`: simulates all robots of a fleet that would run in their own processes.
+//! `downbeat sim`: simulates all robots of a fleet that have a network address, in one process.
 
 use std::path::PathBuf;
 
@@ -123,7 +123,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     })
 }
 
-/// Opens the place that a fleet file names. Anyone may drive simulated robots, because they move nothing.
+/// Opens the address that a fleet file states for a robot. Anyone may drive simulated robots, because they move nothing.
 async fn listening(address: &Address, door: Door, way: &mut Way) -> Result<Listening, String> {
     match address {
         Address::Zenoh { key } => way.listen(key, true).await,

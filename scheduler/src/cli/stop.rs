@@ -1,4 +1,5 @@
-//! `downbeat stop`: stops running missions from any terminal. If the scheduler is gone or does not answer, uses the journal.
+//! `downbeat stop`: stops missions from any terminal. If a mission's scheduler is gone or does not answer, the command stops the robots
+//! by itself, with data from the journal.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -71,23 +72,23 @@ pub(super) struct StopArgs {
     how: HowArgs,
 }
 
-/// The result for one mission.
+/// The result of stopping one mission.
 struct Stopped {
     mission: SessionId,
-    /// When a direct stop began. `None` for other stops.
+    /// When this command began to stop the robots directly. `None` if the mission's scheduler stopped them.
     begun: Option<Timestamp<Server>>,
     /// The report, or the reason why the mission was not stopped.
     report: Result<Ended, String>,
     inside: Vec<Inside>,
-    /// Unconfirmed robots of a mission that is recorded as ended nevertheless.
+    /// Robots that did not confirm their stop, although the mission is recorded as ended (`--forget`).
     forgotten: Vec<RobotId>,
     exit: Exit,
 }
 
-/// The report of a mission that has ended.
+/// The report of a mission that was stopped.
 struct Ended {
     report: Withdrawal,
-    /// The whole report.
+    /// The whole report as JSON.
     document: Value,
 }
 
@@ -128,7 +129,7 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let patience = args.how.patience;
     let drivers = StartPrograms::No.into();
     let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, drivers, told };
-    // A stop does not depend on a key.
+    // A stop is sent even without a usable key.
     let presented = identity::presented().unwrap_or_else(|error| {
         console::warn(&format!("the stop is sent without an identity: {error}"));
         None
@@ -137,7 +138,7 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
 }
 
-/// Stops without a journal, with the operator's certificate.
+/// Stops all robots of a fleet file, without a journal. Robots decide by the operator's certificate whether to obey.
 fn stop_all_of(path: &Path, args: &StopArgs, format: Format) -> Exit {
     let fleet = match load::load_fleet(path, &args.project, format) {
         Ok(fleet) => fleet,
@@ -163,7 +164,7 @@ struct Unread {
 }
 
 impl Unread {
-    /// Returns `None` if another mission was named, or if there is no socket.
+    /// Returns the mission of a damaged journal. Returns `None` if the operator named another mission, or if the mission has no socket.
     fn of(journal: &Path, named: Option<&str>) -> Option<Self> {
         let folder = journal.parent()?.to_path_buf();
         let name = folder.file_name()?.to_str()?;
@@ -187,7 +188,7 @@ impl Unread {
     }
 }
 
-/// Whether the output has the form for one mission or for several.
+/// The form of the output: for one mission or for several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shown {
     One,
@@ -231,7 +232,7 @@ async fn stop_all(
     exit
 }
 
-/// Returns the exit code that a script must handle first: that of robots whose stop is not confirmed.
+/// Returns the more severe of two exit codes. The most severe one is that for robots whose stop is not confirmed.
 fn worst(one: Exit, other: Exit) -> Exit {
     let rank = |exit: Exit| match exit {
         Exit::Done => 0,
@@ -245,7 +246,7 @@ async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> 
     match found.life {
         MissionState::Running => match control::stop(&found.folder, how.rest, presented.as_deref()).await {
             Ok(ending) => heard(&found, how, &ending).await,
-            // After a refusal, the mission is not stopped from its journal either.
+            // If the mission refuses the stop, the robots are not stopped with data from the journal either.
             Err(refused @ Undelivered::Refused(_)) => {
                 Stopped::of(found.opened.session.clone(), Err(refused.to_string()))
             }
@@ -256,11 +257,11 @@ async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> 
     }
 }
 
-/// The reason if a mission did not carry out a stop.
+/// The reason that is printed if a mission did not carry out a stop.
 const ENDED_AHEAD: &str = "it was ended by an earlier stop before this one took effect";
-/// How long the process of a mission may take to end after its report.
+/// Maximum time for the process of a mission to end after it has sent its report.
 const ENDS_WITHIN: Duration = Duration::from_secs(2);
-/// The interval at which the command checks whether the process has ended.
+/// Interval between checks whether the process has ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 /// The parts of a report that state how robots came to rest. The report of a direct stop has neither `home` nor `standing`.
@@ -276,20 +277,21 @@ struct RestedRobot {
     stop: StopState,
 }
 
-/// Whether robots came to rest in the other way, although this stop is the operator's latest one.
+/// Whether robots came to rest in the other manner (in place instead of home, or vice versa), although this stop is the operator's latest
+/// one.
 fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
     let other = match rest {
         Rest::InPlace => StopState::Home,
         Rest::Home => StopState::Confirmed,
     };
     let Ok(report) = serde_json::from_str::<Rested>(&ending.report) else { return true };
-    // The mission has attempted to plan the way home.
+    // The mission has attempted to plan the motions home.
     let is_home = rest == Rest::Home && report.home.is_some();
     let rests_otherwise = |robot: &RestedRobot| robot.standing != Some(Standing::Out) && robot.stop == other;
     !ending.superseded && !is_home && report.robots.iter().any(rests_otherwise)
 }
 
-/// Evaluates the report of a mission that has ended. If it did not carry out this stop, stops its robots directly.
+/// Evaluates the report of a mission that was stopped. If the mission did not carry out this stop, stops its robots directly.
 async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
     if !leaves_undone(ending, how.rest) {
         return Stopped::by_itself(found.opened.session.clone(), &ending.report);
@@ -312,7 +314,7 @@ async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
         .await
 }
 
-/// Handles a running mission that gave no report.
+/// Handles a running mission that sent no report.
 async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     let now = Found::look_at(&found.folder).ok().flatten().map_or(MissionState::Ended, |found| found.life);
     match now {
@@ -327,7 +329,7 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     let how = How { scheduler: Scheduler::Silent, ..how };
     let stopped =
         directly(found, how, &format!("{process}: {unheard}; its robots are stopped directly")).await;
-    // If the process continues, it stops the mission for good.
+    // If the process continues later, the signal stops the mission.
     if let Some(sent) = pid.and_then(|pid| signals::stop(pid, how.rest)) {
         let session = &found.opened.session;
         console::note(&format!("{session}: {process} was sent {sent}; if it continues, it will end"));
@@ -341,7 +343,7 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
         Ok(taken) => {
             Stopped::of(mission, withdraw_and_record(taken, &Programs::new(), by_operator(), how).await)
         }
-        // Most likely another stop holds it. Its socket reports the result.
+        // Most likely, another stop command holds the lock. Its socket reports the result.
         Err(NotTaken::Held) => match control::stop(&found.folder, how.rest, None).await {
             Ok(ending) => heard(found, how, &ending).await,
             Err(unheard) => {
@@ -352,12 +354,12 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
     }
 }
 
-/// Stops the robots without the journal's lock, and without writing to it.
+/// Stops the robots of a mission without locking its journal or writing to it.
 async fn directly(found: &Found, how: How, why: &str) -> Stopped {
     let mission = found.opened.session.clone();
     console::warn(&format!("{mission}: {why}"));
     let journal = found.clone();
-    // On another thread, so that the other missions are stopped meanwhile.
+    // The journal is read on another thread, so that the other missions are stopped meanwhile.
     let read = tokio::task::spawn_blocking(move || journal.read().map_err(|error| error.to_string()));
     let contents: Result<Contents, String> = read.await.map_err(|error| error.to_string()).flatten();
     match contents {
@@ -366,8 +368,8 @@ async fn directly(found: &Found, how: How, why: &str) -> Stopped {
     }
 }
 
-/// Returns the scheduler that holds the lock of a mission's journal, if this process may see it: the one that began it, or another
-/// process of this program that has taken it over.
+/// Returns the process that holds the lock of a mission's journal, if it is visible to this process. It is the scheduler that began the
+/// mission, or another process of this program that has taken over the mission.
 fn holder(found: &Found) -> Option<Pid> {
     let journal = std::fs::canonicalize(found.folder.join("journal")).ok()?;
     let program = std::env::current_exe().ok()?;
@@ -393,7 +395,7 @@ fn holder(found: &Found) -> Option<Pid> {
 }
 
 impl Stopped {
-    /// Creates the result for a mission that has stopped itself and reported that.
+    /// Creates the result for a mission whose own scheduler stopped it and sent the report.
     fn by_itself(mission: SessionId, report: &str) -> Self {
         let report = Ended::of(report).map_err(|error| error.to_string());
         let not_at_rest = report.iter().flat_map(|ended| &ended.report.not_at_rest);
@@ -471,7 +473,8 @@ impl Stopped {
     }
 }
 
-/// `begun` is when a direct stop began; the mission's leases may have run out long before.
+/// Returns the line about a robot's stop. `begun` is when this command began to stop the robots directly; the mission's leases may have
+/// expired long before.
 fn robot_line(robot: &WithdrawnRobot, begun: Option<Timestamp<Server>>) -> String {
     let name = &robot.robot;
     match robot.stop {
@@ -482,14 +485,14 @@ fn robot_line(robot: &WithdrawnRobot, begun: Option<Timestamp<Server>>) -> Strin
             format!("{name}: stop NOT confirmed; its lease {verb} at {}", time_of_day(ends))
         }
         StopState::Unconfirmed { lease_ends: None } => {
-            format!("{name}: stop NOT confirmed, and it runs without a lease")
+            format!("{name}: stop NOT confirmed; it has no lease, so it does not stop by itself")
         }
         StopState::TakenOver => format!("{name}: {TAKEN_OVER}"),
         StopState::NotSent => format!("{name}: nothing had been sent to it"),
     }
 }
 
-/// Returns why a robot has not confirmed, or why it failed earlier.
+/// Returns a line that states why a robot has not confirmed its stop, or why it failed earlier.
 fn failure_line(failure: &Failure) -> String {
     format!("{}: {}", failure.robot, failure.kind)
 }
@@ -519,7 +522,7 @@ fn inside_line(inside: &Inside) -> String {
     }
 }
 
-/// Prints the result of a mission that was withdrawn instead of resumed.
+/// Prints the result of a mission that was withdrawn instead of resumed, and returns the exit code.
 pub(super) fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Format) -> Exit {
     let stopped = Stopped::of(mission, withdrawn);
     stopped.tell(Shown::One, format);

@@ -1,4 +1,4 @@
-//! `--traces`: the mission as an OpenTelemetry trace.
+//! `--traces`: sends the mission as an OpenTelemetry trace to a collector.
 
 use crate::mission::Mission;
 use crate::run::watch::Watches;
@@ -21,7 +21,7 @@ fn parse(text: &str) -> Result<String, String> {
     })
 }
 
-/// The connection to a collector, if there is one.
+/// The connection to the collector that `--traces` names. Without the option, it has no effect.
 #[derive(Debug, Default)]
 pub(super) struct Traces {
     #[cfg(feature = "traces")]
@@ -30,7 +30,7 @@ pub(super) struct Traces {
 
 impl TracesArgs {
     /// # Errors
-    /// Fails if the URL is invalid, or if this program has no traces.
+    /// Fails if the URL is invalid, or if this build does not support traces.
     #[cfg(feature = "traces")]
     pub(super) fn open(&self) -> Result<Traces, String> {
         let to = self.traces.as_ref().map(|url| {
@@ -40,7 +40,7 @@ impl TracesArgs {
         Ok(Traces { to: to.transpose()? })
     }
 
-    /// Same, in a program without traces.
+    /// Returns an error if the user has requested traces, because this build does not support them.
     #[cfg(not(feature = "traces"))]
     pub(super) fn open(&self) -> Result<Traces, String> {
         match self.traces {
@@ -72,7 +72,7 @@ impl Traces {
         let _nothing_to_tell = (clock, mission, watches);
     }
 
-    /// Sends the remaining spans, for at most a few seconds. The mission must be over.
+    /// Sends the remaining spans, for at most a few seconds. Must be called after the mission is over.
     pub(super) fn end(self) {
         #[cfg(feature = "traces")]
         if let Some(Err(error)) = self.to.map(crate::operations::Traces::end) {

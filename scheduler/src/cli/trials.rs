@@ -1,4 +1,4 @@
-//! `downbeat dry-run --world` and `--trials`: plays the mission in a world from a file, once or many times.
+//! `downbeat dry-run --world` and `--trials`: plays the mission under the conditions of a world file, once or many times.
 
 use std::path::Path;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::mission::MissionOptions;
 use crate::show::trials_text;
 use crate::trials::{Results, Trials};
 
-/// Reads a world file. Without a file, returns the world that follows the fleet file.
+/// Reads a world file. Without one, returns the world that the fleet file implies.
 pub(super) fn world(
     path: Option<&Path>,
     fleet: &Fleet,
@@ -65,7 +65,7 @@ fn bar(count: u32, format: Format) -> ProgressBar {
     bar
 }
 
-/// Prints the results.
+/// Prints the results of the trials.
 pub(super) fn print(results: &Results, format: Format) {
     match format {
         Format::Text => console::print(&trials_text(results, console::columns())),

@@ -1,4 +1,5 @@
-//! Withdraws what a mission left on its robots, from its journal alone, because files may have changed since it began.
+//! Withdraws the commands that a mission has left on its robots. Uses only the mission's journal, because other files may have changed
+//! since the mission began.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,7 +24,7 @@ use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
 use crate::stop_lane::{Operator, StopLane};
 
-/// Maximum time for the disk to record that a mission was stopped.
+/// Maximum time to wait until the disk has recorded that a mission was stopped.
 const RECORD_MAX: Duration = Duration::from_secs(5);
 
 /// The locked journal of a mission whose scheduler is gone.
@@ -48,7 +49,7 @@ pub(super) enum NotTaken {
 }
 
 impl Taken {
-    /// Locks the journal and reads it under the lock.
+    /// Locks the mission's journal, and then reads it.
     pub(super) fn of(found: &Found) -> Result<Self, NotTaken> {
         let path = found.folder.join("journal");
         let disk = FileDisk::take_up(&found.folder).map_err(|error| match error.kind() {
@@ -65,7 +66,7 @@ impl Taken {
         Ok(Self { contents, disk, folder: found.folder.clone() })
     }
 
-    /// Returns the journal for further records.
+    /// Returns the contents of the journal, and the journal itself, opened for further records.
     pub(super) fn journal(self) -> Result<(Contents, Journal), String> {
         let journal = Journal::taken_up(self.disk, self.folder.join("journal"), self.contents.clone());
         Ok((self.contents, journal.map_err(|error| error.to_string())?))
@@ -85,12 +86,12 @@ fn torn_text(torn: Torn) -> String {
     }
 }
 
-/// The state of the process that drove a mission.
+/// The state of the scheduler process that ran a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scheduler {
-    /// It is gone, and everything that ran in it as well.
+    /// The process is gone, and everything that ran in it as well.
     Gone,
-    /// It exists but does not answer.
+    /// The process exists but does not answer.
     Silent,
 }
 
@@ -101,16 +102,16 @@ pub(super) struct Inside {
     pub(super) what: InsideWhat,
 }
 
-/// What ran in the scheduler's process.
+/// The kind of a robot in the scheduler's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub(super) enum InsideWhat {
     /// A simulated robot: it ended, or is suspended, with the process.
     Simulated,
-    /// A driver of hardware.
+    /// A driver of hardware to which the mission had sent commands.
     Driver,
-    /// A program that ended with the process. Only the fleet file says how to start it again.
+    /// A driver program that ended with the process. Only the fleet file states how to start it again.
     Program,
     /// A driver of hardware to which the mission had not sent anything.
     Unmoved,
@@ -118,16 +119,16 @@ pub(super) enum InsideWhat {
 
 /// The result of withdrawing a mission.
 pub(super) struct Withdrawn {
-    /// When the stops were first sent.
+    /// When this process began to stop the robots.
     pub(super) begun: Timestamp<Server>,
     pub(super) report: Report,
     pub(super) inside: Vec<Inside>,
-    /// Unconfirmed robots of a mission that is recorded as ended nevertheless.
+    /// Robots that did not confirm their stop, although the mission is recorded as ended.
     pub(super) forgotten: Vec<RobotId>,
 }
 
 impl Withdrawn {
-    /// Returns the robots that may still move.
+    /// Returns the robots that may still move, because they did not confirm their stop or could not be reached.
     fn unconfirmed(&self) -> Vec<RobotId> {
         let robots = self.report.robots.iter().filter(|robot| robot.stop.is_unconfirmed());
         let driven = |inside: &&Inside| matches!(inside.what, InsideWhat::Driver | InsideWhat::Program);
@@ -144,9 +145,9 @@ impl Withdrawn {
 /// What to do with a mission if a robot does not confirm its stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unconfirmed {
-    /// It stays open and can be stopped again.
+    /// The mission stays open and can be stopped again.
     Kept,
-    /// It is recorded as ended.
+    /// The mission is recorded as ended.
     Forgotten,
 }
 
@@ -154,20 +155,22 @@ pub(super) enum Unconfirmed {
 #[derive(Clone, Copy)]
 pub(super) struct How {
     pub(super) scheduler: Scheduler,
-    /// What to do if a robot does not confirm.
+    /// What to do with the mission if a robot does not confirm its stop.
     pub(super) unconfirmed: Unconfirmed,
     /// How robots come to rest.
     pub(super) rest: Rest,
     pub(super) patience: Span,
     pub(super) drivers: Drivers,
-    /// The format of progress reports. With JSON, there are none.
+    /// The format of progress reports. With JSON, no progress is reported.
     pub(super) told: Format,
 }
 
-/// The programs that this process may start again, by robot, as given in the fleet file. A journal alone permits none.
+/// The driver programs that this process may start again: the address of each robot in the fleet file, by the robot's id. A journal alone
+/// permits no program.
 pub(super) type Programs = BTreeMap<RobotId, Address>;
 
-/// Stops the robots of a mission. Records that afterwards in the locked journal: a stop does not wait for the disk.
+/// Stops the robots of a mission, and then records the stop in the locked journal. The record is written last, because a stop must not
+/// wait for the disk.
 pub(super) async fn withdraw_and_record(
     taken: Taken,
     programs: &Programs,
@@ -175,7 +178,7 @@ pub(super) async fn withdraw_and_record(
     how: How,
 ) -> Result<Withdrawn, String> {
     let (lane, operator) = stop_lane(OnHangUp::End)?;
-    // A stop from another terminal meanwhile receives the result of this one.
+    // If another terminal requests a stop meanwhile, it receives the result of this stop.
     let control = listen(&taken.folder, &lane, None);
     let mut withdrawn = withdraw_as(&taken.contents, programs, ending, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
@@ -196,12 +199,12 @@ pub(super) async fn withdraw_and_record(
     Ok(withdrawn)
 }
 
-/// Stops the robots of a mission. Starts no programs.
+/// Stops the robots of a mission without recording it. Starts no programs.
 pub(super) async fn withdraw(contents: &Contents, how: How) -> Result<Withdrawn, String> {
     withdraw_as(contents, &Programs::new(), by_operator(), how, stop_lane(OnHangUp::End)?).await
 }
 
-/// The outcome of a mission that the operator stops, and its text for people.
+/// Returns the outcome of a mission that the operator stops, and the text of this outcome for people.
 pub(super) fn by_operator() -> (Outcome, String) {
     (Outcome::Stopped, Outcome::Stopped.to_string())
 }
@@ -233,7 +236,7 @@ async fn withdraw_as(
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
-/// Stops every device of a fleet, whichever mission it plays. The operator's certificate tells robots whether this is permitted.
+/// Stops every device of a fleet, whichever mission uses it. Robots decide by the operator's certificate whether this is permitted.
 pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String> {
     let is_reached = |robot: &&FleetRobot| robot.address.is_served();
     let (robots, inside): (Vec<&FleetRobot>, Vec<&FleetRobot>) = of.robots.iter().partition(is_reached);
@@ -263,7 +266,7 @@ pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
-/// Covers everything that others may have sent to the robot.
+/// Returns the robot's state for the case that any mission may have sent commands to any of its devices.
 fn anything_on(robot: &FleetRobot) -> LeftOn {
     let devices = robot.init.iter().flat_map(|init| init.devices.iter());
     let is_driven = |device: &&Device| {
@@ -302,7 +305,7 @@ fn scenario_of(mission: &Opened) -> String {
     mission.name.clone().unwrap_or_else(|| kept.to_owned())
 }
 
-/// Returns the robots of a journal that this process can reach, and the others.
+/// Splits the robots of a journal into those that this process can reach, and the others.
 fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
     for opened in &mission.robots {
@@ -330,7 +333,7 @@ fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (V
     (reached, inside)
 }
 
-/// Starts a program in the folder in which its mission ran, because the command may name files there.
+/// Changes a program's address so that the program starts in the mission's working directory, because the command may name files there.
 pub(super) fn started_in(folder: Option<&Path>, address: Address) -> Address {
     match (folder.and_then(Path::to_str), address) {
         (Some(folder), Address::Program { command }) => {
@@ -341,13 +344,14 @@ pub(super) fn started_in(folder: Option<&Path>, address: Address) -> Address {
     }
 }
 
-/// Creates a robot with the parts that a stop needs. Every robot understands JSON.
+/// Creates a fleet robot from a journal, with only the data that a stop needs. Its encoding is JSON, which every robot understands.
 fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
     let robot = FleetRobot::new(opened.robot.clone(), address, opened.init.clone());
     FleetRobot { limits: opened.limits.clone(), ..robot }
 }
 
-/// A mission with a robot that may still move has not ended: it can be stopped again.
+/// Returns the journal records about a stop. If a robot may still move, they do not contain the mission's end, so that it can be stopped
+/// again.
 fn records_of(withdrawn: &Withdrawn, How { unconfirmed, rest, .. }: How) -> Vec<Record> {
     let report = &withdrawn.report;
     let confirmed =
@@ -365,7 +369,7 @@ fn write_down(taken: Taken, begun: Timestamp<Server>, records: &[Record]) -> Res
     let clock = ServerClock::anchored(taken.contents.opened.clock_offset);
     let (_, mut journal) = taken.journal()?;
     let at = |record: &Record| match record {
-        // Leases run out from this time.
+        // The time of this record is the start of the stop, because leases are no longer renewed from then.
         Record::Stopping { .. } => begun,
         _ => clock.now(),
     };

@@ -1,4 +1,4 @@
-//! `downbeat world`: writes a world file from a recorded mission, so that trials use its network.
+//! `downbeat world`: writes a world file from a recorded mission, so that trials can use the network conditions of that mission.
 
 use std::path::{Path, PathBuf};
 

@@ -8,16 +8,16 @@ use prometheus::proto::{
 
 use super::names::{Kind, Metric};
 
-/// The content type of [`Page::text`].
+/// The HTTP content type of the page that [`Page::text`] returns.
 pub(super) const CONTENT_TYPE: &str = prometheus::TEXT_FORMAT;
 
-/// A source of metrics.
+/// A source of metrics, such as a mission or a host.
 pub(crate) trait Source: Send + Sync {
-    /// Writes the current values.
+    /// Writes the current values of all metrics of this source to the page.
     fn write(&self, page: &mut Page);
 }
 
-/// Metrics as text. They are written one after the other, so that the values of all robots are in memory only as text.
+/// A metrics page: text to which metrics are appended one after the other. The values of all robots are therefore in memory only as text.
 #[derive(Debug, Default)]
 pub(crate) struct Page(String);
 
@@ -26,21 +26,21 @@ impl Page {
         self.family(metric, vec![number(metric, Vec::new(), value)]);
     }
 
-    /// Writes a value, unless it is unknown.
+    /// Writes a metric with a single value, unless the value is unknown (NaN).
     pub(super) fn known(&mut self, metric: &Metric, value: f64) {
         if !value.is_nan() {
             self.one(metric, value);
         }
     }
 
-    /// Writes a value for each label, except for unknown values.
+    /// Writes a metric with a value for each label, except for unknown values (NaN).
     pub(super) fn each<'a>(&mut self, metric: &Metric, values: impl Iterator<Item = (&'a str, f64)>) {
         let known = values.filter(|(_, value)| !value.is_nan());
         let values = known.map(|(label, value)| number(metric, labelled(metric.label, label), value));
         self.family(metric, values.collect());
     }
 
-    /// Writes 1 for the current label, and 0 for the others.
+    /// Writes a metric that shows a state: the value 1 for the current label `now`, and 0 for the other labels.
     pub(super) fn state(&mut self, metric: &Metric, labels: &[&str], now: &str) {
         self.each(metric, labels.iter().map(|label| (*label, f64::from(u8::from(*label == now)))));
     }
@@ -81,7 +81,7 @@ impl Page {
         }
     }
 
-    /// Returns the metrics of all sources.
+    /// Returns the text of a page with the metrics of all sources.
     pub(super) fn text<'a>(sources: impl Iterator<Item = &'a dyn Source>) -> String {
         let mut page = Self::default();
         page.each(&super::names::BUILD_INFO, std::iter::once((env!("CARGO_PKG_VERSION"), 1.0)));

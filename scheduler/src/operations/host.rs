@@ -1,4 +1,4 @@
-//! Metrics and health of the robots of this process.
+//! Metrics and health of the robots that run in this process.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -14,16 +14,16 @@ use super::exposition::{Page, Source};
 use super::health::{Checked, Health};
 use super::names;
 
-/// If the thread that moves robots does not answer within this time, it is considered blocked.
+/// Time after which the thread that moves robots is considered blocked if it does not answer.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Maximum number of named robots in a message about hardware that does not answer.
+/// Maximum number of robots that are named in a message about hardware that does not answer.
 const NAMED_MAX: usize = 10;
 
-/// The robots of a host.
+/// The metrics of a host's robots.
 pub(crate) struct HostMetrics {
     handle: HostHandle,
     figures: Arc<Figures>,
-    /// The ids of its robots, in order. They come from the fleet file, because several robots may share one description.
+    /// The ids of the robots, in the host's order. They come from the fleet file, because several robots may share one description.
     names: Vec<RobotId>,
     is_realtime: bool,
 }
@@ -91,7 +91,7 @@ impl Health for HostMetrics {
     }
 }
 
-/// Returns a reason as a label: `made_room` for `MadeRoom`.
+/// Converts a reason to a label in snake case: `made_room` for `MadeRoom`.
 fn label(reason: Reason) -> String {
     let mut label = String::new();
     for (index, letter) in format!("{reason:?}").chars().enumerate() {

@@ -1,4 +1,4 @@
-//! Metrics and health of a mission. The mission's loop writes numbers, for a few robots at a time; the endpoint's thread reads them.
+//! Metrics and health of a mission. The mission's loop writes the numbers, for a few robots at a time. The endpoint's thread reads them.
 
 use std::collections::VecDeque;
 use std::future::Future;
@@ -18,19 +18,20 @@ use crate::mission::{Failure, Mission, Progress};
 use crate::run::watch::Watch;
 use crate::server_clock::ServerClock;
 
-/// Interval between updates of all robots.
+/// Interval between two updates of the numbers of all robots.
 const LOOK_EVERY: Span = Span::from_millis(500);
-/// Interval between the parts of an update.
+/// Interval between the parts of an update, each of which covers a few robots.
 const PART_EVERY: Span = Span::from_millis(5);
-/// Robots per part: at least this number, and at least 1/100 of all. A part of 100 robots takes the loop some 20 us.
+/// Number of robots per part of an update: at least the first value, and at least all robots divided by the second value. A part of 100
+/// robots takes the loop about 20 us.
 const PART: (usize, usize) = (32, 100);
-/// If the loop has not turned for this long, it is considered stalled. It turns at least every half second.
+/// If the mission's loop makes no iteration for this long, it is considered stalled. It iterates at least every half second.
 const STANDS_STILL: Span = Span::from_millis(3_000);
 
 const PHASES: [&str; 5] = ["starting", "greeting", "performing", "stopping", "ended"];
 const STAGES: [&str; 3] = ["waiting", "preparing", "playing"];
 
-/// A number that one thread writes and another reads.
+/// A floating-point number that one thread writes and another reads.
 #[derive(Debug)]
 struct Number(AtomicU64);
 
@@ -47,7 +48,7 @@ impl Number {
         self.0.store(value.to_bits(), Ordering::Relaxed);
     }
 
-    /// A counter never decreases, even if the mission learns that fewer events occurred.
+    /// Sets a counter, but never decreases it, even if the mission learns that fewer events occurred.
     fn raise(&self, count: u64) {
         self.set(self.get().max(number(count)));
     }
@@ -57,7 +58,7 @@ impl Number {
     }
 }
 
-/// The metrics of each robot, in the order of its cells.
+/// The metrics of each robot, in the order of the robot's numbers in [`Numbers::robots`].
 static CELLS: [&Metric; 15] = [
     &names::R_LINKED,
     &names::R_TAKES_PART,
@@ -76,13 +77,13 @@ static CELLS: [&Metric; 15] = [
     &names::R_UNCONFIRMED,
 ];
 
-/// The numbers of a mission.
+/// The numbers of a mission, which the mission's loop writes and the endpoint reads.
 #[derive(Debug)]
 struct Numbers {
     clock: ServerClock,
-    /// Nanoseconds on the server's clock. 0 before the first turn.
+    /// Time of the loop's latest iteration, in nanoseconds on the server's clock. 0 before the first iteration.
     turned_at: AtomicI64,
-    /// The index in [`PHASES`].
+    /// The mission's phase, as an index in [`PHASES`].
     phase: AtomicU64,
     greeted: AtomicU64,
     lateness: Distribution,
@@ -101,12 +102,12 @@ struct Numbers {
     robots: Vec<(RobotId, [Number; CELLS.len()])>,
 }
 
-/// The metrics of one mission, for the endpoint.
+/// The metrics of one mission, as the endpoint reads them.
 #[derive(Clone, Debug)]
 pub(crate) struct MissionMetrics(Arc<Numbers>);
 
 impl MissionMetrics {
-    /// Creates the metrics of a mission that has not begun, with these robots in the mission's order.
+    /// Creates the metrics of a mission that has not begun. `robots` are in the mission's order.
     pub(crate) fn new(clock: ServerClock, robots: impl Iterator<Item = RobotId>) -> Self {
         let cell = |metric: &Metric| match metric.kind {
             names::Kind::Counter => Number::new(0.0),
@@ -134,7 +135,7 @@ impl MissionMetrics {
         }))
     }
 
-    /// Returns the watcher that writes the metrics in the mission's loop.
+    /// Returns the watcher that writes these metrics in the mission's loop.
     pub(crate) fn watch(&self) -> MissionWatch {
         let now = self.0.clock.now();
         MissionWatch {
@@ -147,14 +148,14 @@ impl MissionMetrics {
     }
 }
 
-/// Writes the numbers of a mission, in its loop.
+/// The watcher that writes the numbers of a mission, in the mission's loop.
 #[derive(Debug)]
 pub(crate) struct MissionWatch {
     numbers: Arc<Numbers>,
-    /// The first robot of the next part of the update.
+    /// The index of the first robot in the next part of the update.
     next: usize,
     part_at: Timestamp<Server>,
-    /// The times at which records were handed to the journal that are not on the disk yet.
+    /// For each record that is not on the disk yet, the time at which it was sent to the journal.
     filed: VecDeque<Timestamp<Server>>,
     recorded: u64,
 }
@@ -198,7 +199,7 @@ impl MissionWatch {
     }
 }
 
-/// Returns the values in the order of [`CELLS`].
+/// Returns the values of a robot's metrics, in the order of [`CELLS`].
 fn values(robot: &RobotFigures) -> [f64; CELLS.len()] {
     let (totals, clock) = (&robot.totals, robot.clock.as_ref());
     let flag = |is: bool| f64::from(u8::from(is));
@@ -325,7 +326,7 @@ impl Numbers {
         PHASES.get(phase).copied().unwrap_or(PHASES[0])
     }
 
-    /// Time since the loop last turned. `None` before the first turn.
+    /// Returns the time since the loop's latest iteration. `None` before the first iteration.
     fn loop_age(&self) -> Option<Span> {
         let turned_at = self.turned_at.load(Ordering::Relaxed);
         (turned_at != 0).then(|| (self.clock.now() - Timestamp::from_nanos(turned_at)).max(Span::ZERO))

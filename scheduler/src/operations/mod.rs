@@ -1,8 +1,8 @@
-//! For operators of a fleet: metrics for Prometheus and health over HTTP (feature `metrics`), traces of OpenTelemetry (feature `traces`).
-//! `docs/operations.md` describes them.
+//! Monitoring for operators of a fleet: metrics for Prometheus and health checks over HTTP (feature `metrics`), and traces for
+//! OpenTelemetry (feature `traces`). `docs/operations.md` describes them.
 //!
 //! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]). The thread of the endpoint (`server.rs`)
-//! reads the numbers, so clients that request too often or read too slowly do not disturb them.
+//! reads the numbers. Clients that request too often or read too slowly therefore do not disturb the mission or the host.
 
 #[cfg(feature = "metrics")]
 mod exposition;

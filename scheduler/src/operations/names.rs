@@ -1,11 +1,11 @@
-//! All metrics: name with unit, kind, label and help text. `docs/operations.md` has the same table.
+//! The definitions of all metrics: name with unit, kind, label and help text. `docs/operations.md` contains the same table.
 
-/// An exposed metric.
+/// The definition of a metric on the metrics page.
 #[derive(Debug)]
 pub(super) struct Metric {
     pub(super) name: &'static str,
     pub(super) kind: Kind,
-    /// Empty for a metric with a single value.
+    /// The name of the label. Empty for a metric with a single value.
     pub(super) label: &'static str,
     pub(super) help: &'static str,
 }
@@ -13,11 +13,11 @@ pub(super) struct Metric {
 /// The kind of a metric.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Can rise and fall.
+    /// The value can increase and decrease.
     Gauge,
-    /// Only rises.
+    /// The value only increases.
     Counter,
-    /// Is sorted into buckets.
+    /// The observed values are counted in buckets.
     Histogram,
 }
 
@@ -26,7 +26,7 @@ macro_rules! metrics {
         $(
             pub(super) static $metric: Metric = Metric { name: $name, kind: Kind::$kind, label: $label, help: $help };
         )*
-        /// All metrics, in the order of the documents.
+        /// All metrics, in the order of `docs/operations.md`.
         #[cfg(test)]
         pub(super) static ALL: &[&Metric] = &[$(&$metric,)*];
     };
@@ -78,7 +78,7 @@ metrics! {
     H_HARDWARE Gauge "downbeat_host_hardware_answers" "robot" "1 if the hardware of the robot responds, or if it has none.";
 }
 
-/// The kinds of failures, as reports name them.
+/// The names of all kinds of failures, as in reports.
 pub(super) const FAILURE_KINDS: [&str; 17] = [
     "link_down",
     "flooding",

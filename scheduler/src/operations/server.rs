@@ -20,26 +20,26 @@ use tokio::sync::Semaphore;
 use super::exposition::{self, Page, Source};
 use super::health::{Checked, Health};
 
-/// Maximum number of simultaneous connections. Any more are closed immediately.
+/// Maximum number of simultaneous connections. Further connections are closed immediately.
 const CONNECTIONS_MAX: usize = 8;
-/// Interval between accepted connections. Others wait in the system's queue.
+/// Minimum interval between two accepted connections. Further connections wait in the system's queue.
 const ACCEPT_EVERY: Duration = Duration::from_millis(4);
-/// Maximum time until the head of a request has arrived.
+/// Maximum time until the header of a request has arrived.
 const HEAD_MAX: Duration = Duration::from_secs(2);
-/// Maximum duration of a connection, however slowly its peer reads.
+/// Maximum duration of a connection, however slowly the client reads.
 const CONNECTION_MAX: Duration = Duration::from_secs(10);
-/// Maximum size of a request's head in bytes.
+/// Maximum size of a request's header in bytes.
 const HEAD_BYTES_MAX: usize = 8_192;
-/// How long a page is cached.
+/// Time for which a metrics page is cached.
 const PAGE_EVERY: Duration = Duration::from_millis(250);
-/// Lower than the priority of ordinary threads.
+/// Nice value of the endpoint's thread, for a lower priority than that of ordinary threads.
 const NICE: i32 = 10;
 
-/// The sources of the endpoint. More can be added while it serves.
+/// The sources of metrics and health that the endpoint shows. Sources can be added while the endpoint serves.
 #[derive(Clone, Default)]
 pub(crate) struct Board(Arc<Mutex<Vec<Arc<dyn Told>>>>);
 
-/// A source with both metrics and health.
+/// A source of both metrics and health checks.
 trait Told: Source + Health {}
 impl<T: Source + Health> Told for T {}
 
@@ -68,7 +68,7 @@ impl Board {
     }
 }
 
-/// Combines two results. If either has a fault, so has the result.
+/// Combines two results of health checks. The combined result is an error if either of them is.
 fn both(one: Result<String, String>, other: Result<String, String>) -> Result<String, String> {
     match (one, other) {
         (Ok(one), Ok(other)) => Ok(format!("{one}{other}\n")),
@@ -78,16 +78,16 @@ fn both(one: Result<String, String>, other: Result<String, String>) -> Result<St
     }
 }
 
-/// Serves a board until the process ends. Returns the address, including the port if it was chosen by the system.
+/// Serves a board until the process ends. Returns the address with the actual port, which the system may have chosen.
 ///
 /// # Errors
-/// Fails if the address cannot be listened on, or if the operating system provides no thread or runtime.
+/// Fails if the process cannot listen on the address, or if the operating system provides no thread or runtime.
 pub(crate) fn serve(address: SocketAddr, board: Board) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind(address)?;
     listener.set_nonblocking(true)?;
     let address = listener.local_addr()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    // This thread ends with the process. It holds nothing that must be released.
+    // This thread ends with the process. It holds no resources that must be released.
     std::thread::Builder::new().name("metrics".to_owned()).spawn(move || {
         // On Linux, this applies to the current thread only.
         if let Err(error) = rustix::process::setpriority_process(None, NICE) {
@@ -98,10 +98,10 @@ pub(crate) fn serve(address: SocketAddr, board: Board) -> io::Result<SocketAddr>
     Ok(address)
 }
 
-/// State shared by all connections.
+/// State that all connections of the endpoint share.
 struct Desk {
     board: Board,
-    /// The last page, and the time at which it was written.
+    /// The cached page, and the time at which it was created. `None` before the first request.
     page: Mutex<Option<(Instant, Bytes)>>,
 }
 
@@ -116,7 +116,7 @@ async fn accept_all(listener: TcpListener, desk: Arc<Desk>) {
             Ok((stream, _)) => {
                 if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
                     let desk = Arc::clone(&desk);
-                    // Ends when the answer is sent or the time is over.
+                    // The task ends when the response is sent, or after the maximum duration.
                     tokio::spawn(async move {
                         let _over = tokio::time::timeout(CONNECTION_MAX, converse(stream, desk)).await;
                         drop(place);
@@ -129,7 +129,7 @@ async fn accept_all(listener: TcpListener, desk: Arc<Desk>) {
     }
 }
 
-/// Handles one request.
+/// Handles one HTTP request on a connection.
 async fn converse(stream: tokio::net::TcpStream, desk: Arc<Desk>) {
     let answer = service_fn(move |request: Request<Incoming>| {
         let desk = Arc::clone(&desk);

@@ -1,5 +1,6 @@
-//! A mission as an OpenTelemetry trace: one span for the mission, with child spans for the greeting and for each act that was sent. The
-//! span of an act contains the phases up to its start and each robot's part. Times are the server's, as in reports.
+//! Sends a mission as an OpenTelemetry trace: one span for the mission, with child spans for the greeting and for each act that was sent.
+//! The span of an act contains spans for the phases up to its start, and for each robot's part. Times are on the server's clock, as in
+//! reports.
 //!
 //! The mission's loop begins and ends spans. A thread of the SDK sends them by OTLP over HTTP. If its queue is full, spans are lost, so
 //! that the mission never waits.
@@ -23,27 +24,27 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 use crate::mission::{Failure, Mission, Outcome, Progress};
 use crate::run::watch::Watch;
 
-/// Maximum number of spans that wait to be sent: enough for two acts with as many robots as one scheduler drives, and more.
+/// Maximum number of spans that wait to be sent. It is more than enough for two acts with as many robots as one scheduler can drive.
 const QUEUE: usize = 32_768;
-/// Maximum number of spans per request.
+/// Maximum number of spans per request to the collector.
 const BATCH: usize = 1_024;
-/// Maximum duration of a request.
+/// Maximum duration of a request to the collector.
 const REQUEST: Duration = Duration::from_secs(3);
-/// Maximum wait at the end of a mission until its last spans are sent.
+/// Maximum time to wait, at the end of a mission, until its last spans are sent.
 const LAST: Duration = Duration::from_secs(5);
-/// Maximum number of events per span. If the links of a mission break all the time, only the first events are kept.
+/// Maximum number of events per span. If the links of a mission break very often, only the first events are kept.
 const EVENTS_MAX: u32 = 4_096;
 
-/// The number of spans begun and sent.
+/// Counts of the spans that were begun and that were sent.
 #[derive(Debug, Default)]
 struct Tally {
     begun: AtomicU64,
     sent: AtomicU64,
-    /// The latest reason why the collector refused spans.
+    /// The latest reason why the collector refused spans. `None` if it never did.
     refusal: Mutex<Option<String>>,
 }
 
-/// Counts the spans that were sent, because the SDK does not report those that could not be sent.
+/// An exporter that counts the spans that were sent, because the SDK does not report spans that could not be sent.
 #[derive(Debug)]
 struct Counted<E> {
     exporter: E,
@@ -73,7 +74,7 @@ impl<E: Exporter> Exporter for Counted<E> {
     }
 }
 
-/// The destination of traces.
+/// The connection to a collector, through which traces are sent.
 #[derive(Debug)]
 pub(crate) struct Traces {
     provider: SdkTracerProvider,
@@ -81,7 +82,7 @@ pub(crate) struct Traces {
 }
 
 impl Traces {
-    /// Sends traces to a collector at `url`, such as `http://localhost:4318`. Nothing is sent before a span ends.
+    /// Creates the connection to a collector at `url`, such as `http://localhost:4318`. Nothing is sent before a span ends.
     ///
     /// # Errors
     /// Fails if `url` is invalid.
@@ -108,7 +109,7 @@ impl Traces {
                 Box::new(TelemetryResourceDetector) as Box<dyn ResourceDetector>,
                 Box::new(EnvResourceDetector::new()),
             ]);
-        // The environment variables that all programs with traces know take precedence over the defaults of this program.
+        // OpenTelemetry's standard environment variables take precedence over the defaults of this program.
         let resource = match std::env::var("OTEL_SERVICE_NAME") {
             Ok(name) if !name.is_empty() => resource.with_service_name(name),
             _ => resource,
@@ -122,16 +123,16 @@ impl Traces {
         Self { provider, tally }
     }
 
-    /// Returns the watcher that turns a mission into spans.
+    /// Returns the watcher that creates spans from a mission's progress reports.
     pub(crate) fn watch(&self, now: Timestamp<Server>, mission: About) -> MissionTrace {
         let tracer = self.provider.tracer("downbeat");
         MissionTrace::begin(Spans { tracer, tally: Arc::clone(&self.tally) }, now, mission)
     }
 
-    /// Sends the remaining spans.
+    /// Sends the remaining spans and closes the connection.
     ///
     /// # Errors
-    /// Fails if the collector did not accept all of them in time.
+    /// Fails if the collector did not accept all spans in time.
     pub(crate) fn end(self) -> Result<(), String> {
         let ended = self.provider.shutdown_with_timeout(LAST);
         let (begun, sent) =
@@ -146,7 +147,7 @@ impl Traces {
     }
 }
 
-/// The attributes of a mission's trace that are known from the beginning.
+/// The attributes of a mission's trace that are known when the mission begins.
 #[derive(Clone, Debug)]
 pub(crate) struct About {
     pub(crate) scenario: String,
@@ -184,15 +185,15 @@ pub(crate) struct MissionTrace {
     acts: VecDeque<ActTrace>,
 }
 
-/// An act that was sent.
+/// The open spans of an act that was sent to robots.
 #[derive(Debug)]
 struct ActTrace {
     name: String,
     span: Context,
     sent: Timestamp<Server>,
-    /// The current phase on the way to the start, or the play.
+    /// The open span of the act's current part: a phase before its start, or its playing time.
     part: Option<Context>,
-    /// Open spans of the robots' parts.
+    /// The open spans for the parts of robots in this act, by robot id.
     robots: HashMap<RobotId, Context>,
 }
 
@@ -213,12 +214,12 @@ impl MissionTrace {
         self.acts.iter_mut().rev().find(|act| act.name == name)
     }
 
-    /// Returns the robot's part in the oldest act in which the part has not ended.
+    /// Returns the span of a robot's part in the oldest act in which this part has not ended.
     fn part_of(&self, robot: &RobotId) -> Option<&Context> {
         self.acts.iter().find_map(|act| act.robots.get(robot))
     }
 
-    /// Ends the current phase of an act and begins the next one.
+    /// Ends the span of an act's current phase and begins the span of the next phase.
     fn go_on(&mut self, name: &str, part: &'static str, at: Timestamp<Server>, attributes: Vec<KeyValue>) {
         let spans = self.spans.clone();
         if let Some(act) = self.act(name) {
@@ -381,7 +382,7 @@ fn end(span: Option<Context>, at: Timestamp<Server>) {
     }
 }
 
-/// Returns the outcome's name as in the report.
+/// Returns the name of an outcome, as reports contain it.
 fn name(outcome: &Outcome) -> String {
     match serde_json::to_value(outcome) {
         Ok(serde_json::Value::String(name)) => name,
@@ -398,7 +399,7 @@ fn count(count: usize) -> i64 {
     i64::try_from(count).unwrap_or(i64::MAX)
 }
 
-/// Converts a time. Times before 1970 become 1970.
+/// Converts a timestamp to system time. Times before 1970 become the start of 1970.
 fn time(at: Timestamp<Server>) -> SystemTime {
     UNIX_EPOCH + Duration::from_nanos(u64::try_from(at.as_nanos()).unwrap_or(0))
 }
@@ -408,7 +409,7 @@ mod tests {
     use super::*;
     use crate::mission::{FailureKind, Greeting, LeadTime, Preflight, Rest};
 
-    /// Stores the spans instead of sending them.
+    /// An exporter that stores the spans instead of sending them.
     #[derive(Clone, Debug, Default)]
     struct Kept(Arc<Mutex<Vec<SpanData>>>);
 
@@ -464,7 +465,7 @@ mod tests {
         Progress::Committed { act: act.to_owned(), window: Some(ms(3)) }
     }
 
-    /// Returns the spans of a mission with these events.
+    /// Returns the spans of a mission with these progress reports and this outcome.
     fn spans(told: &[(i64, Progress)], outcome: Option<&Outcome>) -> Vec<SpanData> {
         let kept = Kept::default();
         let traces = Traces::through(kept.clone());

@@ -1,4 +1,4 @@
-//! The fields of `trajectory_msgs/JointTrajectory` as YAML: one point for each step of a device, so that nothing is lost between points.
+//! Writes the fields of `trajectory_msgs/JointTrajectory` as YAML: one point for each step of a device, so that no step is lost.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use urrcp::Interpolation;
 use crate::track::{Robot, Track};
 use crate::{LINES_MAX, file_name};
 
-/// Returns the files.
+/// Returns one file per robot; adds omissions and changes to `notes`.
 pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec<FilePart>, String> {
     let mut files = Vec::new();
     let mut lines = 0;
@@ -48,7 +48,7 @@ pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
     if files.is_empty() { Err("no device with a single value is moved".into()) } else { Ok(files) }
 }
 
-/// Returns all step times of the joints and, for joints that jump, a point 1 ms before each; in milliseconds.
+/// Returns all step times of the joints, in milliseconds. For a joint that jumps at a step, adds a time 1 ms earlier.
 fn times(joints: &[&Track<'_>]) -> Vec<f64> {
     let mut times: Vec<f64> = Vec::new();
     for joint in joints {

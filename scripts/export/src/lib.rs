@@ -1,4 +1,4 @@
-//! Exports a compiled scenario to files of other tools: the steps that are sent, not the movements as written.
+//! Exports a compiled scenario to file formats of other tools. Files contain the steps that are sent, not the movements as written.
 
 mod drone_csv;
 mod joint_trajectory;
@@ -11,11 +11,11 @@ use downbeat_plan::Choreography;
 /// Maximum number of lines in all files together.
 const LINES_MAX: usize = 5_000_000;
 
-/// The target tool of an export.
+/// The file format of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ExportFormat {
-    /// One CSV file per drone, as Skybrush Studio reads them from a zip.
+    /// One CSV file per drone; Skybrush Studio reads them from a zip.
     DroneCsv,
     /// The fields of the ROS message `trajectory_msgs/JointTrajectory` as YAML, one file per robot.
     JointTrajectory,
@@ -32,13 +32,13 @@ impl ExportFormat {
 pub struct Exported {
     /// One file per robot.
     pub files: Vec<FilePart>,
-    /// Omissions and changes.
+    /// Messages about omissions and changes.
     pub notes: Vec<String>,
-    /// The reason if there are no files.
+    /// The reason why there are no files; `None` after a successful export.
     pub problem: Option<String>,
 }
 
-/// Writes the acts of the main line one after another. `rate_hz`, from 0.001 to 1000, applies to sampled formats.
+/// Exports the acts of the main line one after another. `rate_hz`, from 0.001 to 1000, is the sampling rate of formats that are sampled.
 #[must_use]
 pub fn export(
     format: ExportFormat,

@@ -1,4 +1,4 @@
-//! The values of every device from the beginning to the end, all acts one after another.
+//! The values of every device over the whole choreography: all acts of the main line, one after another.
 
 use std::collections::BTreeMap;
 
@@ -10,21 +10,21 @@ use urrcp::{ControlType, Interpolation};
 
 pub(crate) struct Robot<'a> {
     pub(crate) name: &'a str,
-    /// In the order of the plan.
+    /// Tracks of the robot's devices, in the order of the plan.
     pub(crate) tracks: Vec<Track<'a>>,
 }
 
 pub(crate) struct Track<'a> {
     pub(crate) device: &'a str,
     pub(crate) interpolation: Interpolation,
-    /// Its value before the first step, if known.
+    /// Value of the device before its first step; `None` if it is unknown.
     pub(crate) home: Option<f64>,
-    /// (milliseconds, values), in order.
+    /// Steps of the device as (milliseconds, values), in order of time.
     pub(crate) points: Vec<(f64, Vec<f64>)>,
 }
 
 impl Track<'_> {
-    /// Returns the values at a time. Before the first step, they come from its home or, if that is unknown, from that step.
+    /// Returns the values at `at_ms`. Before the first step, they come from `home` or, if that is unknown, from the first step.
     pub(crate) fn values(&self, at_ms: f64) -> Vec<f64> {
         let next = self.points.partition_point(|(at, _)| *at <= at_ms);
         let Some((from_ms, from)) = next.checked_sub(1).map(|index| &self.points[index]) else {
@@ -45,7 +45,7 @@ impl Track<'_> {
         }
     }
 
-    /// Returns the value at a time, for a device with a single value.
+    /// Returns the first value at `at_ms`, for devices with a single value.
     pub(crate) fn value(&self, at_ms: f64) -> f64 {
         self.values(at_ms).first().copied().unwrap_or(0.0)
     }
@@ -55,7 +55,7 @@ fn mixed(from: &[f64], to: &[f64], share: f64) -> Vec<f64> {
     from.iter().zip(to).map(|(from, to)| from + (to - from) * share).collect()
 }
 
-/// Returns all robots, and notes about omissions.
+/// Returns the tracks of all robots, and notes about omissions.
 pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (Vec<Robot<'a>>, Vec<String>) {
     let mut robots: Vec<Robot<'a>> = Vec::new();
     let mut rates: BTreeMap<String, ()> = BTreeMap::new();
@@ -69,7 +69,7 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
                 robots.len() - 1
             });
             for script in &plan.scripts {
-                // A movement file has no latency: it contains the visible motion.
+                // An exported file contains the visible motion, not the earlier commands.
                 let moves_ms = (act.moves_at(&plan.robot, script) - act.lead_in).as_millis_f64();
                 if !add(&mut robots[place], script, begin_ms + moves_ms, fleet) {
                     rates.insert(format!("{name}/{}", script.device), ());
@@ -97,7 +97,7 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
     (robots, notes)
 }
 
-/// Adds the steps of a script. Returns `false` if it drives a rate.
+/// Adds the steps of a script. Returns `false` if the script sets speeds or accelerations.
 fn add<'a>(robot: &mut Robot<'a>, script: &'a DeviceScript, begin_ms: f64, fleet: &Fleet) -> bool {
     let steps = script.script.steps();
     let rate = |control: ControlType| matches!(control, ControlType::Speed | ControlType::Acceleration);

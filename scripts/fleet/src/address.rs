@@ -7,37 +7,37 @@ use std::str::FromStr;
 /// The address of a robot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
-    /// `sim`: simulated in the same process.
+    /// `sim`: the robot is simulated in the same process.
     Simulated,
-    /// `tls://host:port`, `hmac://host:port`, or `tcp://host:port` without either.
+    /// `tls://host:port`, `hmac://host:port`, or `tcp://host:port` without protection.
     Tcp {
-        /// Host name or address.
+        /// Host name or IP address of the robot.
         host: String,
-        /// Port.
+        /// TCP port of the robot.
         port: u16,
-        /// How the connection is protected.
+        /// The protection of the connection.
         protection: Protection,
     },
     /// `thrift://host:port`: a robot with the early Thrift protocol, driven by this process.
     Thrift {
-        /// Host name or address.
+        /// Host name or IP address of the robot.
         host: String,
-        /// Port.
+        /// TCP port of the robot.
         port: u16,
     },
     /// `zenoh:KEY`: a robot at a key of a Zenoh network.
     Zenoh {
-        /// Its key, without wildcards.
+        /// The Zenoh key of the robot, without wildcards.
         key: String,
     },
     /// `program:COMMAND`: a robot that this process drives by a program.
     Program {
-        /// A shell command line.
+        /// The command line of the program, for a shell.
         command: String,
     },
 }
 
-/// The protection that prevents others from moving a robot by its address.
+/// The protection of a connection, which prevents others from sending commands to the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Protection {
     /// `tcp`: no protection.
@@ -49,7 +49,7 @@ pub enum Protection {
 }
 
 impl Protection {
-    /// The scheme of addresses with this protection.
+    /// The URL scheme of addresses with this protection.
     #[must_use]
     pub const fn scheme(self) -> &'static str {
         match self {
@@ -72,7 +72,7 @@ impl fmt::Display for Address {
     }
 }
 
-/// A place in the network, in canonical form.
+/// A host and port in the network, or a Zenoh key, in canonical form. Two addresses with the same one lead to the same robot.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Reached {
     host: ReachedHost,
@@ -89,7 +89,7 @@ enum ReachedHost {
 }
 
 impl Address {
-    /// The places to which the address leads, as far as known without DNS. Empty if the robot does not listen at a place.
+    /// The places in the network to which the address leads, as far as they are known without DNS. Empty if the robot listens nowhere.
     pub fn places(&self) -> Vec<Reached> {
         match self {
             Self::Tcp { host, port, .. } | Self::Thrift { host, port } => {
@@ -108,7 +108,7 @@ impl Address {
         matches!(self, Self::Tcp { .. } | Self::Zenoh { .. })
     }
 
-    /// Whether commands to the robot cross a network where others can send them as well: plain TCP to a different machine.
+    /// Whether commands to the robot cross a network where others can send commands as well: plain TCP to a different machine.
     #[must_use]
     pub fn is_open(&self) -> bool {
         matches!(self, Self::Tcp { protection: Protection::Open, .. }) && self.is_beyond()
@@ -124,7 +124,8 @@ impl Address {
     }
 }
 
-/// `localhost` is this machine in both versions of IP. For clients, so is the unspecified address.
+/// The canonical hosts for a host name or IP address. `localhost` is this machine in both versions of IP. For clients, the unspecified
+/// address is this machine, too.
 fn hosts(host: &str) -> Vec<ReachedHost> {
     let ip = host.parse::<IpAddr>().map(|ip| match ip.to_canonical() {
         IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
@@ -164,7 +165,7 @@ impl fmt::Display for InvalidAddress {
 
 impl std::error::Error for InvalidAddress {}
 
-/// The fault of a text that is not an address, and a hint with the correct form.
+/// Describes the fault of a text that is not an address, with a hint that shows the correct form.
 #[must_use]
 pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
     if text.starts_with("zenoh:") {

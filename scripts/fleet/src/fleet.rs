@@ -54,7 +54,7 @@ use moves::MovesKeys;
 pub use moves::SimulatedMoves;
 pub use sensors::sensor;
 
-/// The index of the file of measured latencies among the files of findings; the fleet file has index 0.
+/// The index of the file of measured latencies in the places of findings; the fleet file has index 0.
 const LATENCY_FILE: u16 = 1;
 const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
 const FAULT_WORDS: [(&str, Fault); 3] =
@@ -178,37 +178,38 @@ pub fn fleet_keys() -> &'static Declaration {
     FleetKeys::declaration()
 }
 
-/// Whether steps 1 to 4 of the protocol are performed.
+/// Whether the handshake, steps 1 to 4 of the protocol, is performed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Handshake {
     /// All robots must identify themselves.
     #[default]
     Full,
-    /// The files are trusted.
+    /// The initialization blocks in files are trusted instead.
     Skip,
 }
 
-/// One robot.
+/// One robot of the fleet file.
 #[derive(Clone, Debug)]
 pub struct FleetRobot {
-    /// Its key in the fleet file.
+    /// The key of the robot in the fleet file.
     pub id: RobotId,
     /// The address of the robot.
     pub address: Address,
-    /// Its description. The id is the one that the robot declares: `robot_id`, or else its key in the fleet file.
+    /// The initialization block of the robot. Its id is the one that the robot declares: `robot_id`, or else the key in the fleet file.
+    /// `None` if the block is not known.
     pub init: Option<InitializationBlock>,
-    /// Its behaviour in simulation.
+    /// The behaviour of the robot in simulation.
     pub simulation: SimulationSettings,
-    /// The largest speed and acceleration of its devices, by device id, if lower than their speed control type permits.
+    /// The largest speed and acceleration of the robot's devices, by device id, if they are lower than the declared limits.
     pub limits: BTreeMap<String, RateLimits>,
-    /// Its body, which relates its devices to space.
+    /// The body of the robot, which relates its devices to space.
     pub body: Option<Body>,
-    /// Further properties that a mission uses.
+    /// The robot's other properties that a mission uses.
     pub mission: MissionSettings,
 }
 
 impl FleetRobot {
-    /// A robot with only these properties in the fleet file: all other keys have their defaults.
+    /// A robot with the given properties; all other keys of the fleet file have their defaults.
     #[must_use]
     pub fn new(id: RobotId, address: Address, init: Option<InitializationBlock>) -> Self {
         Self {
@@ -223,18 +224,18 @@ impl FleetRobot {
     }
 }
 
-/// Limits of a device's motion: bounds of the derivatives of its value, in its unit per second and per second squared.
+/// Limits of a device's motion: upper bounds of the derivatives of its value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RateLimits {
-    /// Limit of the first derivative: speed for positions.
+    /// Limit of the first derivative, in the device's unit per second: the speed if the value is a position.
     pub speed: Option<f64>,
-    /// Limit of the second derivative: acceleration for positions.
+    /// Limit of the second derivative, in the device's unit per second squared: the acceleration if the value is a position.
     pub acceleration: Option<f64>,
 }
 
 impl RateLimits {
-    /// Adds missing limits from the device's declaration for the control types speed and acceleration: the larger of |min_value| and
-    /// |max_value|. If the device is driven by speed, the first derivative is an acceleration.
+    /// Fills in missing limits with those that the device declares for the control types speed and acceleration: the larger of
+    /// `|min_value|` and `|max_value|`. If the device is driven by speed, the first derivative is an acceleration.
     #[must_use]
     pub fn or_declared(self, device: &Device, control_type: ControlType) -> Self {
         let declared = |rate| {
@@ -256,11 +257,11 @@ impl RateLimits {
 /// How a simulated robot differs from a perfect one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulationSettings {
-    /// The raw clock minus the true time.
+    /// The offset of the robot's raw clock: its time minus the true time.
     pub clock_offset: Span,
-    /// How much faster the raw clock runs, in parts per million.
+    /// How much faster the raw clock runs than true time, in parts per million.
     pub drift_ppm: f64,
-    /// Largest random error of the times that it reports.
+    /// Largest random error of the times that the robot reports.
     pub jitter: Span,
     /// The accuracy with which NTP measures the raw clock. `None` if the robot has no NTP.
     pub ntp_error: Option<Span>,
@@ -268,9 +269,9 @@ pub struct SimulationSettings {
     pub delay: Option<(Span, Span)>,
     /// The fault of the robot, if any.
     pub fault: Option<Fault>,
-    /// The readings of its sensors, in their units. Other sensors have no readings.
+    /// The readings of the robot's sensors, in their units. Other sensors have no readings.
     pub readings: Vec<(DeviceId, f64)>,
-    /// How the body follows its devices. The body follows all other devices immediately.
+    /// How the body follows the listed devices. The body follows all other devices immediately.
     pub moves: Vec<SimulatedMoves>,
 }
 
@@ -292,34 +293,34 @@ impl Default for SimulationSettings {
 /// A fault of a simulated robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// Refuses every script.
+    /// The robot refuses every script.
     Refuse,
-    /// Never answers a control request.
+    /// The robot never responds to a control request.
     Silent,
-    /// Closes the connection after it has accepted a script.
+    /// The robot closes the connection after it has accepted a script.
     Disconnect,
 }
 
-/// Reads a fleet file that the user has named, and the initialization blocks that it names within its project ([`Project::of`]). Reports
-/// the findings of all files together. The fleet is only returned if there are no errors.
+/// Reads a fleet file that the user has named, and the files that it refers to. These must be in the project of the fleet file
+/// ([`Project::of`]). Returns the findings of all files together, and the fleet only if there are no errors.
 #[must_use]
 pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     read_fleet_within(path, &Project::of(path))
 }
 
-/// The same with files of the given project.
+/// Like [`read_fleet`], but the files must be in the given project.
 #[must_use]
 pub fn read_fleet_within(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     of_source(path, Source::read(path), project)
 }
 
-/// The same for a fleet whose latencies have yet to be measured: the latency file that it names may be missing.
+/// Like [`read_fleet_within`], for a fleet whose latencies are about to be measured: its latency file may be missing.
 #[must_use]
 pub fn read_fleet_to_measure(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     read_with(path, Source::read(path), project, Latencies::Awaited)
 }
 
-/// The same for a fleet file that a scenario names. It must be in the project as well.
+/// Like [`read_fleet_within`], for a fleet file that a scenario names. The fleet file must be in the project, too.
 #[must_use]
 pub fn read_fleet_named(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     of_source(path, project.read(path), project)
@@ -390,16 +391,16 @@ struct FleetReader<'a> {
     folder: PathBuf,
     project: &'a Project,
     awaited: Latencies,
-    /// The descriptions read so far, by path: many robots share one.
+    /// The robot descriptions read so far, by path: many robots share a file.
     inits: HashMap<PathBuf, Option<Init>>,
-    /// Descriptions of arms.
+    /// The URDF files of arms read so far.
     urdfs: urdf::Urdfs,
-    /// Measured latencies of the devices.
+    /// The measured latencies of devices.
     latencies: LatencyFile,
     /// The fleet file, followed by the file with index [`LATENCY_FILE`] if there is one.
     sources: Vec<Source>,
     findings: Reader,
-    /// Findings in other files.
+    /// Findings in other files than the fleet file and the latency file.
     elsewhere: Vec<Finding>,
 }
 
@@ -458,7 +459,7 @@ impl FleetReader<'_> {
             );
         }
         if let Some(groups) = groups {
-            // Robots with findings of their own are treated as known: one fault, one finding.
+            // Groups may name robots that have findings of their own, so that one fault does not cause several findings.
             let Node::Map(named) = robots.node else { return Some(fleet) };
             let named = named.iter().map(|(name, _)| (composed(name).into_owned(), name.as_str())).collect();
             self.groups(&groups, &named, &mut fleet);
@@ -543,7 +544,7 @@ impl FleetReader<'_> {
         }
     }
 
-    /// Reads the id that the robot itself declares, if that differs from its name here.
+    /// Reads `robot_id`: the id that the robot itself declares, if it differs from the name in the fleet file.
     fn own_id(&mut self, at: &At<'_>) -> Option<RobotId> {
         let expected = "the id that the robot declares, with 1 to 256 characters";
         let text = self.findings.text(at, expected)?;
@@ -684,7 +685,7 @@ impl FleetReader<'_> {
         settings
     }
 
-    /// `{range: 0.4}`
+    /// Reads the readings of a simulated robot's sensors, such as `{range: 0.4}`.
     fn readings(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, f64)> {
         let mut readings = Vec::new();
         for (name, at) in self.findings.entries(at, "sensor to its reading") {
@@ -695,7 +696,7 @@ impl FleetReader<'_> {
         readings
     }
 
-    /// `named` maps the composed names of all robots to their names in the file.
+    /// Reads the groups. `named` maps the composed names of all robots to their names in the file.
     fn groups(&mut self, at: &At<'_>, named: &HashMap<String, &str>, fleet: &mut Fleet) {
         let ids: HashMap<String, RobotId> = fleet
             .robots

@@ -30,10 +30,10 @@ pub fn read_init(path: &Path) -> Result<InitializationBlock, Vec<Finding>> {
     init_of(&Source::read(path).map_err(|finding| vec![finding])?)
 }
 
-/// Reads a robot's description, as YAML or JSON.
+/// Reads a robot's description from a text in YAML or JSON.
 ///
 /// # Errors
-/// Returns findings if it does not describe a robot.
+/// Returns findings if the text does not describe a robot.
 pub fn init_of(source: &Source) -> Result<InitializationBlock, Vec<Finding>> {
     Init::read(source.clone())?.block(&Supplement::none())
 }
@@ -50,12 +50,12 @@ pub fn init_text(block: &InitializationBlock) -> String {
 pub enum Init {
     /// A complete description, with warnings.
     Block(Box<InitializationBlock>, Vec<Finding>),
-    /// The description of a Thrift robot: its devices are a dictionary, which may be incomplete.
+    /// The description of a Thrift robot, with its devices as a dictionary, which may be incomplete.
     Dictionary(Source, Node),
 }
 
 impl Init {
-    /// Reads a description.
+    /// Reads a description, as a block or a dictionary.
     pub fn read(source: Source) -> Result<Self, Vec<Finding>> {
         if let Some(finding) = node::too_deep(&source) {
             return Err(vec![finding]);
@@ -81,7 +81,7 @@ impl Init {
         }
     }
 
-    /// The complete block. The supplements, by device, provide what a dictionary lacks.
+    /// The complete initialization block. `supplements` provide, by device, the values that a dictionary lacks.
     pub fn block(&self, supplements: &[(String, Supplement)]) -> Result<InitializationBlock, Vec<Finding>> {
         match self {
             Self::Block(block, _) => Ok(block.as_ref().clone()),
@@ -94,7 +94,7 @@ impl Init {
         }
     }
 
-    /// The ids of its devices.
+    /// The ids of the devices in the description.
     pub fn devices(&self) -> Vec<&str> {
         match self {
             Self::Block(block, _) => block.devices.iter().map(|device| device.id.as_str()).collect(),

@@ -1,10 +1,10 @@
-//! Kinds of values that several keys of fleet files and world files share. They are literal values, without variables.
+//! Kinds of values that several keys of fleet files and world files have in common. They are literal values, without variables.
 
 use downbeat_reader::keys::Kind;
 pub(crate) use downbeat_reader::kinds::{BOOLEAN, NAME, PLAIN_NUMBER, POSITIVE, TEXT};
 use downbeat_reader::{named, schema};
 
-/// A whole number from 1.
+/// A whole number of at least 1.
 pub(crate) static COUNT: Kind = schema!({"type": "integer", "minimum": 1});
 
 named! {

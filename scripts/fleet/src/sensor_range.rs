@@ -1,4 +1,4 @@
-//! The acceptable readings of a sensor: of one that an act waits for, or that a robot must show before a mission.
+//! The acceptable readings of a sensor that an act waits for, or that a robot must have before a mission.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,11 +10,11 @@ use downbeat_yaml::node::Node;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorRange {
-    /// Above this value.
+    /// Readings above this value.
     Above(f64),
-    /// Below this value.
+    /// Readings below this value.
     Below(f64),
-    /// From the first to the second value, inclusive.
+    /// Readings from the first to the second value, inclusive.
     Within(f64, f64),
 }
 

@@ -8,10 +8,10 @@ use zip::result::ZipError;
 
 /// Maximum number of files in an archive.
 const FILES_MAX: usize = 50_000;
-/// Largest unpacked size of a file, and of all files together, in bytes.
+/// Maximum unpacked size of a file, and of all files together, in bytes.
 const FILE_BYTES_MAX: u64 = 8 << 20;
 const ALL_BYTES_MAX: u64 = 128 << 20;
-/// The signature of an entry in a ZIP directory.
+/// The signature at the start of an entry in a ZIP directory.
 const ENTRY: &[u8] = b"PK\x01\x02";
 
 /// An archive that is being read.
@@ -21,7 +21,7 @@ pub(super) struct Archive<'a> {
 }
 
 impl<'a> Archive<'a> {
-    /// Opens an archive, or returns the reason for failure.
+    /// Opens an archive. If this fails, returns the reason.
     pub(super) fn new(bytes: &'a [u8]) -> Result<Self, String> {
         let entries = memmem::find_iter(bytes, ENTRY).take(FILES_MAX + 1).count();
         if entries > FILES_MAX {
@@ -38,7 +38,7 @@ impl<'a> Archive<'a> {
         names.filter(|name| !name.ends_with('/')).map(std::borrow::Cow::into_owned)
     }
 
-    /// Unpacks one file, or returns the reason for failure.
+    /// Unpacks one file. If this fails, returns the reason.
     pub(super) fn file(&mut self, name: &str) -> Result<Vec<u8>, String> {
         let file = self.zip.by_name(name).map_err(|error| match error {
             ZipError::FileNotFound => "the archive has no such file".to_owned(),

@@ -16,15 +16,15 @@ use super::{
     position, remarks, units,
 };
 
-/// Maximum number of robots of an import, and of devices of a robot in a scene.
+/// Maximum number of robots of an import, and maximum number of devices of a robot in a scene.
 const ROBOTS_MAX: usize = 10_000;
 pub(super) const DEVICES_MAX: usize = 1_000;
-/// Longest name of a kind of robot, in characters: it becomes a file name.
+/// Maximum length of the name of a kind of robot, in characters, because the name becomes a file name.
 const KIND_CHARS_MAX: usize = 48;
 /// Maximum number of names in a note about the origin.
 const ORIGINS_MAX: usize = 6;
 
-/// Assembles the choreography; `None` if there is nothing to play.
+/// Assembles the choreography from the motions of all files; `None` if there is nothing to play.
 pub(super) fn assemble(
     format: ImportFormat,
     paths: &[PathBuf],
@@ -104,7 +104,7 @@ fn origin(paths: &[PathBuf]) -> String {
     }
 }
 
-/// Groups motions of the same scene. A robot that occurs twice in a scene is a finding.
+/// Groups the motions by scene. Adds a finding if a robot occurs twice in a scene.
 fn scenes(motions: Vec<Motion>, name: &str, format: ImportFormat, file: &str, sink: &mut Sink) -> Vec<Scene> {
     let mut scenes: Vec<Scene> = Vec::new();
     let mut places: HashMap<String, usize> = HashMap::new();
@@ -206,11 +206,11 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
     }
 }
 
-/// If the first value is at this time or later, it is late: the scene may come from the middle of a timeline.
+/// A first value at this time or later is late: the scene may come from the middle of a timeline.
 const LATE: Span = Span::from_millis(1_000);
 
-/// Shifts each scene so that its first value is at the time that the user gives; if the times are dates, at 0 s. Other late first values
-/// are noted.
+/// Shifts each scene so that its first value is at the time that the user gives; if the times are dates, at 0 s. Otherwise, notes first
+/// values that are late ([`LATE`]).
 fn start(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for scene in scenes {
         let mut devices: Vec<_> = scene.robots.iter_mut().flat_map(|robot| &mut robot.devices).collect();
@@ -261,7 +261,7 @@ fn scale(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut S
     }
 }
 
-/// Checks the devices against the block of the robots, and converts values to its units.
+/// Checks the devices against the initialization block of the robots, and converts values to the units in the block.
 fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
     let known = || init.devices.iter().map(|device| device.id.as_str());
     let mut missing: BTreeMap<String, Option<String>> = BTreeMap::new();

@@ -16,11 +16,11 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes, tree};
 /// Maximum number of joints of an animation.
 const JOINTS_MAX: usize = 1_000;
 
-/// A keyframe of the file with its times.
+/// A keyframe of the file, with its goals and times.
 struct Pose {
-    /// The time at which its goals are reached.
+    /// The time at which the joints reach the goals.
     at: Span,
-    /// The time until which they are held.
+    /// The time until which the joints hold the goals.
     until: Span,
     goals: Vec<(String, f64)>,
 }
@@ -45,7 +45,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     vec![Motion { scene: input.scene.clone(), robot }]
 }
 
-/// Joints with their keyframes so far.
+/// The joints, each with its keyframes so far.
 #[derive(Default)]
 struct Tracks {
     devices: Vec<DeviceMotion>,
@@ -93,7 +93,7 @@ impl Tracks {
         device
     }
 
-    /// Repeats the last value, so that the device does not start moving to the next one too early.
+    /// Repeats the last value, so that the device does not start moving to the next value too early.
     fn hold(&mut self, device: usize, until: Span) {
         let keyframes = &mut self.devices[device].keyframes;
         if let Some(last) = keyframes.last().copied().filter(|last| last.at < until) {

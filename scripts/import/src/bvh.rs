@@ -1,4 +1,4 @@
-//! Biovision motion capture files, `.bvh`: a skeleton of joints with channels, then one line of values per frame.
+//! Reads Biovision motion capture files, `.bvh`: a skeleton of joints with channels, then one line of values per frame.
 
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::render::counted;
@@ -11,23 +11,23 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 /// Maximum nesting depth of joints.
 const DEPTH_MAX: usize = 200;
-/// Shortest frame, in seconds.
+/// Minimum duration of a frame, in seconds.
 const PERIOD_MIN_S: f64 = 1e-5;
-/// Maximum number of channels in total, and per joint.
+/// Maximum number of channels in total, and maximum number of channels per joint.
 const CHANNELS_MAX: usize = 1_000;
 const JOINT_CHANNELS_MAX: f64 = 6.0;
 const CHANNELS: [&str; 6] = ["Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"];
 
-/// The words of a file, with their positions.
+/// A reader of the words of a file, with their positions.
 #[derive(Clone, Copy)]
 struct Words<'a> {
     text: &'a str,
     /// Byte offset after the last word.
     at: usize,
-    /// The current line, from 1, and its byte offset.
+    /// The number of the current line, counted from 1; `line_start` is its byte offset.
     line: usize,
     line_start: usize,
-    /// The byte offset of the last word, and its width.
+    /// The byte offset of the last word; `width` is its width.
     start: usize,
     width: usize,
 }
@@ -48,7 +48,7 @@ impl<'a> Words<'a> {
         (width > 0).then(|| &rest[..width])
     }
 
-    /// The rest of a line: names may contain spaces.
+    /// Reads the rest of the line, because names may contain spaces.
     fn rest(&mut self) -> &'a str {
         let rest = self.text[self.at..].lines().next().unwrap_or("");
         self.at += rest.len();
@@ -160,7 +160,7 @@ fn read_frames(
     }
 }
 
-/// The channels of all joints, in the order of the file, which is also the order of the values.
+/// Reads the skeleton: the channels of all joints, in the order of the file, which is also the order of the values.
 fn skeleton(words: &mut Words<'_>) -> Result<Vec<DeviceMotion>, Wrong> {
     let mut devices: Vec<DeviceMotion> = Vec::new();
     let mut open: Vec<String> = Vec::new();

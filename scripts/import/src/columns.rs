@@ -13,27 +13,27 @@ use super::units::name_and_unit;
 /// Maximum number of columns that a note names.
 const NAMED_MAX: usize = 12;
 
-/// The first line of a table.
+/// The header of a table, or its first line of values if it has no header.
 pub(super) struct Header<'a> {
     pub(super) row: Row<'a>,
-    /// Whether it names the columns; otherwise it is already a line of values.
+    /// Whether the line names the columns; otherwise it is already a line of values.
     pub(super) named: bool,
     pub(super) width: usize,
-    /// The columns with each name, with and without its unit.
+    /// By name, with and without its unit, the indices of the columns that have it.
     by_name: HashMap<String, Vec<usize>>,
 }
 
-/// A device and the columns that move it.
+/// A target and the columns that move it.
 pub(super) struct Chosen {
-    /// The target as written by the user, with the star replaced.
+    /// The target as written by the user, with the star replaced by its match.
     pub(super) target: String,
     pub(super) indices: Vec<usize>,
 }
 
 impl<'a> Header<'a> {
-    /// A row of values, including times, is not a header.
+    /// Creates the header from the first row. A row that contains values, including times, does not name the columns.
     pub(super) fn new(mut row: Row<'a>) -> Self {
-        // Includes clock times, dates and numbers with decimal commas.
+        // Values include clock times, dates and numbers with decimal commas.
         let value = |text: &str| {
             let begins =
                 text.is_empty() || text.starts_with(|c: char| c.is_ascii_digit() || "+-.,".contains(c));
@@ -66,7 +66,7 @@ impl<'a> Header<'a> {
         self.row.cells.iter().map(|cell| cell.text.as_ref())
     }
 
-    /// A column by its name, with or without its unit, or by its number from 1.
+    /// The index of a column, given by its name, with or without its unit, or by its number from 1.
     pub(super) fn index(&self, column: &str, source: &Source, sink: &mut Sink) -> Option<usize> {
         let found = self.by_name.get(column).map_or(&[][..], Vec::as_slice);
         let number = column.parse::<usize>().ok().filter(|number| (1..=self.width).contains(number));
@@ -98,7 +98,7 @@ impl<'a> Header<'a> {
         sink.found(source, self.row.spot(0), Code::ImportTable, message, expected, hint.as_deref());
     }
 
-    /// The columns of one `--map`. With a star, it yields one device per match; columns in `taken` do not match.
+    /// The devices and columns of one option `--map`. A star yields one device per match; columns in `taken` do not match.
     pub(super) fn choose(
         &self,
         target: &str,
@@ -135,7 +135,7 @@ impl<'a> Header<'a> {
         columns.split(',').map(|column| self.index(column.trim(), source, sink)).collect()
     }
 
-    /// The matches of the star in a pattern, in the order of the columns.
+    /// The texts that the star in a pattern matches, in the order of the columns.
     fn stars(&self, columns: &str, taken: &HashSet<usize>) -> Vec<String> {
         let pattern = columns.split(',').map(str::trim).find(|column| column.contains('*'));
         let Some((before, behind)) = pattern.and_then(|pattern| pattern.split_once('*')) else {

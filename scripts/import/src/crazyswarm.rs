@@ -1,4 +1,4 @@
-//! Crazyswarm CSVs: one polynomial piece per line, `duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7`.
+//! Reads Crazyswarm CSVs: one polynomial piece per line, `duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7`.
 
 use urrcp::Span;
 
@@ -14,11 +14,11 @@ use super::sink::Sink;
 use super::table::{Row, rows};
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion};
 
-/// The capacity of a Crazyflie: 4 KB of trajectory memory, 132 bytes per piece.
+/// Default maximum number of pieces per trajectory: a Crazyflie has 4 KB of trajectory memory, and a piece takes 132 bytes.
 const PIECES_MAX: usize = 31;
-/// Sampled values are written with this number of decimal digits, so their error is at most 5e-8.
+/// Number of decimal digits of sampled values, so their rounding error is at most 5e-8.
 const DIGITS: i32 = 7;
-/// Jumps between two pieces from this size are noted, in the axis' unit.
+/// Smallest jump between two pieces that is noted, in the unit of the axis.
 const JUMP_MIN: f64 = 1e-3;
 
 /// Reads one file: one robot in one scene.
@@ -59,7 +59,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
 }
 
-/// The value at the rounded time, so that rounding a time does not change the motion.
+/// The keyframe at a rounded time. It has the value at that time, so that rounding the time does not change the motion.
 fn sample(trajectory: &Trajectory, axis: usize, at: Span) -> Keyframe {
     let value = trajectory.value(axis, keyframes::seconds(at));
     Keyframe { at, value: keyframes::rounded(value, DIGITS) }
@@ -155,7 +155,7 @@ fn read_piece(row: &Row<'_>, names: &[String], source: &Source, sink: &mut Sink)
     None
 }
 
-/// The end of the piece. Adds a finding if both of its boundaries are at the same nanosecond.
+/// The end of a piece, in seconds. Adds a finding if the start and the end of the piece are at the same nanosecond.
 fn check_end(start_s: f64, piece: &Piece, row: &Row<'_>, source: &Source, sink: &mut Sink) -> f64 {
     let end_s = start_s + piece.duration_s;
     match (keyframes::span(start_s), keyframes::span(end_s)) {

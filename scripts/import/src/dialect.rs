@@ -1,4 +1,4 @@
-//! The notation of a table: the separator of its cells, its decimal mark, and lines that do not belong to it.
+//! The notation of a table: the separator of its cells, its decimal mark, and the lines before it.
 
 use std::borrow::Cow;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use downbeat_yaml::source::Source;
 
 use super::table::{Row, is_row, rows};
 
-/// Number of lines that are searched for a table after a title, and of rows that must agree there.
+/// Number of lines in which a table after a title is searched, and number of rows with equally many cells that prove a table.
 const TITLE_LINES_MAX: usize = 20;
 const ROWS_AGREEING: usize = 3;
 
@@ -32,10 +32,10 @@ impl FromStr for Decimal {
     }
 }
 
-/// The notation of a table.
+/// The notation of a table of text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dialect {
-    /// The separator of cells. A space represents any run of blanks.
+    /// The separator of cells. A space stands for any sequence of blanks.
     pub(super) separator: char,
     /// Number of lines before the table.
     pub(super) skipped: usize,
@@ -62,7 +62,7 @@ fn stated_separator(source: &Source, skipped: usize) -> Option<(char, usize)> {
     (key.eq_ignore_ascii_case("sep=") && rest.is_none()).then_some((separator, skipped + 1))
 }
 
-/// The most frequent separator in the first line: comma, semicolon or tab. Blanks if it contains none of them.
+/// The most frequent of comma, semicolon and tab in the first line; a space, for blanks, if the line contains none of them.
 fn separator_of<'a>(mut lines: impl Iterator<Item = &'a str>) -> char {
     let first = lines.find(|line| is_row(line)).unwrap_or("");
     let count = |separator: char| first.chars().filter(|c| *c == separator).count();
@@ -73,7 +73,7 @@ fn separator_of<'a>(mut lines: impl Iterator<Item = &'a str>) -> char {
     if is_blank { ' ' } else { most }
 }
 
-/// The decimal mark of all unambiguous numbers, if they agree.
+/// The decimal mark of all unambiguous numbers in a table, if it is the same for all.
 fn decimal_of(source: &Source, dialect: Dialect) -> Option<Decimal> {
     // If commas separate cells, only quoted cells can contain any.
     let may_differ =
@@ -106,7 +106,7 @@ fn mark_of(text: &str) -> Option<Decimal> {
     }
 }
 
-/// A number with a decimal point and without thousands separators. `None` if it contains other commas or points.
+/// Rewrites a number with a decimal point and without thousands separators. `None` if it contains other commas or points.
 pub(super) fn plain(text: &str, decimal: Option<Decimal>) -> Option<Cow<'_, str>> {
     let (mark, group) = match decimal {
         None => return (!text.contains(',')).then_some(Cow::Borrowed(text)),
@@ -128,8 +128,8 @@ pub(super) fn plain(text: &str, decimal: Option<Decimal>) -> Option<Cow<'_, str>
     Some(Cow::Owned(format!("{}{point}{fraction}", whole.replace(group, ""))))
 }
 
-/// Detects a table that begins after a title. Returns the number of lines before it, and its number of cells. The table begins at a
-/// row with more cells than the first line, followed by rows of values with the same number of cells.
+/// Detects a table that begins after a title. Returns the number of lines before the table, and its number of cells per row. The table
+/// begins at a row with more cells than the first line, followed by rows of values with the same number of cells.
 pub(super) fn table_behind_title(source: &Source, dialect: Dialect) -> Option<(usize, usize)> {
     let lines = source.text.lines().enumerate().skip(dialect.skipped).filter(|(_, line)| is_row(line));
     let lines: Vec<(usize, &str)> = lines.take(TITLE_LINES_MAX).collect();

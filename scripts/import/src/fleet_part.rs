@@ -1,5 +1,5 @@
-//! The fleet for a scenario: its robots, and an initialization block derived from the range of the data. The user must replace it by the
-//! actual limits of the robots.
+//! Writes the fleet for an imported scenario: its robots, and initialization blocks derived from the range of the data. The user must
+//! replace these by blocks with the actual limits of the robots.
 
 use std::collections::BTreeMap;
 
@@ -11,21 +11,22 @@ use super::{Clearance, Course, DeviceMotion, Imported, Piece, bernstein, keyfram
 
 /// Minimum number of steps that a generated block declares.
 const STEPS_MIN: usize = 2;
-/// 8 from the chord error, times the half of the tolerance that the grid leaves, minus a safety margin.
+/// Factor between the tolerance and a curve's bend times the squared length of a chord: 8 from the chord error, times the half of the
+/// tolerance that the grid leaves, minus a safety margin.
 const CHORDS: f64 = 3.5;
 /// Maximum number of steps that are counted per piece.
 const STEPS_PIECE_MAX: f64 = 1e6;
 
-/// A file to be written, with its path relative to the output folder.
+/// A file to be written by the caller.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FilePart {
-    /// The path, with `/` as separator.
+    /// The path relative to the output folder, with `/` as separator.
     pub path: String,
-    /// The content.
+    /// The content of the file.
     pub text: String,
 }
 
-/// The scenario, the fleet and the initialization blocks. If `init` is given, its text is the block.
+/// The files of an import: the scenario, the fleet and the initialization blocks. If `init` is given, its text is used as the block.
 #[must_use]
 pub fn files_of(
     imported: &Imported,
@@ -51,7 +52,7 @@ pub fn files_of(
     files
 }
 
-/// Robots with the same devices.
+/// A kind of robots, which all have the same devices.
 struct Kind {
     name: String,
     devices: Vec<String>,
@@ -118,7 +119,7 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
     text
 }
 
-/// The combined requirements of all robots for a device.
+/// The combined requirements of all robots for the devices with one name.
 pub(super) struct Asked<'a> {
     name: &'a str,
     unit: &'a str,
@@ -129,7 +130,7 @@ pub(super) struct Asked<'a> {
     steps: usize,
 }
 
-/// The requirements for each device.
+/// The requirements for each device name, in the order of the import.
 pub(super) fn asked(imported: &Imported) -> Vec<Asked<'_>> {
     let mut order: Vec<&str> = Vec::new();
     let mut motions: BTreeMap<&str, Vec<(&str, &DeviceMotion)>> = BTreeMap::new();
@@ -158,8 +159,8 @@ fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Optio
     Some(Asked { name, unit: &first.unit, course: &first.course, grid, steps })
 }
 
-/// A sufficient number of steps. The chord error of a curve is an eighth of its bend times the squared length of the chord. Half of the
-/// tolerance is reserved for the grid.
+/// A number of steps that is sufficient for a motion within the tolerance. The chord error of a curve is an eighth of its bend times the
+/// squared length of the chord. Half of the tolerance is reserved for the grid.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is clamped")]
 fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {
     let Course::Pieces(pieces) = &motion.course else { return motion.keyframes.len() };

@@ -1,4 +1,4 @@
-//! Light sequences of xLights and Falcon Player, `.fseq` version 2: one byte per channel in each frame.
+//! Reads light sequences of xLights and Falcon Player, `.fseq` version 2. Each frame has one byte per channel.
 
 use std::io::Read;
 
@@ -12,13 +12,13 @@ use super::sink::Sink;
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, by_robot};
 
 const HEADER: usize = 32;
-/// Largest window of a compressed block, and maximum number of unpacked bytes in total.
+/// Maximum window of a compressed block, and maximum total unpacked size, in bytes.
 const WINDOW_MAX: u64 = 8 << 20;
 const ALL_BYTES_MAX: u64 = 1 << 30;
 /// Maximum number of channels that are mapped.
 const CHANNELS_MAX: usize = 100_000;
 
-/// The header of a file.
+/// The parts of a file's header that the import uses.
 struct Header {
     data: usize,
     channels: usize,
@@ -26,13 +26,13 @@ struct Header {
     step_ms: i64,
     packed: Packed,
     blocks: Vec<usize>,
-    /// The first channel of each range, from 0, and its number of channels.
+    /// The ranges of channels in each frame: the first channel, counted from 0, and the number of channels.
     ranges: Vec<(usize, usize)>,
     variables: Vec<String>,
 }
 
 impl Header {
-    /// The start of this frame, counted from 0.
+    /// The start of a frame; frames are counted from 0.
     fn begin(&self, frame: usize) -> Span {
         Span::from_millis(i64::try_from(frame).unwrap_or(i64::MAX).saturating_mul(self.step_ms))
     }
@@ -45,7 +45,7 @@ enum Packed {
     Zlib,
 }
 
-/// A device, with the positions of its bytes in a frame.
+/// A device, with the indices of its bytes in a frame.
 struct Mapped {
     robot: String,
     motion: DeviceMotion,
@@ -148,7 +148,7 @@ fn check(header: &Header) -> Result<(), String> {
     Ok(())
 }
 
-/// The two-letter names of the variable headers.
+/// The two-letter names of the file's variable headers.
 fn variables(bytes: &[u8], mut at: usize, end: usize) -> Vec<String> {
     let mut names = Vec::new();
     while at + 4 <= end.min(bytes.len()) && names.len() < 100 {
@@ -184,7 +184,7 @@ fn mapped(header: &Header, input: &Input, options: &ImportOptions) -> Result<Vec
     Ok(mapped)
 }
 
-/// `lamp=1,2,3` remains unchanged; `px*=1-300/3` becomes `px1=1,2,3`, `px2=4,5,6` and so on.
+/// Expands a target and its channels: `lamp=1,2,3` remains unchanged; `px*=1-300/3` becomes `px1=1,2,3`, `px2=4,5,6` and so on.
 fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, String> {
     let wrong = || {
         format!(
@@ -215,7 +215,7 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
     Ok((0..(last - first + 1) / width).map(device).collect())
 }
 
-/// The position of a channel, counted from 1, in a frame.
+/// The index in a frame of the byte of a channel; channels are counted from 1.
 fn place(header: &Header, channel: usize) -> Result<usize, String> {
     let mut before = 0;
     for (first, count) in &header.ranges {
@@ -258,7 +258,7 @@ fn read_frames(
     frames.finish()
 }
 
-/// Assembles frames from data in pieces of any size.
+/// Assembles frames from data that arrive in pieces of any size.
 struct Frames<'a> {
     header: &'a Header,
     mapped: &'a mut [Mapped],
@@ -337,7 +337,7 @@ impl Frames<'_> {
 }
 
 impl Mapped {
-    /// Adds a keyframe if the values have changed.
+    /// Adds a keyframe if the values have changed since the last one.
     fn add(&mut self, at: Span, frame: &[u8]) {
         let same = self.last.len() == self.places.len()
             && self.places.iter().zip(&self.last).all(|(place, value)| frame[*place] == *value);
@@ -348,7 +348,7 @@ impl Mapped {
         }
     }
 
-    /// Adds a keyframe with the latest values.
+    /// Adds a last keyframe, with the latest values.
     fn end(&mut self, at: Span) {
         let values: Vec<f64> = self.last.iter().copied().map(f64::from).collect();
         self.motion.keyframes.push(Keyframe { at, value: values[0] });

@@ -1,8 +1,8 @@
-//! The range and the grid of the values in files, for robots whose own limits are not known.
+//! The range and the grid of the values in imported files, for robots whose own limits are not known.
 
 /// The step of common servos with 4096 steps per turn, in degrees.
 const SERVO_STEP_DEG: f64 = 360.0 / 4096.0;
-/// The fraction of values on this grid above which it is assumed.
+/// The fraction of values that must be on the grid of servo steps for that grid to be assumed.
 const SERVO_SHARE: f64 = 0.9;
 /// Minimum and maximum number of decimal digits of a grid.
 const DIGITS_MIN: i32 = 3;
@@ -10,7 +10,7 @@ const DIGITS_MAX: i32 = 9;
 /// Largest rounding error of a value on a grid, in steps.
 const TOLERANCE: f64 = 1e-6;
 
-/// The common range and grid of a device's values.
+/// The range of a device's values, and the grid that they have in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grid {
     pub(super) min: f64,
@@ -56,7 +56,7 @@ pub(super) fn on_grid(value: f64, granularity: f64) -> bool {
     (steps - steps.round()).abs() <= TOLERANCE
 }
 
-/// Rounds a range outward to two significant digits of its width. An empty range becomes at least one unit wide.
+/// Rounds a range outward, to two significant digits of its width. An empty range becomes at least one unit wide.
 fn outward(least: f64, most: f64) -> (f64, f64) {
     if least >= most || !least.is_finite() || !most.is_finite() {
         return (least.floor() - 1.0, most.ceil() + 1.0);

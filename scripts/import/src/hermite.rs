@@ -1,15 +1,16 @@
-//! The cubic through two points with given slopes, as followed by the joint trajectory controller of ROS.
+//! The cubic through two points with given slopes. The joint trajectory controller of ROS follows such curves.
 
 /// A point of a curve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Point {
     pub(super) at_s: f64,
     pub(super) value: f64,
-    /// In units per second.
+    /// The slope at the point, in units per second.
     pub(super) slope: f64,
 }
 
-/// The value of the curve at a time. Before and after the curve, it is constant.
+/// The value at a time of the curve through all points. Before the first and after the last point, it is constant. `None` if there are no
+/// points.
 pub(super) fn value(points: &[Point], at_s: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.at_s <= at_s);
     match (next.checked_sub(1).map(|index| points[index]), points.get(next)) {
@@ -19,7 +20,7 @@ pub(super) fn value(points: &[Point], at_s: f64) -> Option<f64> {
     }
 }
 
-/// The coefficients of the same curve for powers of the time in seconds since the first point.
+/// The coefficients of the cubic between two points, for powers of the time in seconds since the first point.
 pub(super) fn coefficients(from: Point, to: Point) -> Vec<f64> {
     let length = to.at_s - from.at_s;
     let mean = (to.value - from.value) / length;

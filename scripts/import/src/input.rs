@@ -1,4 +1,4 @@
-//! Finds the files for the arguments, and derives robots and scenes from their names.
+//! Finds the files that the arguments denote, and derives robots and scenes from the file names.
 
 use std::collections::HashSet;
 use std::fs;
@@ -21,7 +21,7 @@ pub(super) struct Input {
     pub(super) scene: String,
 }
 
-/// All files that the arguments denote.
+/// Finds all files that the arguments denote, with their robots and scenes.
 pub(super) fn gather(
     format: ImportFormat,
     paths: &[PathBuf],
@@ -41,7 +41,7 @@ pub(super) fn gather(
     inputs
 }
 
-/// The last part of a path, without extension.
+/// The name of a file or folder, without its extension.
 pub(super) fn stem(path: &Path) -> String {
     let absolute = path.file_stem().map(|_| path.to_path_buf()).or_else(|| path.canonicalize().ok());
     let stem = absolute.as_deref().and_then(Path::file_stem).map(|stem| stem.to_string_lossy().into_owned());
@@ -52,8 +52,8 @@ fn name_of(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// A file is a robot. A folder is also a robot, and its files are scenes. A single folder is a folder of robots if its files are not
-/// named by numbers, or if it only contains folders.
+/// The inputs of a Crazyswarm import. A file is a robot. A folder is also a robot, and its files are scenes. A single folder is a folder
+/// of robots if its files are not named by numbers, or if it only contains folders.
 fn crazyswarm(paths: &[PathBuf], sink: &mut Sink) -> Vec<Input> {
     let mut robots: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for path in paths {
@@ -103,7 +103,7 @@ fn note_sorted(robots: &[(PathBuf, Vec<PathBuf>)], sink: &mut Sink) {
     }
 }
 
-/// Crazyswarm names the files of drone 1 `1` or `pp1`.
+/// The drone of a file: Crazyswarm names the files of drone 1 `1` or `pp1`.
 pub(super) fn drone_name(stem: &str) -> String {
     match stem.strip_prefix("pp").unwrap_or(stem) {
         number if is_number(number) => format!("cf{number}"),
@@ -115,7 +115,8 @@ fn scene_name(stem: &str) -> String {
     if is_number(stem) { format!("scene {stem}") } else { stem.to_owned() }
 }
 
-/// Files are scenes of the same robots, unless the user gives as many names as files: then each file is a separate robot.
+/// The inputs of all other formats. Files are scenes of the same robots. If the user gives as many robot names as files, each file is a
+/// separate robot.
 fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sink: &mut Sink) -> Vec<Input> {
     let extensions = format.facts().ends;
     let mut files = Vec::new();
@@ -156,8 +157,8 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
     inputs.collect()
 }
 
-/// One robot per file, named by the file. If files have equal names, their folders distinguish them: a folder of one file names the
-/// robot, and otherwise each folder is a scene.
+/// One robot per file, with the name of the file. If files have equal names, their folders distinguish them. If each folder has one file,
+/// the folder names the robot; otherwise each folder is a scene.
 fn robots_apart(mut files: Vec<PathBuf>, sink: &mut Sink) -> Vec<Input> {
     files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
     let folders = folder_names(&files);
@@ -177,7 +178,7 @@ fn robots_apart(mut files: Vec<PathBuf>, sink: &mut Sink) -> Vec<Input> {
     inputs
 }
 
-/// The names of files as scenes. If they are not distinct, the names of their folders are used or added.
+/// A scene name for each file: the file name. If these are not distinct, the names of the folders are used or added.
 fn scene_names(files: &[PathBuf]) -> Vec<String> {
     let stems: Vec<String> = files.iter().map(|file| stem(file)).collect();
     let folders = folder_names(files);
@@ -190,7 +191,7 @@ fn scene_names(files: &[PathBuf]) -> Vec<String> {
     }
 }
 
-/// The folder of each file: its name, or its whole path if two folders have the same name.
+/// For each file, the name of its folder, or the folder's whole path if two folders have the same name.
 fn folder_names(files: &[PathBuf]) -> Vec<String> {
     let of = |file: &PathBuf| file.parent().map(Path::to_path_buf).unwrap_or_default();
     let name = |folder: &PathBuf| {
@@ -214,7 +215,7 @@ fn robot_a_file(options: &ImportOptions) -> bool {
     !options.columns.is_empty() && options.columns.iter().all(|(to, _)| !to.contains('/'))
 }
 
-/// Files with one of the extensions, and folders; both in natural order.
+/// The files of a folder that have one of the extensions, and its subfolders; both in natural order.
 fn listed(folder: &Path, extensions: &[&str], sink: &mut Sink) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,

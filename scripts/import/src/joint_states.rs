@@ -16,14 +16,14 @@ use super::units::OF_JOINTS;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const SCHEMAS: [&str; 2] = ["sensor_msgs/msg/JointState", "sensor_msgs/JointState"];
-/// Maximum unpacked bytes of a chunk and of all chunks, and the largest window of their compression.
+/// Maximum unpacked size of a chunk and of all chunks, and maximum window of their compression, in bytes.
 const CHUNK_BYTES_MAX: u64 = 32 << 20;
 const ALL_BYTES_MAX: u64 = 512 << 20;
 const WINDOW_MAX: u64 = 8 << 20;
-/// Maximum number of joints of a message, and longest name.
+/// Maximum number of joints of a message, and maximum length of a joint's name in bytes.
 const JOINTS_MAX: usize = 1_000;
 const NAME_BYTES_MAX: usize = 1_024;
-/// Maximum number of topics.
+/// Maximum number of topics of a recording.
 const TOPICS_MAX: usize = 10_000;
 
 /// The encoding of a message.
@@ -39,7 +39,7 @@ struct Topic {
     encoding: Encoding,
     joints: Vec<String>,
     by_name: HashMap<String, usize>,
-    /// Times in nanoseconds, and positions, for each joint.
+    /// For each joint, its positions with their times in nanoseconds.
     positions: Vec<Vec<(u64, f64)>>,
     empty: usize,
     unstamped: usize,
@@ -218,7 +218,7 @@ impl Topic {
         self.positions.iter().flatten().map(|(at_ns, _)| *at_ns)
     }
 
-    /// Adds a message, and returns its number of positions.
+    /// Adds a message, and returns the number of positions that it contains.
     fn message(&mut self, data: &[u8], log_time: u64) -> Result<usize, String> {
         let wrong = |error: &str| format!("a message of `{}`: {error}", self.name);
         let state = JointState::read(data, self.encoding).map_err(|error| wrong(&error))?;
@@ -306,9 +306,9 @@ impl Topic {
     }
 }
 
-/// The used parts of a message.
+/// The parts of a message that the import uses.
 struct JointState {
-    /// In nanoseconds; 0 if it is not set.
+    /// The time stamp in nanoseconds; 0 if it is not set.
     stamp: u64,
     names: Vec<String>,
     positions: Vec<f64>,
@@ -329,7 +329,7 @@ impl JointState {
             }
         };
         if encoding == Encoding::Ros1 {
-            // The sequence number.
+            // Skips the sequence number.
             bytes.u32()?;
         }
         let (seconds, nanos) = (bytes.u32()?, bytes.u32()?);
@@ -342,7 +342,7 @@ impl JointState {
     }
 }
 
-/// Consecutive numbers and texts; in CDR, each is aligned to its size.
+/// A reader of consecutive numbers and texts. In CDR, each number is aligned to its size.
 struct Bytes<'a> {
     data: &'a [u8],
     at: usize,

@@ -1,4 +1,4 @@
-//! The fields of the ROS message `trajectory_msgs/JointTrajectory`, as YAML or JSON.
+//! Reads the ROS message `trajectory_msgs/JointTrajectory` as YAML or JSON.
 
 use urrcp::Span;
 
@@ -17,21 +17,21 @@ use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotM
 /// Number of decimal digits of sampled values.
 const DIGITS: i32 = 7;
 
-/// One point of all joints.
+/// One point of a trajectory, with the positions of all joints.
 struct JointPoint {
     at: Span,
     positions: Vec<f64>,
     velocities: Option<Vec<f64>>,
-    /// Whether it has accelerations or efforts.
+    /// Whether the point has accelerations or efforts.
     has_more: bool,
 }
 
-/// The conversion of the course between points.
+/// How the course between two points is converted.
 #[derive(Clone, Copy, PartialEq)]
 enum Between {
     Straight,
     Cubic,
-    /// Sampled with this frequency, in Hz.
+    /// A cubic that is sampled with this frequency, in Hz.
     Sampled(f64),
 }
 
@@ -73,7 +73,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     motions
 }
 
-/// The documents of a text, each with the number of lines before it.
+/// Splits a text into its documents, each with the number of lines before it.
 fn messages(source: &Source) -> Vec<(usize, Source)> {
     let of = |text: String| Source { name: source.name.clone(), text };
     let mut messages = vec![(0, String::new())];
@@ -125,7 +125,7 @@ fn read_message(input: &Input, source: &Source, options: &ImportOptions, sink: &
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
 }
 
-/// The cubics through positions and velocities.
+/// The cubics through the positions and velocities of a joint.
 fn pieces(points: &[JointPoint], joint: usize) -> Vec<Piece> {
     let at = |point: &JointPoint| Point {
         at_s: keyframes::seconds(point.at),
@@ -177,7 +177,7 @@ fn times(
     keyframes::sampled_times(last_s, rate)
 }
 
-/// Samples since the first point: before it, the robot moves there.
+/// Samples of a joint's course from the first point on. Before that point, the robot moves to it.
 fn curve(points: &[JointPoint], joint: usize, times: &[Span]) -> Vec<Keyframe> {
     let point = |p: &JointPoint| {
         let slope = p.velocities.as_ref().map_or(0.0, |velocities| velocities[joint]);
@@ -195,7 +195,7 @@ fn curve(points: &[JointPoint], joint: usize, times: &[Span]) -> Vec<Keyframe> {
 }
 
 fn read_points(root: &At<'_>, findings: &mut Reader) -> Option<(Vec<String>, Vec<JointPoint>)> {
-    // Goals of actions and display messages contain the trajectory in such a field.
+    // Goals of actions and display messages contain the trajectory in one of these fields.
     let inner = tree::optional(root, "trajectory").or_else(|| tree::optional(root, "joint_trajectory"));
     let root = inner.as_ref().unwrap_or(root);
     if tree::optional(root, "name").is_some() && tree::optional(root, "position").is_some() {
@@ -270,7 +270,7 @@ fn one_a_joint(
     None
 }
 
-/// Seconds as a number, or seconds and nanoseconds as ROS 1 (`secs`, `nsecs`) and ROS 2 (`sec`, `nanosec`) write them.
+/// Reads a time: seconds as a number, or seconds and nanoseconds as in ROS 1 (`secs`, `nsecs`) and ROS 2 (`sec`, `nanosec`).
 fn read_time(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {
     let Node::Map(_) = at.node else { return tree::number(at, &format!("the time of {what}"), findings) };
     let mut seconds = 0.0;

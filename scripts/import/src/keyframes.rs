@@ -1,4 +1,4 @@
-//! Times with nanosecond precision in ascending order, and values rounded to a given number of digits.
+//! Helpers for keyframes: times with nanosecond precision in ascending order, and values rounded to a given number of digits.
 
 use std::cmp::Ordering;
 
@@ -9,7 +9,7 @@ use downbeat_yaml::finding::Code;
 
 use super::Keyframe;
 
-/// Longest time that is read, in seconds: more than 100 days, within the limits of the protocol.
+/// Maximum time that is read, in seconds: more than 100 days, within the limits of the protocol.
 pub(super) const SECONDS_MAX: f64 = 1e7;
 
 /// Converts seconds to the nearest nanosecond; `None` if they are negative or too large.
@@ -18,7 +18,7 @@ pub(super) fn span(seconds: f64) -> Option<Span> {
     (0.0..=SECONDS_MAX).contains(&seconds).then(|| Span::from_nanos((seconds * 1e9).round() as i64))
 }
 
-/// From 1990 to 2200, in seconds since 1970.
+/// The times that count as calendar dates: from 1990 to 2200, in seconds since 1970.
 const DATES_S: std::ops::Range<f64> = 631_152_000.0..7_258_118_400.0;
 
 /// Whether a time is a calendar date, which cannot be relative to the start of a scene.
@@ -26,7 +26,7 @@ pub(super) fn is_date(at: Span) -> bool {
     DATES_S.contains(&seconds(at))
 }
 
-/// The time in seconds, for notes and curves.
+/// Converts a time to seconds, for notes and curves.
 pub(super) fn seconds(span: Span) -> f64 {
     span.as_nanos() as f64 / 1e9
 }
@@ -41,7 +41,7 @@ pub(super) fn sampled_times(duration_s: f64, rate_hz: f64) -> Vec<Span> {
     times
 }
 
-/// A value rounded to this number of decimal digits, without a negative zero.
+/// Rounds a value to a number of decimal digits, without a negative zero.
 pub(super) fn rounded(value: f64, digits: i32) -> f64 {
     let scale = 10_f64.powi(digits);
     let scaled = (value * scale).round();
@@ -49,7 +49,8 @@ pub(super) fn rounded(value: f64, digits: i32) -> f64 {
     if scaled.abs() < 9e15 { scaled / scale + 0.0 } else { value }
 }
 
-/// Adds whole periods, so that no value differs from the previous one by more than half a period. Returns the number of such corrections.
+/// Adds whole periods to values, so that no value differs from the previous one by more than half a period. Returns the number of such
+/// corrections.
 pub(super) fn unwrap(keyframes: &mut [Keyframe], period: f64) -> usize {
     let (mut turns, mut jumps) = (0.0, 0);
     let mut before = None;
@@ -64,7 +65,7 @@ pub(super) fn unwrap(keyframes: &mut [Keyframe], period: f64) -> usize {
     jumps
 }
 
-/// The fault of a time that does not follow `before`, the previous one of the device: the code, a sentence and a hint.
+/// Describes the fault of a time that is not later than `before`, the previous time of the device: the code, a sentence and a hint.
 pub(super) fn check_later(before: Span, at: Span) -> Option<(Code, String, &'static str)> {
     let [before_s, at_s] = [before, at].map(seconds);
     match at.cmp(&before) {

@@ -60,69 +60,69 @@ pub use urdf::{UrdfOutcome, urdf};
 pub use yaml::scalar;
 pub use yaml::{Scenes, scenario_text, steps_written};
 
-/// Maximum number of keyframes of one import: two million, far more than any device accepts.
+/// Maximum number of keyframes of one import, far more than any device accepts.
 const KEYFRAMES_MAX: usize = 2_000_000;
 
-/// The options of an import that the user sets.
+/// The options of an import that the user may set.
 #[derive(Clone, Debug, Default)]
 pub struct ImportOptions {
     /// Samples per second for curves, from 0.001 to 1000. If it is `None`, the boundaries of pieces or the points are used. For a CSV
-    /// whose times are frame numbers or timecodes: frames per second.
+    /// whose times are frame numbers or timecodes, this is the number of frames per second.
     pub rate_hz: Option<f64>,
-    /// Maximum number of polynomial pieces that a robot can hold.
+    /// Maximum number of polynomial pieces that a robot can hold; `None` for the default.
     pub pieces_max: Option<usize>,
-    /// The name of the scenario.
+    /// The name of the scenario; `None` to derive it from the files.
     pub name: Option<String>,
-    /// Names for the robots, in order.
+    /// Names for the robots, in the order in which they occur; empty to keep their names.
     pub robots: Vec<String>,
-    /// The kind of robot, which names the initialization block.
+    /// The kind of robot, which names the initialization block; `None` for the format's default.
     pub kind: Option<String>,
-    /// The scenes to import; all if empty.
+    /// The names of the scenes to import; if empty, all scenes.
     pub only: Vec<String>,
-    /// Factors for the values: `device=factor` or `robot/device=factor`.
+    /// Factors for the values of devices: the device, as `device` or `robot/device`, and its factor.
     pub scales: Vec<(String, f64)>,
     /// The column of times in a CSV, by name or by number from 1.
     pub time_column: Option<String>,
-    /// The meaning of times in a CSV. `None` if its header states it.
+    /// The unit of the times in a CSV. `None` if its header states the unit.
     pub time_unit: Option<TimeUnit>,
-    /// Lines of a CSV before its header.
+    /// Number of lines of a CSV before its header.
     pub skip: usize,
-    /// The decimal mark of a CSV. `None` if it is detected from the numbers.
+    /// The decimal mark of a CSV. `None` to detect it from the numbers.
     pub decimal: Option<Decimal>,
-    /// Targets `robot/device` (or `device`, if each file is one robot) with their columns; several columns are separated by commas. A `*`
-    /// in both represents the part that differs.
+    /// Targets `robot/device` (or `device`, if each file is one robot) with their columns; commas separate several columns. A `*` in both
+    /// stands for the part that differs.
     pub columns: Vec<(String, String)>,
-    /// Devices of a CSV that hold each value until the next one: `device` or `robot/device`.
+    /// Devices of a CSV that hold each value until the next value, as `device` or `robot/device`.
     pub holds: Vec<String>,
-    /// The periods after which values of devices wrap around, such as 360: `device` or `robot/device`.
+    /// Devices, as `device` or `robot/device`, with the period after which their values wrap around, such as 360.
     pub unwraps: Vec<(String, f64)>,
-    /// The time of the first value of each scene. `None` if it is that of the file.
+    /// The time of the first value of each scene. `None` to use the time in the file.
     pub start: Option<Span>,
-    /// The initialization block of the robots that will play the scenario.
+    /// The initialization block of the robots that will play the scenario, if it is known.
     pub init: Option<InitializationBlock>,
 }
 
 /// An imported choreography, independent of its format.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imported {
-    /// Name of the scenario.
+    /// The name of the scenario.
     pub name: String,
-    /// The origin, for the comment at the top of the scenario.
+    /// A description of the imported files, for the comment at the top of the scenario.
     pub origin: String,
-    /// The kind of robot.
+    /// The kind of robot, which names the initialization block.
     pub kind: String,
-    /// The scenes, in order.
+    /// The scenes, in the order in which they are played.
     pub scenes: Vec<Scene>,
-    /// Number of values that repeat the previous one, because the file contains a pause or leaves a device out.
+    /// Number of values that repeat the previous value, because the file contains a pause or leaves a device out.
     pub held: usize,
-    /// The smallest allowed distance between robots with a position in space.
+    /// The minimum distance between robots that have a position in space.
     pub clearance: Clearance,
 }
 
-/// A part that is played as a unit.
+/// A part of the choreography that is played as a unit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
-    /// The name of the scene, for readers.
+    /// The name of the scene, for human readers.
     pub name: String,
     /// The robots, which move simultaneously.
     pub robots: Vec<RobotMotion>,
@@ -131,20 +131,20 @@ pub struct Scene {
 /// The motion of one robot in a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotMotion {
-    /// Its name in the fleet.
+    /// The name of the robot in the fleet.
     pub robot: String,
-    /// The devices, in the order of the file.
+    /// The motions of the robot's devices, in the order of the file.
     pub devices: Vec<DeviceMotion>,
 }
 
 /// The motion of one device in a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceMotion {
-    /// Its id in the initialization block.
+    /// The id of the device in the initialization block.
     pub device: String,
     /// Unit of the values; empty if unknown.
     pub unit: String,
-    /// Keyframes with strictly increasing times. For pieces, the keyframes at their boundaries.
+    /// Keyframes with strictly increasing times. If the course consists of pieces, these are the keyframes at their boundaries.
     pub keyframes: Vec<Keyframe>,
     /// The course between keyframes.
     pub course: Course,
@@ -156,11 +156,11 @@ pub enum Course {
     /// Linear interpolation.
     #[default]
     Straight,
-    /// Each value is held until the next keyframe.
+    /// Constant: each value is held until the next keyframe.
     Held,
-    /// Each value is held, and each keyframe has several values; the keyframe's own value is the first of them.
+    /// Like `Held`, but each keyframe has several values; the keyframe's own value is the first of them.
     Several(Vec<Vec<f64>>),
-    /// Consecutive polynomials, from the beginning of the scene.
+    /// Consecutive polynomials, from the start of the scene on.
     Pieces(Vec<Piece>),
 }
 
@@ -173,7 +173,7 @@ pub struct Piece {
     pub coefficients: Vec<f64>,
 }
 
-/// A value, and the time at which it is reached.
+/// A value, and the time at which the device reaches it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keyframe {
     /// The time since the beginning of the scene.
@@ -197,7 +197,7 @@ impl Imported {
         all.filter(|name| seen.insert(*name)).collect()
     }
 
-    /// The number of keyframes.
+    /// The number of keyframes of all devices in all scenes.
     #[must_use]
     pub fn steps(&self) -> usize {
         self.devices().map(|(_, device)| device.keyframes.len()).sum()
@@ -227,7 +227,7 @@ impl RobotMotion {
 }
 
 impl DeviceMotion {
-    /// The end of the motion.
+    /// The time at which the motion ends.
     #[must_use]
     pub fn duration(&self) -> Span {
         match &self.course {
@@ -248,7 +248,8 @@ impl DeviceMotion {
         }
     }
 
-    /// Removes keyframes of held values that change nothing, except for the last one. Returns their number.
+    /// Removes keyframes of held values that repeat the value before them, except for the last keyframe. Returns the number of removed
+    /// keyframes.
     fn thin(&mut self) -> usize {
         let count = self.keyframes.len();
         let changes = |index: usize, same: bool| index == 0 || index + 1 == count || !same;
@@ -272,7 +273,7 @@ impl DeviceMotion {
         count - self.keyframes.len()
     }
 
-    /// All values of the motion; for pieces, bounds that contain them.
+    /// All values of the motion; for polynomial pieces, bounds that contain the values.
     fn values(&self) -> Vec<f64> {
         match &self.course {
             Course::Pieces(pieces) => pieces.iter().flat_map(bernstein::bounds).collect(),
@@ -281,7 +282,7 @@ impl DeviceMotion {
         }
     }
 
-    /// The number of keyframes or pieces that are written.
+    /// The number of keyframes or pieces that are written to the scenario.
     fn written(&self) -> usize {
         match &self.course {
             Course::Pieces(pieces) => pieces.len(),
@@ -293,15 +294,15 @@ impl DeviceMotion {
 /// The result of an import.
 #[derive(Clone, Debug, Default)]
 pub struct ImportOutcome {
-    /// `None` if there are errors.
+    /// The imported choreography; `None` if there are errors.
     pub imported: Option<Imported>,
-    /// The rules that were applied.
+    /// Notes about the rules that were applied.
     pub notes: Vec<String>,
-    /// The errors of all files.
+    /// The errors in all files.
     pub findings: Vec<Finding>,
 }
 
-/// Reads files and folders of one format.
+/// Imports files and folders of one format.
 #[must_use]
 pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) -> ImportOutcome {
     let mut sink = Sink::default();
@@ -322,14 +323,14 @@ pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) 
     finish(format, paths, motions, options, sink)
 }
 
-/// One robot's part of one scene.
+/// The motion of one robot in one scene, before the scenes are assembled.
 #[derive(Clone, Debug)]
 struct Motion {
     scene: String,
     robot: RobotMotion,
 }
 
-/// Groups devices by robot, in the order in which the robots first occur.
+/// Groups the devices of a scene by robot, in the order in which the robots first occur.
 fn by_robot(scene: &str, devices: impl IntoIterator<Item = (String, DeviceMotion)>) -> Vec<Motion> {
     let mut motions: Vec<Motion> = Vec::new();
     let mut places = std::collections::HashMap::new();
@@ -392,7 +393,7 @@ fn reader(format: ImportFormat) -> Reader {
     }
 }
 
-/// Reads the bytes of one file, as if it had been read from a path with this name.
+/// Imports the bytes of one file, as if it had been read from a path with the given name.
 #[must_use]
 pub fn import_bytes(
     format: ImportFormat,
@@ -408,7 +409,7 @@ pub fn import_bytes(
     finish(format, &[path], motions, options, sink)
 }
 
-/// A hint for a file that is not of this format.
+/// A hint for a file that is not of the expected format.
 fn other_format(format: ImportFormat, file: &str) -> String {
     match format_of(file).filter(|other| *other != format) {
         Some(other) => {

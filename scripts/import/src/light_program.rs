@@ -1,48 +1,48 @@
-//! Light programs of Skybrush: bytes that set colours, fade, wait and repeat, in frames of 20 ms.
+//! Plays light programs of Skybrush: their bytes set colours, fade, wait and repeat, in frames of 20 ms.
 
-/// One frame, in milliseconds.
+/// Duration of one frame, in milliseconds.
 const FRAME_MS: u64 = 20;
-/// Maximum number of executed commands, and of nested loops.
+/// Maximum number of executed commands, and maximum number of nested loops.
 const COMMANDS_MAX: usize = 200_000;
 const LOOPS_MAX: usize = 16;
 
-/// Red, green and blue, from 0 to 255.
+/// A colour: red, green and blue, each from 0 to 255.
 pub(super) type Color = [u8; 3];
 
 /// A change of the lamp's colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Glow {
     pub(super) from_ms: u64,
-    /// The end of the fade; equal to the beginning for an immediate change.
+    /// The end of the fade; equal to `from_ms` for an immediate change.
     pub(super) until_ms: u64,
     pub(super) from: Color,
     pub(super) to: Color,
 }
 
-/// The result of a program.
+/// The result of playing a light program.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Lights {
     /// The changes of colour, in order.
     pub(super) glows: Vec<Glow>,
-    /// The end of the program.
+    /// The time at which the program ends, in milliseconds.
     pub(super) end_ms: u64,
     /// Number of commands for fireworks, which are ignored.
     pub(super) pyro: usize,
-    /// Whether it would continue beyond the end of the show.
+    /// Whether the program would continue beyond the end of the show.
     pub(super) endless: bool,
 }
 
 struct Player<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// The start of each loop, and its remaining repetitions; `None` for an endless loop.
+    /// The loops that are being executed: the start of each, and its remaining repetitions; `None` for an endless loop.
     loops: Vec<(usize, Option<u8>)>,
     now_ms: u64,
     color: Color,
     lights: Lights,
 }
 
-/// Plays a program until this time. Returns an error if it is invalid.
+/// Plays a program until `until_ms`. Returns an error if the program is invalid.
 pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
     let mut player =
         Player { bytes, at: 0, loops: Vec::new(), now_ms: 0, color: [0; 3], lights: Lights::default() };
@@ -62,7 +62,7 @@ pub(super) fn play(bytes: &[u8], until_ms: u64) -> Result<Lights, String> {
 }
 
 impl Player<'_> {
-    /// Executes one command. Returns false at the end.
+    /// Executes one command. Returns false at the end of the program.
     fn step(&mut self) -> Result<bool, String> {
         let begin = self.at;
         let Some(command) = self.bytes.get(self.at).copied() else { return Ok(false) };
@@ -148,7 +148,7 @@ impl Player<'_> {
         byte.ok_or_else(|| "the light program ends within a command".to_owned())
     }
 
-    /// Seven bits per byte, least significant first.
+    /// Reads a duration: a number of frames with seven bits per byte, least significant first.
     fn duration(&mut self) -> Result<u64, String> {
         let mut frames = 0_u64;
         for shift in [0, 7, 14, 21] {
@@ -166,7 +166,7 @@ fn told(at: usize, what: &str) -> String {
     format!("the light program {what} at byte {at}, which depends on the running show and is not supported")
 }
 
-/// The colours at every period and at every change, each with its time; the last one at the end of the program.
+/// The colours at each multiple of the period and at each change, with their times. The last colour is at the end of the program.
 pub(super) fn sampled(lights: &Lights, period_ms: u64) -> Vec<(u64, Color)> {
     let mut samples: Vec<(u64, Color)> = vec![(0, [0; 3])];
     let mut add = |at_ms: u64, color: Color| match samples.last_mut() {

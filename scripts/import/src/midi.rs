@@ -1,4 +1,4 @@
-//! Standard MIDI files: the values of each note, controller and wheel of each channel, with their times.
+//! Reads standard MIDI files: the values of the notes, controllers and wheels of each channel, with their times.
 
 use std::collections::BTreeMap;
 
@@ -11,14 +11,14 @@ use super::sink::Sink;
 use super::standard_midi::{self, Event, Song, Timing};
 use super::{Course, DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
-/// Duration of a beat without a tempo in the file, in microseconds.
+/// Duration of a beat if the file has no tempo, in microseconds.
 const BEAT_US: f64 = 500_000.0;
 /// Maximum number of notes about parts of a file that are not tracks.
 const PASSED_OVER_MAX: usize = 20;
-/// Maximum number of events of a file.
+/// Maximum number of MIDI events of a file.
 const EVENTS_MAX: usize = 2_000_000;
 
-/// The kind of a set value, in the order in which devices are written.
+/// The kind of value that a message sets. The order is the one in which devices are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum What {
     Note(u8),
@@ -29,7 +29,7 @@ enum What {
     Program,
 }
 
-/// A value of a channel at a tick.
+/// A value that a message sets on a channel at a tick.
 struct Set {
     tick: u64,
     channel: u8,
@@ -41,7 +41,7 @@ struct Set {
 #[derive(Default)]
 struct Read {
     sets: Vec<Set>,
-    /// Tempo changes: the tick, and the microseconds per beat after it.
+    /// Tempo changes: the tick, and the microseconds per beat from that tick on.
     tempi: Vec<(u64, f64)>,
     exclusive: usize,
     texts: usize,
@@ -108,7 +108,7 @@ impl Read {
     }
 }
 
-/// The value that a channel message sets.
+/// The kind of value that a channel message sets, and the value.
 fn what(status: u8, [first, second]: [u8; 2]) -> (What, f64) {
     let value = f64::from(second);
     match status {

@@ -8,10 +8,10 @@ use urrcp::Span;
 
 use downbeat_motion::exact::{Exact, Fraction, decimal, fraction, near_fraction, to_f64};
 
-/// The meaning of the values in a column of times.
+/// The unit or notation of the values in a column of times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TimeUnit {
-    /// Numbers in a unit of this many nanoseconds.
+    /// Numbers in a unit that lasts this many nanoseconds.
     Nanos(u64),
     /// Frame numbers, with this number of frames per second.
     Frames(f64),
@@ -21,13 +21,14 @@ pub enum TimeUnit {
     MinutesSeconds,
     /// `mm:ss:ms`, where the last number is milliseconds.
     MinutesSecondsMillis,
-    /// `hh:mm:ss:ff`, where the last number is a frame, with this number of frames per second. `hh:mm:ss;ff` skips numbers (drop-frame).
+    /// `hh:mm:ss:ff`, where the last number is a frame; the value is the number of frames per second. `hh:mm:ss;ff` skips frame numbers
+    /// (drop-frame).
     Timecode(f64),
-    /// `2026-11-23T19:30:00.5+01:00`; in UTC without a zone.
+    /// `2026-11-23T19:30:00.5+01:00`; without a time zone, in UTC.
     Date,
 }
 
-/// The units that a user may state.
+/// The units that a user may state, for messages.
 pub(super) const UNITS: &str = "h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss or mm:ss:ms";
 
 const CLOCKS: [(&str, TimeUnit); 3] = [
@@ -38,15 +39,16 @@ const CLOCKS: [(&str, TimeUnit); 3] = [
 
 /// Units of Unix times with their names, in nanoseconds.
 const UNIX: [(&str, u64); 4] = [("s", 1_000_000_000), ("ms", 1_000_000), ("us", 1_000), ("ns", 1)];
-/// Numbers are Unix times if they are between 2000 and 2100, and the first and the last one differ by at most `UNIX_LENGTH_S`.
+/// Numbers are Unix times if they denote times between the years 2000 and 2100, and the first and the last differ by at most
+/// `UNIX_LENGTH_S`.
 const YEARS_S: std::ops::Range<i64> = 946_684_800..4_102_444_800;
 const UNIX_LENGTH_S: i64 = 10_000_000;
-/// Largest absolute exponent of a number; largest number, which exceeds all Unix times in nanoseconds; maximum number of digits of a
-/// whole number between colons. Fractions of such numbers fit in 128 bits.
+/// Limits of numbers: the largest absolute exponent; the largest number, which exceeds all Unix times in nanoseconds; and the maximum
+/// number of digits of a whole number between colons. Fractions of such numbers fit in 128 bits.
 const EXPONENT_MAX: u32 = 18;
 const NUMBER_MAX: f64 = 1e19;
 const DIGITS_MAX: usize = 9;
-/// Maximum number of decimal digits that are read.
+/// Maximum number of digits after the decimal point that are read.
 const PART_MAX: usize = 18;
 
 impl FromStr for TimeUnit {
@@ -62,7 +64,7 @@ impl FromStr for TimeUnit {
 }
 
 impl TimeUnit {
-    /// Parses a text as a time of this kind, to the nearest nanosecond.
+    /// Parses a text in this unit or notation, to the nearest nanosecond.
     pub(super) fn time(self, text: &str) -> Option<Span> {
         let text = text.trim();
         let parts: Vec<&str> = text.split(':').collect();
@@ -88,7 +90,7 @@ impl TimeUnit {
     }
 }
 
-/// A number with or without sign and exponent, exact if it has few enough digits.
+/// Parses a number with or without sign and exponent. It is exact if it has few enough digits.
 fn number(text: &str) -> Option<Fraction> {
     let text = text.trim();
     let value = text.parse::<f64>().ok().filter(|value| value.abs() <= NUMBER_MAX)?;
@@ -106,7 +108,7 @@ fn number(text: &str) -> Option<Fraction> {
     Some(exact().unwrap_or_else(|| near_fraction(value)))
 }
 
-/// A decimal number like [`decimal`], but with enough digits for Unix times in nanoseconds.
+/// Parses a decimal number like [`decimal`], but with enough digits for Unix times in nanoseconds.
 fn long_decimal(text: &str) -> Option<Fraction> {
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
@@ -122,7 +124,7 @@ fn whole(text: &str) -> Option<Fraction> {
     decimal(text).filter(|_| !text.contains('.') && text.len() <= DIGITS_MAX)
 }
 
-/// Seconds with or without decimals, with at most two digits before the point: `033` is invalid.
+/// Parses the seconds of a clock time, with or without decimals. More than two digits before the point are invalid, as in `033`.
 fn second(text: &str) -> Option<Fraction> {
     let text = text.replace(',', ".");
     if text.split('.').next().is_some_and(|whole| whole.len() > 2) {
@@ -135,20 +137,21 @@ fn sixtieth(value: Fraction) -> Option<Fraction> {
     (value < Ratio::from_integer(60)).then_some(value)
 }
 
-/// Frames divided by their rate, rounded if the fraction is too long.
+/// A number of frames divided by the frame rate, rounded if the fraction is too long.
 fn divided(frames: Fraction, rate: Fraction) -> Fraction {
     frames.checked_div(&rate).unwrap_or_else(|| near_fraction(to_f64(frames) / to_f64(rate)))
 }
 
-/// Frames per second. 23.976, 29.97 and 59.94 represent 24, 30 and 60 times 1000/1001.
+/// The exact frame rate in frames per second: 23.976, 29.97 and 59.94 mean 24, 30 and 60 times 1000/1001.
 fn frame_rate(rate: f64) -> Fraction {
     let video = [24, 30, 48, 60, 120].into_iter().map(|whole| Ratio::new(whole * 1_000, 1_001));
     let near = |exact: &Fraction| (to_f64(*exact) - rate).abs() < 0.005;
     video.into_iter().find(near).unwrap_or_else(|| fraction(rate))
 }
 
-/// The seconds of `hh:mm:ss:ff`. Frames are numbered without gaps. With `;`, numbers are skipped so that the timecode follows 29.97 or
-/// 59.94 frames per second (SMPTE 12M): two of every 30 numbers at the start of each minute, except for every tenth minute.
+/// Converts a timecode `hh:mm:ss:ff` to seconds. Frames are numbered without gaps. With `;`, frame numbers are skipped so that the
+/// timecode follows 29.97 or 59.94 frames per second (SMPTE 12M). Two of every 30 numbers are skipped at the start of each minute, except
+/// for every tenth minute.
 fn timecode(text: &str, rate: f64) -> Option<Fraction> {
     let parts: Vec<&str> = text.split([':', ';']).collect();
     let [h, m, s, f] = parts.as_slice() else { return None };
@@ -164,7 +167,7 @@ fn timecode(text: &str, rate: f64) -> Option<Fraction> {
     Some(divided(number, rate))
 }
 
-/// The seconds since 1970 of a date and time in ISO 8601.
+/// Converts a date and time in ISO 8601 to seconds since 1970.
 fn date(text: &str) -> Option<Fraction> {
     let (day, time) = text.split_once(['T', 't', ' '])?;
     let (time, zone) = match time.find(['Z', 'z', '+', '-']) {
@@ -183,7 +186,7 @@ fn hours(text: &str) -> Option<Fraction> {
     whole(text).filter(|hours| *hours < Ratio::from_integer(24))
 }
 
-/// `Z`, `+01:00`, `+0100` or `+01`, in seconds.
+/// Parses a time zone, `Z`, `+01:00`, `+0100` or `+01`, as its offset in seconds.
 fn zone(text: &str) -> Option<Fraction> {
     if text.eq_ignore_ascii_case("z") {
         return Some(Ratio::from_integer(0));
@@ -195,7 +198,7 @@ fn zone(text: &str) -> Option<Fraction> {
     Some(if sign == "-" { -seconds } else { seconds })
 }
 
-/// Days from 1970-01-01 to a date of the Gregorian calendar.
+/// Parses a date of the Gregorian calendar as the number of days since 1970-01-01.
 fn days(text: &str) -> Option<i128> {
     let parts: Option<Vec<i128>> = text.split('-').map(|part| Some(whole(part)?.to_integer())).collect();
     let [year, month, day] = parts?[..] else { return None };
@@ -211,7 +214,7 @@ fn days(text: &str) -> Option<i128> {
     Some(years + lengths[..before].iter().sum::<i128>() + day - 1)
 }
 
-/// The unit, with its name, in which both ends of a column of numbers are Unix times. At most one unit fits.
+/// The unit, with its name, in which the first and the last number of a column are Unix times. At most one unit qualifies.
 pub(super) fn unix(first: &str, last: &str) -> Option<(&'static str, TimeUnit)> {
     UNIX.into_iter().map(|(word, nanos)| (word, TimeUnit::Nanos(nanos))).find(|(_, unit)| {
         let seconds = |text| unit.time(text).map(|time| time.as_nanos() / 1_000_000_000);
@@ -220,18 +223,18 @@ pub(super) fn unix(first: &str, last: &str) -> Option<(&'static str, TimeUnit)> 
     })
 }
 
-/// The information about a unit in the name of a column of times.
+/// What the name of a column of times reveals about the unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Said {
     Unit(TimeUnit),
-    /// Frame numbers.
+    /// The values are frame numbers.
     Frames,
     /// The name contains a unit, but it is unknown or ambiguous.
     Unclear,
     Nothing,
 }
 
-/// `Time [msec]`, `t (ms)`, `time_ms`, `t/ms`, `timeMs`, `ms since start`, `seconds`.
+/// Finds the unit in the name of a column: `Time [msec]`, `t (ms)`, `time_ms`, `t/ms`, `timeMs`, `ms since start`, `seconds`.
 pub(super) fn said_by(header: &str) -> Said {
     let header = header.trim();
     for (open, close) in [('[', ']'), ('(', ')'), ('{', '}'), ('<', '>')] {
@@ -256,7 +259,7 @@ pub(super) fn said_by(header: &str) -> Said {
     }
 }
 
-/// The words of a text; they are also separated where a capital letter follows a small one.
+/// The words of a text. A capital letter after a small letter also starts a word.
 fn words(text: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut before = ' ';
@@ -274,7 +277,7 @@ fn words(text: &str) -> Vec<String> {
     words
 }
 
-/// The unit for one of its usual spellings.
+/// The unit that a word denotes in one of the usual spellings.
 fn spelled(word: &str) -> Option<TimeUnit> {
     Some(TimeUnit::Nanos(match word.to_lowercase().trim_end_matches('.') {
         "h" | "hr" | "hrs" | "hour" | "hours" => 3_600_000_000_000,
@@ -289,7 +292,7 @@ fn spelled(word: &str) -> Option<TimeUnit> {
     }))
 }
 
-/// The notations of clock times that fit all of these texts, with their names.
+/// The notations of clock times that all the given texts match, with their names.
 pub(super) fn clocks<'a>(texts: impl Iterator<Item = &'a str>) -> Vec<(&'static str, TimeUnit)> {
     let mut fitting = CLOCKS.to_vec();
     for text in texts {

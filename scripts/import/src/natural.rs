@@ -1,8 +1,8 @@
-//! Natural order of names: 2 before 10.
+//! The natural order of names: `2` comes before `10`.
 
 use std::cmp::Ordering;
 
-/// Compares digits as numbers, and everything else as text.
+/// Compares two names: digits as numbers, and everything else as text.
 pub(super) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a, b);
     while !left.is_empty() && !right.is_empty() {

@@ -1,4 +1,4 @@
-//! The motions of PAL Robotics' `play_motion2`: `joints`, flat `positions`, `times_from_start`; each motion is a scene.
+//! Reads the motions of PAL Robotics' `play_motion2`: `joints`, flat `positions`, `times_from_start`. Each motion becomes a scene.
 
 use urrcp::Span;
 
@@ -129,7 +129,7 @@ fn read_times(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<Span
     (times.len() == seconds.len()).then_some(times)
 }
 
-/// Metres for joints that slide (TIAGo's torso and fingers), radians for joints that turn.
+/// The unit of a joint: metres for joints that slide (TIAGo's torso and fingers), radians for joints that turn.
 fn unit_of(joint: &str) -> &'static str {
     match joint {
         "torso_lift_joint" | "gripper_left_finger_joint" | "gripper_right_finger_joint" => "m",

@@ -7,15 +7,15 @@ pub(super) const AXES: [(&str, &str); 4] = [("x", "m"), ("y", "m"), ("z", "m"), 
 /// Number of coefficients of a polynomial of degree 7.
 pub(super) const COEFFICIENTS: usize = 8;
 
-/// One piece.
+/// One polynomial piece of a trajectory.
 #[derive(Clone, Debug)]
 pub(super) struct Piece {
     pub(super) duration_s: f64,
-    /// The coefficients by axis.
+    /// The coefficients for each axis, starting with the constant.
     pub(super) coefficients: [[f64; COEFFICIENTS]; AXES.len()],
 }
 
-/// Consecutive pieces.
+/// A trajectory of consecutive polynomial pieces.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Trajectory {
     pieces: Vec<Piece>,
@@ -34,7 +34,7 @@ impl Trajectory {
         Self { pieces, bounds_s }
     }
 
-    /// The pieces of one axis, without unused higher powers.
+    /// The pieces of one axis, without the highest powers whose coefficients are 0.
     pub(super) fn pieces_of(&self, axis: usize) -> Vec<super::Piece> {
         let piece = |piece: &Piece| {
             let own = &piece.coefficients[axis];
@@ -55,7 +55,8 @@ impl Trajectory {
         self.bounds_s.last().copied().unwrap_or(0.0)
     }
 
-    /// The value at a time; at a boundary, that of the later piece. It is constant before and after the trajectory.
+    /// The value of an axis at a time; at a boundary, the value of the later piece. The value is constant before and after the
+    /// trajectory.
     pub(super) fn value(&self, axis: usize, at_s: f64) -> f64 {
         let begun = self.bounds_s.partition_point(|bound| *bound <= at_s);
         let index = begun.saturating_sub(1).min(self.pieces.len().saturating_sub(1));
@@ -64,7 +65,7 @@ impl Trajectory {
         horner(&piece.coefficients[axis], local)
     }
 
-    /// The largest jump between two pieces, with its axis and time.
+    /// The largest jump between two pieces, as the axis, the time and the size.
     pub(super) fn largest_jump(&self) -> Option<(usize, f64, f64)> {
         let jumps = self.pieces.windows(2).enumerate().flat_map(|(index, pair)| {
             (0..AXES.len()).map(move |axis| {

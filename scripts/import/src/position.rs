@@ -1,4 +1,4 @@
-//! Detects robots whose devices are their position in space: `x`, `y` and `z` in a unit of length.
+//! Detects robots whose devices are the coordinates of their position in space: `x`, `y` and `z` in a unit of length.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,23 +7,23 @@ use super::{Course, DeviceMotion, Imported, units};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The smallest allowed distance between the centres of two robots.
+/// The minimum distance between the centres of two robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearance {
-    /// In metres.
+    /// The distance in metres.
     pub metres: f64,
     /// The origin of the distance, for readers of the fleet file.
     pub origin: &'static str,
 }
 
 impl Default for Clearance {
-    /// A Crazyflie is 0.14 m wide with its propellers.
+    /// The default distance for Crazyflies, which are 0.14 m wide with their propellers.
     fn default() -> Self {
         Self { metres: 0.24, origin: "the distance between Crazyflies whose propellers are 0.1 m apart" }
     }
 }
 
-/// The robots that have all three axes, each in a unit of length.
+/// The robots that have all three axes `x`, `y` and `z`, each in a unit of length.
 pub(super) fn robots(imported: &Imported) -> BTreeSet<&str> {
     let units = axes(imported);
     let is_length =
@@ -44,7 +44,7 @@ pub(super) fn note_unknown(imported: &Imported, sink: &mut Sink) {
     }
 }
 
-/// The units of the axes, for all robots that have all three axes.
+/// The units of the axes, by robot and axis, for all robots that have all three axes.
 fn axes(imported: &Imported) -> BTreeMap<&str, BTreeMap<&str, &str>> {
     let mut units: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
     let is_axis = |device: &DeviceMotion| {

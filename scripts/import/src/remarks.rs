@@ -1,4 +1,5 @@
-//! Notes about valid but remarkable properties of an import: robots that rest, scenes that do not meet.
+//! Notes about valid but remarkable properties of an import: robots that rest, and scenes that do not continue where the previous scene
+//! ended.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,7 +10,7 @@ use downbeat_yaml::finding::names;
 use super::sink::Sink;
 use super::{Course, Scene, keyframes, units};
 
-/// Gaps between scenes up to this are not noted: rounding of the digits in the files.
+/// Largest gap between scenes that is not noted, because it results from rounding in the files.
 const JOIN_TOLERANCE: f64 = 1e-9;
 /// If an angle changes by this fraction of a turn within `TURN_TIME`, it has wrapped around at an end of its range.
 const TURN_SHARE: f64 = 0.75;

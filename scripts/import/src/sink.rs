@@ -1,4 +1,4 @@
-//! The output of an import: findings with their places, and notes about the rules that it applied.
+//! The messages of an import: findings with their places, and notes about the rules that the import applied.
 
 use downbeat_reader::fields::Reader;
 use downbeat_yaml::finding::{Code, Finding, Severity};
@@ -7,9 +7,9 @@ use downbeat_yaml::source::Source;
 
 use super::{Clearance, KEYFRAMES_MAX, Motion};
 
-/// Maximum number of findings per file: a file of a different format is wrong in every line.
+/// Maximum number of findings per file, because a file of a different format is wrong in every line.
 pub(super) const FINDINGS_A_FILE_MAX: usize = 100;
-/// Longest line that a finding carries, in bytes.
+/// Maximum length of a line that a finding carries, in bytes.
 const LINE_BYTES_MAX: usize = 4_000;
 
 /// Collects notes and findings.
@@ -19,19 +19,19 @@ pub(super) struct Sink {
     pub(super) findings: Vec<Finding>,
     /// Number of keyframes so far, which limits the size of the import.
     keyframes: usize,
-    /// Number of values that repeat the previous one.
+    /// Number of values that repeat the previous value.
     pub(super) held: usize,
-    /// The smallest allowed distance of robots, if the files state it.
+    /// The minimum distance between robots, if the files state it.
     pub(super) clearance: Option<Clearance>,
 }
 
 /// A place in a text file: part of a line.
 #[derive(Clone, Copy)]
 pub(super) struct Spot<'a> {
-    /// The line number, from 1.
+    /// The number of the line, counted from 1.
     pub(super) line: usize,
     pub(super) text: &'a str,
-    /// Byte offset and width in the line.
+    /// The byte offset of the part in the line; `width` is its width.
     pub(super) start: usize,
     pub(super) width: usize,
 }
@@ -41,7 +41,7 @@ impl Sink {
         self.notes.push(text.into());
     }
 
-    /// A finding about a part of a line.
+    /// Adds a finding about a part of a line.
     pub(super) fn found(
         &mut self,
         source: &Source,
@@ -68,7 +68,7 @@ impl Sink {
         });
     }
 
-    /// A finding for a text that is not valid JSON, at the place of the error.
+    /// Adds a finding for a text that is not valid JSON, at the place of the error.
     pub(super) fn found_json(&mut self, source: &Source, error: &serde_json::Error) {
         let text = source.text.lines().nth(error.line().saturating_sub(1)).unwrap_or("");
         let start = (0..=error.column().saturating_sub(1).min(text.len())).rev();
@@ -79,7 +79,7 @@ impl Sink {
         self.found(source, spot, Code::Syntax, message, "a JSON document", None);
     }
 
-    /// A finding about a file as a whole.
+    /// Adds a finding about a file as a whole.
     pub(super) fn about(
         &mut self,
         file: &str,
@@ -91,7 +91,7 @@ impl Sink {
         self.push(Finding::about_file(code, file, message, expected, hint.map(str::to_owned)));
     }
 
-    /// Findings whose places are paths in a tree.
+    /// Adds findings whose places are paths in a tree.
     pub(super) fn located(&mut self, source: &Source, findings: Reader) {
         let mut pending = findings.found;
         pending.truncate(FINDINGS_A_FILE_MAX + 1);
@@ -115,7 +115,7 @@ impl Sink {
         }
     }
 
-    /// The finding for an import that is too large.
+    /// Adds the finding for an import that is too large.
     pub(super) fn too_many(&mut self, file: &str, keyframes: f64) {
         let message = format!("the import would have at least {keyframes:.0} keyframes");
         let expected = format!("at most {KEYFRAMES_MAX} keyframes");
@@ -128,7 +128,7 @@ impl Sink {
         );
     }
 
-    /// Whether this number of additional keyframes is allowed.
+    /// Whether the import may have this number of additional keyframes.
     pub(super) fn has_room_for(&self, keyframes: f64) -> bool {
         self.keyframes as f64 + keyframes <= KEYFRAMES_MAX as f64
     }
@@ -143,7 +143,7 @@ impl Sink {
             FINDINGS_A_FILE_MAX => {
                 let message = format!("the file has more than {FINDINGS_A_FILE_MAX} findings");
                 let hint = Some("check that the file has this format, see `docs/import.md`".to_owned());
-                let expected = "a file of the given format";
+                let expected = "a file in the given format";
                 self.findings.push(Finding::about_file(finding.code, &finding.file, message, expected, hint));
             }
             _ => {}
@@ -151,13 +151,13 @@ impl Sink {
     }
 }
 
-/// The finding with its line cut to a reasonable length.
+/// Cuts the line that a finding carries to a reasonable length.
 pub(super) fn with_short_line(mut finding: Finding) -> Finding {
     finding.source_line = shown(&finding.source_line, finding.column);
     finding
 }
 
-/// The line, cut to a reasonable length.
+/// The part of a line around `start` that a finding carries, or the whole line if it is short.
 fn shown(line: &str, start: usize) -> String {
     if line.len() <= LINE_BYTES_MAX {
         return line.to_owned();

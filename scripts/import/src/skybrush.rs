@@ -1,5 +1,5 @@
-//! Compiled drone shows of Skybrush, `.skyc`: a ZIP of `show.json` and the files that it refers to, with Bezier curves for the paths,
-//! headings, and light programs.
+//! Reads compiled drone shows of Skybrush, `.skyc`: a ZIP archive of `show.json` and the files that it refers to. They contain paths as
+//! Bezier curves, headings, and light programs.
 
 use std::collections::BTreeSet;
 
@@ -21,21 +21,21 @@ use super::{
     Clearance, Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, keyframes, tree,
 };
 
-/// Maximum number of control points between two points: curves of degree 7, like those of Skybrush.
+/// Maximum number of control points between two points: as in Skybrush, curves have at most degree 7.
 const CONTROLS_MAX: usize = 6;
 /// Maximum number of drones.
 const DRONES_MAX: usize = 10_000;
-/// Default sampling rate of fades per second: every frame of the light programs.
+/// Default number of samples of a fade per second: one for each frame of the light programs.
 const FADE_HZ: f64 = 50.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// The keys of a show and of a drone's settings that are used.
 const SHOW_KEYS: [&str; 4] = ["version", "swarm", "settings", "environment"];
-/// Default smallest distances in metres, from Skybrush's viewer.
+/// Default minimum distances between drones in metres, from Skybrush's viewer.
 const INDOOR_M: f64 = 0.5;
 const OUTDOOR_M: f64 = 3.0;
 const DRONE_KEYS: [&str; 4] = ["name", "trajectory", "lights", "yawControl"];
 
-/// The parts of a drone, each in a separate file or in the show's file.
+/// The parts of a drone. Each part is in a separate file or in the show's file.
 struct Drone {
     name: String,
     trajectory: Part,
@@ -43,13 +43,13 @@ struct Drone {
     yaw: Option<Part>,
 }
 
-/// The location of a part of the show.
+/// Where a part of the show is written: in the show's file or in a separate file.
 enum Part {
     Here(Node),
     File(String),
 }
 
-/// Facts that are reported once for all drones.
+/// Observations that are reported once for all drones.
 #[derive(Default)]
 struct Told {
     left_out: BTreeSet<String>,
@@ -124,7 +124,7 @@ impl Told {
             }
         };
         tell(self.pyro, "left out fireworks");
-        tell(self.auto_yaw, "headings that follow the path are ignored");
+        tell(self.auto_yaw, "headings along the path are ignored");
         tell(self.endless, "lights that repeat forever end with the path");
         tell(
             self.late_yaw,
@@ -175,7 +175,7 @@ fn read_show(root: &At<'_>, told: &mut Told, findings: &mut Reader) -> Option<Ve
     Some(drones)
 }
 
-/// The smallest distance between drones for which the show was validated.
+/// The minimum distance between drones with which the show was validated.
 fn clearance(root: &At<'_>) -> Clearance {
     let stated = tree::optional(root, "settings").and_then(|settings| {
         let validation = tree::optional(&settings, "validation")?;
@@ -218,7 +218,7 @@ fn version(at: &At<'_>, what: &str, findings: &mut Reader) {
     }
 }
 
-/// `{"$ref": "./drones/drone_01/trajectory.json#"}` refers to another file of the archive.
+/// Locates a part: `{"$ref": "./drones/drone_01/trajectory.json#"}` refers to another file of the archive.
 fn part(at: &At<'_>) -> Part {
     match tree::optional(at, "$ref").map(|at| at.node) {
         Some(Node::Text(reference)) => {
@@ -245,7 +245,7 @@ impl Show<'_> {
         Source::of_bytes(&name, bytes).map_err(|finding| sink.findings.push(finding)).ok()
     }
 
-    /// Reads a part of a drone from its location.
+    /// Reads a part of a drone from the show's file or from a separate file.
     fn part<T>(
         &mut self,
         part: &Part,
@@ -337,7 +337,7 @@ struct Waypoint {
 }
 
 impl Way {
-    /// Straight paths become keyframes; all others become curves.
+    /// Converts one axis of the path: straight paths become keyframes; all other paths become curves.
     fn device(&self, axis: usize) -> DeviceMotion {
         let first = self
             .points
@@ -372,7 +372,8 @@ impl Way {
     }
 }
 
-/// A Bezier curve as powers of the time in seconds: c_i = (n over i) / T^i times the i-th difference of its points.
+/// Converts a Bezier curve to coefficients of the powers of time in seconds: c_i = (n over i) / T^i times the i-th difference of its
+/// points.
 fn coefficients(points: &[f64], seconds: f64) -> Vec<f64> {
     let mut differences = points.to_vec();
     let degree = points.len() - 1;
@@ -437,7 +438,7 @@ fn time_of(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Span> {
     time
 }
 
-/// `[time, [x, y, z], [control points]]`.
+/// Reads a point: `[time, [x, y, z], [control points]]`.
 fn read_point(at: &At<'_>, index: usize, takeoff: Span, findings: &mut Reader) -> Option<Waypoint> {
     let what = format!("point {}", index + 1);
     let parts = findings.list(at, "[time, [x, y, z], control points]");

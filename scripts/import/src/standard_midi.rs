@@ -1,15 +1,15 @@
 //! Parses the bytes of standard MIDI files: chunks, tracks and their events. Every byte is read, or reported with its position.
 
-/// The time of a tick.
+/// How ticks are converted to time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Timing {
-    /// Ticks per beat.
+    /// The number of ticks per beat.
     Beats(f64),
-    /// Frames per second, and ticks per frame.
+    /// The number of frames per second, and the number of ticks per frame.
     Frames(f64, f64),
 }
 
-/// An event at a tick.
+/// An event of a track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Event<'a> {
     /// A message of a channel from 1 to 16: its status without the channel, and one or two data bytes.
@@ -29,9 +29,9 @@ pub(super) enum Event<'a> {
 #[derive(Debug)]
 pub(super) struct Song {
     pub(super) timing: Timing,
-    /// Events whose status was stated before a meta event or an exclusive message.
+    /// Number of events that use the status of an event before a meta event or an exclusive message.
     pub(super) resumed: usize,
-    /// Parts that were skipped, as text for the user.
+    /// Descriptions of parts that were skipped, for the user.
     pub(super) passed_over: Vec<String>,
 }
 
@@ -85,13 +85,13 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
     }
 }
 
-/// The contents of a RIFF file (RMID); other files remain unchanged.
+/// The MIDI file within a RIFF file (RMID); other files remain unchanged.
 fn unwrapped(bytes: &[u8]) -> &[u8] {
     let is_riff = bytes.starts_with(b"RIFF") && bytes.get(8..16) == Some(b"RMIDdata");
     if is_riff { bytes.get(20..).unwrap_or_default() } else { bytes }
 }
 
-/// The timing, the number of tracks and the length of the header.
+/// Parses the header: the timing, the number of tracks and the length of the header in bytes.
 fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
     if !bytes.starts_with(b"MThd") {
         return Err(not_midi(bytes));
@@ -152,11 +152,11 @@ struct Track<'a> {
     /// The file up to the end of the track.
     bytes: &'a [u8],
     at: usize,
-    /// The number of the track, from 1.
+    /// The number of the track, counted from 1.
     number: usize,
-    /// The running status.
+    /// The status of the previous channel message (running status), which following messages may leave out.
     status: Option<u8>,
-    /// Whether another event followed that status.
+    /// Whether a meta event or an exclusive message followed the message with that status.
     interrupted: bool,
 }
 
@@ -222,7 +222,7 @@ impl<'a> Track<'a> {
         byte.ok_or_else(|| self.wrong(self.at, "the track ends within an event"))
     }
 
-    /// A data byte of a message.
+    /// Reads a data byte of a message.
     fn value(&mut self) -> Result<u8, String> {
         match self.byte()? {
             value @ 0..0x80 => Ok(value),
@@ -233,7 +233,7 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// A number with seven bits per byte, most significant first.
+    /// Reads a number with seven bits per byte, most significant first.
     fn variable(&mut self) -> Result<usize, String> {
         let begin = self.at;
         let mut sum = 0;
@@ -247,7 +247,7 @@ impl<'a> Track<'a> {
         Err(self.wrong(begin, "a number has more than four bytes"))
     }
 
-    /// The number of bytes that the preceding length states.
+    /// Reads a length, and as many bytes as it states.
     fn data(&mut self) -> Result<&'a [u8], String> {
         let (begin, length) = (self.at, self.variable()?);
         let data = self.bytes.get(self.at..self.at + length);

@@ -1,4 +1,4 @@
-//! Tables as text: lines of cells with their positions. Blank lines and lines that begin with `#` are ignored.
+//! Splits tables of text into lines of cells with their positions. Blank lines and lines that begin with `#` are ignored.
 
 use std::borrow::Cow;
 
@@ -13,13 +13,13 @@ use super::sink::{Sink, Spot};
 /// Maximum number of cells per line.
 const CELLS_MAX: usize = 50_000;
 
-/// One line of a table.
+/// One line of a table, split into cells.
 #[derive(Clone, Debug)]
 pub struct Row<'a> {
-    /// The line number, from 1.
+    /// The number of the line in the file, counted from 1.
     pub line: usize,
     pub(super) text: &'a str,
-    /// Its cells.
+    /// The cells of the line.
     pub cells: Vec<Cell<'a>>,
     decimal: Option<Decimal>,
 }
@@ -33,7 +33,7 @@ pub struct Cell<'a> {
     width: usize,
 }
 
-/// The lines of a table.
+/// The rows of a table, including a header that is written as a comment.
 pub fn rows(source: &Source, dialect: Dialect) -> impl Iterator<Item = Row<'_>> {
     let lines = source.text.lines().enumerate().skip(dialect.skipped).filter(|(_, line)| is_row(line));
     let rows = lines.map(move |(index, text)| Row::of(index, text, dialect.separator));
@@ -46,7 +46,8 @@ pub(super) fn every_row(source: &Source, separator: char) -> impl Iterator<Item 
     source.text.lines().enumerate().map(move |(index, text)| Row::of(index, text, separator))
 }
 
-/// A header that is written as a comment, `# duration,x^0`: the last comment before numbers with the same number of columns.
+/// Finds a header that is written as a comment, `# duration,x^0`. It is the last comment before the numbers, if both have the same number
+/// of columns.
 fn commented_header(source: &Source, dialect: Dialect) -> Option<Row<'_>> {
     let Dialect { separator, skipped, .. } = dialect;
     let lines = || source.text.lines().enumerate().skip(skipped);
@@ -75,7 +76,7 @@ pub(super) fn is_row(line: &str) -> bool {
     !trimmed.is_empty() && !trimmed.starts_with('#')
 }
 
-/// The cells of a line, starting at a byte offset.
+/// The cells of a line from the byte offset `from` on.
 fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     if separator == ' ' {
         return cells_between_blanks(line, from);
@@ -91,7 +92,7 @@ fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     }
 }
 
-/// The same for cells separated by blanks. A unit in brackets belongs to the preceding name.
+/// Like [`cells`], but for cells separated by blanks. A unit in brackets belongs to the preceding name.
 fn cells_between_blanks(line: &str, mut from: usize) -> Vec<Cell<'_>> {
     let mut cells: Vec<Cell<'_>> = Vec::new();
     while cells.len() < CELLS_MAX {
@@ -116,7 +117,7 @@ fn cells_between_blanks(line: &str, mut from: usize) -> Vec<Cell<'_>> {
     cells
 }
 
-/// The position of the separator that ends the cell, ignoring separators in quotes.
+/// The byte offset of the separator that ends the first cell, ignoring separators in quotes.
 fn cell_end(rest: &str, separator: char) -> Option<usize> {
     let mut quoted = false;
     let opens = rest.trim_start_matches(' ').starts_with('"');
@@ -138,7 +139,7 @@ fn cell(line: &str, from: usize, end: usize) -> Cell<'_> {
 }
 
 impl<'a> Row<'a> {
-    /// The row for a line with this index, counted from 0.
+    /// Splits the line with the given index, counted from 0, into cells.
     pub(super) fn of(index: usize, text: &'a str, separator: char) -> Self {
         Self { line: index + 1, text, cells: cells(text, 0, separator), decimal: None }
     }
@@ -152,14 +153,14 @@ impl Row<'_> {
         Spot { line: self.line, text: self.text, start, width }
     }
 
-    /// Drops one empty cell at the end, if the line ends with a separator.
+    /// Drops the empty cell at the end of a line that ends with a separator.
     pub(super) fn drop_trailing(&mut self, columns: usize) {
         if self.cells.len() == columns + 1 && self.cells.last().is_some_and(|cell| cell.text.is_empty()) {
             self.cells.pop();
         }
     }
 
-    /// Whether it has as many cells as the header. Otherwise adds a finding.
+    /// Whether the row has as many cells as the header has columns. Otherwise adds a finding.
     pub(super) fn has(&self, columns: usize, source: &Source, sink: &mut Sink) -> bool {
         let found = self.cells.len();
         if found == columns {
@@ -178,7 +179,7 @@ impl Row<'_> {
         dialect::plain(text, self.decimal).unwrap_or(Cow::Borrowed(text))
     }
 
-    /// A cell as a finite number; anything else is a finding.
+    /// Parses a cell as a finite number. Adds a finding if it is anything else.
     pub(super) fn number(&self, index: usize, what: &str, source: &Source, sink: &mut Sink) -> Option<f64> {
         let text = self.cells.get(index).map_or("", |cell| &cell.text);
         let plain = dialect::plain(text, self.decimal);

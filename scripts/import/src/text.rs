@@ -1,9 +1,9 @@
-//! Reads texts as other programs save them: also in UTF-16 with a byte order mark, and with the line ends of old Macs.
+//! Reads texts as other programs save them: in UTF-8, in UTF-16 with a byte order mark, and with the line ends of old Macs.
 
 use downbeat_yaml::finding::Finding;
 use downbeat_yaml::source::Source;
 
-/// The text of a file, with `\n` at the end of each line.
+/// Decodes the text of a file, with `\n` at the end of each line.
 ///
 /// # Errors
 /// Returns a finding if the bytes are not text.
@@ -18,7 +18,7 @@ pub(super) fn source(name: &str, bytes: Vec<u8>) -> Result<Source, Finding> {
     Ok(source)
 }
 
-/// Decodes UTF-16 after its byte order mark. `None` without a mark, or if the text is invalid.
+/// Decodes UTF-16 that begins with a byte order mark. `None` if the mark is missing or the text is invalid.
 fn of_utf16(bytes: &[u8]) -> Option<String> {
     let unit: fn([u8; 2]) -> u16 = match bytes.get(..2)? {
         [0xff, 0xfe] => u16::from_le_bytes,

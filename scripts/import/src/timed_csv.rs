@@ -1,4 +1,4 @@
-//! Any CSV with a column of times. The user assigns columns to devices.
+//! Reads any CSV with a column of times. The user assigns columns to devices.
 
 use std::collections::HashSet;
 
@@ -16,17 +16,17 @@ use super::sink::Sink;
 use super::table::{Row, rows};
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, by_robot, keyframes};
 
-/// Columns that move a device.
+/// A device of a robot, and the columns that move it.
 struct Mapped {
     robot: String,
     motion: DeviceMotion,
     indices: Vec<usize>,
     empty: usize,
-    /// Number of lines that repeat the held value.
+    /// Number of lines that repeat the value that the device holds.
     same: usize,
 }
 
-/// The column of times, and their meaning.
+/// The column of times, and the unit of its values.
 struct TimeColumn {
     index: usize,
     unit: TimeUnit,
@@ -89,7 +89,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     motions(input, mapped, source, sink)
 }
 
-/// Whether lines with fewer cells precede the table, which is a finding.
+/// Whether a title, lines with fewer cells, precedes the table. If so, adds a finding.
 fn begins_with_title(table: &Table<'_>, sink: &mut Sink) -> bool {
     let Some((before, cells)) = dialect::table_behind_title(table.source, table.dialect) else {
         return false;
@@ -118,7 +118,7 @@ fn columns(table: &Table<'_>, input: &Input, sink: &mut Sink) -> Option<(TimeCol
     let mut complete = true;
     let mut used: HashSet<usize> = index.into_iter().collect();
     let time = used.clone();
-    // A pattern for all columns only matches those that no other one names.
+    // The pattern `*` only matches columns that no other option names.
     let (every, others): (Vec<_>, Vec<_>) = options.columns.iter().partition(|(_, columns)| columns == "*");
     for (to, columns) in others.into_iter().chain(every) {
         let taken = if columns == "*" { &used } else { &time };
@@ -152,8 +152,8 @@ fn columns(table: &Table<'_>, input: &Input, sink: &mut Sink) -> Option<(TimeCol
     Some((TimeColumn { index, unit }, mapped))
 }
 
-/// The meaning of the times: as stated by the user, or else by the header, or else as the times themselves show unambiguously. Never a
-/// guess.
+/// The unit of the times: as stated by the user, or else by the header, or else as the times themselves show unambiguously. It is never
+/// guessed.
 fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUnit> {
     let Table { header, options, source, .. } = *table;
     let said = moments::said_by(header.text(index));
@@ -193,7 +193,7 @@ fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUni
     }
 }
 
-/// The only notation that fits all clock times.
+/// The only notation that all clock times of the column match; a finding if there are none or several.
 fn clock(
     table: &Table<'_>,
     index: usize,
@@ -203,7 +203,7 @@ fn clock(
 ) -> Option<TimeUnit> {
     match moments::clocks(texts.iter().map(String::as_str)).as_slice() {
         [(_, one)] => Some(*one),
-        // The wrong line is reported when it is read.
+        // A time that does not match is reported when its line is read.
         [] => match moments::clocks(std::iter::once(first)).first() {
             Some((_, unit)) => Some(*unit),
             None => table.unclear(index, "the times have no known format", UNIT, sink),
@@ -309,7 +309,7 @@ impl Clock {
         Some(at)
     }
 
-    /// Notes properties of the rate and of the first frame that the user may not expect.
+    /// Notes unexpected properties of the frame rate and of the first frame.
     fn note(&self, options: &ImportOptions, source: &Source, sink: &mut Sink) {
         let file = &source.name;
         let is_counted = matches!(self.time.unit, TimeUnit::Frames(_) | TimeUnit::Timecode(_));

@@ -10,7 +10,7 @@ use downbeat_yaml::tags::foreign_tags;
 
 use super::sink::{FINDINGS_A_FILE_MAX, Sink, with_short_line};
 
-/// Largest texts that are parsed into trees, which take many times their memory.
+/// Maximum size of texts that are parsed into trees, in bytes. A tree takes many times the memory of its text.
 const YAML_BYTES_MAX: usize = 2 << 20;
 const JSON_BYTES_MAX: usize = 6 << 20;
 /// Maximum number of commas in a JSON text. Each represents a value, and short values take a hundred times their size in memory.
@@ -18,7 +18,7 @@ const COMMAS_MAX: usize = 1_000_000;
 /// Maximum number of brackets that are open at once.
 const DEPTH_MAX: usize = 500;
 
-/// Parses a file, rejects foreign tags, and passes its tree to a reader. The reader's findings get their places.
+/// Parses a file, rejects foreign tags, and passes the tree to a reader. Adds the reader's findings, with their places, to the sink.
 pub(super) fn read<T>(
     source: &Source,
     sink: &mut Sink,
@@ -62,7 +62,7 @@ pub(super) fn read<T>(
     read_document(&document, source, sink, read)
 }
 
-/// The same for files that must be JSON.
+/// Like [`read`], but for files that must be JSON.
 pub(super) fn read_json<T>(
     source: &Source,
     sink: &mut Sink,
@@ -116,7 +116,7 @@ fn is_too_deep(text: &str) -> bool {
     })
 }
 
-/// The points of a trajectory, under the key `points`. An empty list is a finding.
+/// Reads the points of a trajectory, under the key `points`. An empty list is a finding.
 pub(super) fn points<'a>(list: &'a At<'a>, findings: &mut Reader) -> Vec<At<'a>> {
     let items = findings.list(list, "a list of points");
     if items.is_empty() && matches!(list.node, Node::List(_)) {
@@ -156,7 +156,7 @@ pub(super) fn required<'a>(
     found
 }
 
-/// A finite number; anything else is a finding.
+/// Reads a finite number. Adds a finding if the node is anything else.
 pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {
     match at.node {
         Node::Number(value) if value.is_finite() => Some(*value),
@@ -170,7 +170,7 @@ pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f
     }
 }
 
-/// A list of finite numbers. All wrong entries are reported.
+/// Reads a list of finite numbers. All wrong entries are reported.
 pub(super) fn numbers(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<f64>> {
     let items = findings.list(at, &format!("{what}: a list of numbers"));
     let mut values = Vec::with_capacity(items.len());
@@ -183,7 +183,7 @@ pub(super) fn numbers(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<
     (values.len() == items.len() && matches!(at.node, Node::List(_))).then_some(values)
 }
 
-/// A list of distinct names.
+/// Reads a list of distinct names.
 pub(super) fn unique_names(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     let mut seen = std::collections::HashSet::new();

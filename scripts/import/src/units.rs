@@ -1,6 +1,6 @@
-//! Units in headers, and their conversion.
+//! Units in the headers of tables, and their conversion.
 
-/// The unit of joints in ROS (REP 103) and Webots: radians where they turn, metres where they slide.
+/// The unit of joints in ROS (REP 103) and Webots: radians for joints that turn, metres for joints that slide.
 pub(super) const OF_JOINTS: &str = "rad or m";
 
 /// The conversion factor between two units of the same quantity.
@@ -15,7 +15,7 @@ pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
     (from_kind == to_kind).then_some(from_size / to_size)
 }
 
-/// A full turn in this unit of angles.
+/// The size of a full turn in a unit of angles; `None` for other units.
 pub(super) fn turn(unit: &str) -> Option<f64> {
     match (factor(unit, "deg"), factor(unit, "rad")) {
         (Some(1.0), _) => Some(360.0),
@@ -24,7 +24,7 @@ pub(super) fn turn(unit: &str) -> Option<f64> {
     }
 }
 
-/// Splits `x[m]` and `x (m)` into name and unit.
+/// Splits a header such as `x[m]` or `x (m)` into name and unit.
 pub(super) fn name_and_unit(header: &str) -> (&str, &str) {
     let header = header.trim();
     let square = header.strip_suffix(']').and_then(|rest| rest.split_once('['));

@@ -13,27 +13,27 @@ use super::fleet_part::FilePart;
 use super::sink::{Sink, Spot};
 use super::yaml::{line, number, one_line, scalar};
 
-/// Largest file, and maximum number of XML nodes.
+/// Maximum size of a file in bytes, and maximum number of its XML nodes.
 const BYTES_MAX: usize = 8 << 20;
 const NODES_MAX: u32 = 1_000_000;
 /// Maximum number of attributes of an element: the time to compare them grows with the square of their number.
 const ATTRIBUTES_MAX: usize = 1_000;
-/// Maximum number of joints.
+/// Maximum number of joints of a URDF.
 const JOINTS_MAX: usize = 1_000;
 /// Defaults for values that a URDF does not contain.
 const GRANULARITY: f64 = 0.001;
 const STEPS: usize = 256;
-/// The range of a joint without limits in each direction, in rad.
+/// The range in each direction of a joint without limits, in rad.
 const TURN: f64 = std::f64::consts::TAU;
 
-/// The result of converting a description.
+/// The result of converting a URDF.
 #[derive(Clone, Debug, Default)]
 pub struct UrdfOutcome {
-    /// The initialization block, and a fleet with one such robot and its speed limits. Empty if there are errors.
+    /// The initialization block, and a fleet with one robot that has this block and its speed limits. Empty if there are errors.
     pub files: Vec<FilePart>,
-    /// The number of devices.
+    /// The number of devices in the block.
     pub devices: usize,
-    /// The omissions and the assumed values.
+    /// Notes about omissions and assumed values.
     pub notes: Vec<String>,
     /// The errors.
     pub findings: Vec<Finding>,
@@ -47,7 +47,7 @@ struct Joint {
     velocity: Option<f64>,
 }
 
-/// Facts that are reported once for all joints.
+/// Observations that are reported once for all joints.
 #[derive(Default)]
 struct Told {
     fixed: usize,
@@ -59,7 +59,7 @@ struct Told {
     efforts: usize,
 }
 
-/// Converts a description to an initialization block. `id` is the id of the robot; if it is `None`, the description's name.
+/// Converts a URDF to an initialization block. `id` is the id of the robot; if it is `None`, the robot's name in the URDF is used.
 #[must_use]
 pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
     let mut sink = Sink::default();
@@ -76,7 +76,7 @@ pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
     UrdfOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
 }
 
-/// Parses the document of a robot. Any other document, or one that is too large, is a finding.
+/// Parses a URDF. Adds a finding if the document does not describe a robot or is too large.
 pub(super) fn parsed<'s>(source: &'s Source, sink: &mut Sink) -> Option<Document<'s>> {
     if source.text.len() > BYTES_MAX {
         let message = format!("the file has {} bytes", source.text.len());
@@ -140,7 +140,7 @@ fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {
     let mut told = Told::default();
     let mut joints = Vec::new();
     let mut seen = std::collections::HashSet::new();
-    // Transmissions also name joints, one level deeper.
+    // Only direct children are joints: transmissions also name joints, one level deeper.
     for node in robot.children().filter(|node| node.has_tag_name("joint")) {
         let Some(joint) = read_joint(node, &mut told, source, sink) else {
             if sink.is_full(source) {
@@ -258,7 +258,7 @@ fn range(
     None
 }
 
-/// Three numbers. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
+/// Parses an attribute of three numbers. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
 pub(super) fn numbers(
     node: Node<'_, '_>,
     name: &str,
@@ -278,7 +278,7 @@ pub(super) fn numbers(
     parts.map(Some)
 }
 
-/// A number. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
+/// Parses an attribute that is a number. `Some(None)` if the attribute is missing; `None`, with a finding, if it is invalid.
 pub(super) fn attribute(
     node: Node<'_, '_>,
     name: &str,

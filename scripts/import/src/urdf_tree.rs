@@ -12,7 +12,7 @@ use downbeat_yaml::source::Source;
 use super::sink::Sink;
 use super::urdf::{attribute, found, numbers, parsed};
 
-/// The joints and links of a description.
+/// The joints and links of a URDF.
 #[derive(Clone, Debug, Default)]
 pub struct Tree {
     /// The joints, in the order of the file.
@@ -27,17 +27,17 @@ pub struct TreeJoint {
     pub name: String,
     /// The motion of the joint.
     pub motion: Motion,
-    /// The link that carries it.
+    /// The name of the link that carries the joint.
     pub parent: String,
-    /// The link that it moves.
+    /// The name of the link that the joint moves.
     pub child: String,
-    /// The origin of the joint in the frame of the parent, in metres.
+    /// The origin of the joint in the frame of the parent link, in metres.
     pub xyz: [f64; 3],
-    /// Roll, pitch and yaw of the joint's frame in that of the parent, in radians.
+    /// Roll, pitch and yaw of the joint's frame in the frame of the parent link, in radians.
     pub rpy: [f64; 3],
-    /// The axis, as a unit vector.
+    /// The axis of the joint as a unit vector, in the frame of the joint.
     pub axis: [f64; 3],
-    /// The joint that this one follows, if any.
+    /// The joint that this joint follows, if any.
     pub mimic: Option<Mimic>,
 }
 
@@ -48,16 +48,16 @@ pub enum Motion {
     Fixed,
     /// The joint turns or slides.
     By(JointKind),
-    /// Several degrees of freedom, such as floating.
+    /// The joint has several degrees of freedom; the text is its type, such as `floating`.
     Other(String),
 }
 
-/// A joint that follows another one.
+/// How a joint follows another joint.
 #[derive(Clone, Debug)]
 pub struct Mimic {
     /// The name of the followed joint.
     pub joint: String,
-    /// The factor of the position of that joint.
+    /// The factor that the position of the followed joint is multiplied by.
     pub multiplier: f64,
     /// The offset that is added to the product.
     pub offset: f64,
@@ -68,9 +68,9 @@ pub struct Mimic {
 enum Cover {
     #[default]
     Nothing,
-    /// Balls around the ends of cylinders, and the spheres, in the frame of the link.
+    /// Only cylinders and spheres: balls that enclose the ends of the cylinders, and the spheres, in the frame of the link.
     Round(Vec<Round>),
-    /// Meshes or boxes.
+    /// Other shapes: meshes or boxes.
     Other,
 }
 
@@ -80,10 +80,10 @@ struct Round {
     radius: f64,
 }
 
-/// The reason why no chain leads to a link.
+/// The reason why no chain of joints leads to a link.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NoChain {
-    /// The tree ends at several links.
+    /// No link is given, and the tree ends at several links, which the set contains.
     Branches(BTreeSet<String>),
     /// No joint leads to the link. The set contains the links to which a joint leads.
     Unknown(BTreeSet<String>),
@@ -91,7 +91,7 @@ pub enum NoChain {
     Round,
 }
 
-/// Reads a description.
+/// Reads the tree of a URDF.
 pub fn tree(source: &Source) -> Result<Tree, Vec<Finding>> {
     let mut sink = Sink::default();
     let mut tree = Tree::default();
@@ -124,7 +124,7 @@ impl Tree {
         self.joints.push(joint);
     }
 
-    /// The joints from the root to a link. If `end` is `None`, to the only leaf of the tree.
+    /// The joints from the root to the link `end`. If `end` is `None`: to the link at which the tree ends.
     pub fn chain(&self, end: Option<&str>) -> Result<Vec<&TreeJoint>, NoChain> {
         let to: HashMap<&str, &TreeJoint> =
             self.joints.iter().map(|joint| (joint.child.as_str(), joint)).collect();
@@ -154,8 +154,8 @@ impl Tree {
         Ok(chain)
     }
 
-    /// The radius of a capsule around the line to the next joint that encloses the round shapes of a joint's child link, in metres.
-    /// `None` if the link has other shapes. A link without shapes has radius 0.
+    /// The radius in metres of the capsule that encloses the round shapes of a joint's child link. Its axis is the line to `next`, the
+    /// origin of the next joint. `None` if the link has other shapes. A link without shapes has radius 0.
     pub fn radius(&self, joint: &TreeJoint, next: [f64; 3]) -> Option<f64> {
         match self.covers.get(&joint.child) {
             None | Some(Cover::Nothing) => Some(0.0),
@@ -222,7 +222,7 @@ fn joint(node: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<TreeJoi
     Some(TreeJoint { name, motion, parent, child: to, xyz, rpy, axis: axis.map(|part| part / long), mimic })
 }
 
-/// `<origin xyz="..." rpy="..."/>`
+/// Reads the element `<origin xyz="..." rpy="..."/>`.
 fn origin(node: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Option<[[f64; 3]; 2]> {
     let Some(origin) = child(node, "origin") else { return Some([[0.0; 3]; 2]) };
     let [xyz, rpy] = ["xyz", "rpy"].map(|name| numbers(origin, name, source, sink));

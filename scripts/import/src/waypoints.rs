@@ -1,4 +1,4 @@
-//! Waypoints: `id,x[m],y[m],z[m],t[s]`, one position of a robot at one time per line.
+//! Reads waypoints: a CSV `id,x[m],y[m],z[m],t[s]` with one position of a robot at one time per line.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const COLUMNS: [(&str, &str); 5] = [("id", ""), ("x", "m"), ("y", "m"), ("z", "m"), ("t", "s")];
 
-/// Maximum number of robots with a separate note.
+/// Maximum number of robots that each have a separate note.
 const NOTES_MAX: usize = 20;
 
 struct Waypoint {
@@ -71,7 +71,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     robots.into_iter().map(motion).collect()
 }
 
-/// The factors that convert each column to metres and seconds.
+/// For each column, the factor that converts its values to metres or seconds.
 fn factors(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<[f64; 5]> {
     let mut factors = [1.0; 5];
     for (index, (name, unit)) in COLUMNS.iter().enumerate() {

@@ -14,10 +14,10 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const MAGIC: &str = "#WEBOTS_MOTION";
 const VERSION: &str = "V1.0";
-/// Number of columns before the joints.
+/// Number of columns before the columns of the joints.
 const AHEAD: usize = 2;
 
-/// A joint, with the time until which it has no command.
+/// A joint. `untold` is the time until which it has no command.
 struct Joint {
     motion: DeviceMotion,
     untold: Option<Span>,
@@ -122,7 +122,7 @@ fn read_pose(
 }
 
 impl Joint {
-    /// Webots sends no command to the motor, so the joint keeps its position.
+    /// Handles a pose without a value for the joint: Webots sends no command to the motor then, so the joint keeps its position.
     fn skip(&mut self, at: Span) {
         self.gaps += 1;
         self.untold = Some(at);
@@ -155,7 +155,7 @@ fn note(joints: &[Joint], source: &Source, sink: &mut Sink) {
     ));
 }
 
-/// `[[minutes:]seconds:]milliseconds`, each of any size.
+/// Parses a time `[[minutes:]seconds:]milliseconds`; each number may have any size.
 fn millis(text: &str) -> Option<Span> {
     let mut sum = 0_i64;
     let parts: Vec<&str> = text.trim().split(':').collect();

@@ -14,13 +14,13 @@ use super::{Course, DeviceMotion, Imported, Keyframe, Scene};
 /// How scenes are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scenes {
-    /// One act per scene.
+    /// Each scene becomes an act.
     Acts,
-    /// One list of cues.
+    /// All scenes become one list of cues.
     Joined,
 }
 
-/// Values closer than this are equal: rounding of the digits in the files.
+/// Largest difference between values that count as equal, because of rounding in the files.
 const SAME: f64 = 1e-5;
 
 /// The text of a scenario file. `fleet` is the fleet file that it refers to.
@@ -67,7 +67,7 @@ pub fn scenario_text(
     text
 }
 
-/// The number of keyframes and pieces that are written. Adjacent joined scenes share one value.
+/// The number of keyframes and pieces that are written to the scenario. Joined scenes that meet have one value in common.
 #[must_use]
 pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
     if scenes == Scenes::Acts {
@@ -89,12 +89,12 @@ pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
     steps
 }
 
-/// The final time and value of each device of each robot.
+/// The last time and value of each device of each robot, in the scenes written so far.
 #[derive(Default)]
 struct Joints(std::collections::HashMap<(String, String), (Span, f64)>);
 
 impl Joints {
-    /// The keyframes of a device, without a first one that only repeats the end of the previous scene.
+    /// The keyframes of a device, without a first keyframe that only repeats the end of the previous scene.
     fn rest<'a>(&mut self, robot: &str, device: &'a DeviceMotion, start: Span) -> &'a [Keyframe] {
         let all = device.keyframes.as_slice();
         if let Course::Pieces(_) | Course::Several(_) = device.course {
@@ -181,7 +181,7 @@ pub(super) fn line(text: &mut String, content: std::fmt::Arguments<'_>) {
     let _infallible = writeln!(text, "{content}");
 }
 
-/// Whole seconds and milliseconds are written as such.
+/// Writes a time; whole seconds and milliseconds are written as such.
 fn time(at: Span) -> String {
     let nanos = at.as_nanos();
     match (nanos % 1_000_000_000, nanos % 1_000_000) {
@@ -191,7 +191,7 @@ fn time(at: Span) -> String {
     }
 }
 
-/// A number that reads back as the same value; very large and very small ones have an exponent.
+/// Writes a number so that it is parsed as the same value. Very large and very small numbers have an exponent.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     if size == 0.0 || (1e-9..1e15).contains(&size) { format!("{value}") } else { format!("{value:.17e}") }
@@ -202,7 +202,7 @@ fn list(values: &[f64]) -> String {
     format!("[{}]", values.join(", "))
 }
 
-/// A text as a YAML scalar: plain if it is unambiguous, otherwise in double quotes.
+/// Writes a text as a YAML scalar: plain if that is unambiguous, otherwise in double quotes.
 #[must_use]
 pub fn scalar(text: &str) -> Cow<'_, str> {
     if is_plain(text) {

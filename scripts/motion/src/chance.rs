@@ -6,7 +6,7 @@
 /// The increment of the state per number: 2^64 divided by the golden ratio, made odd.
 const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// The precision of the random fractions, in bits: that of a double.
+/// The precision of the random fractions, in bits: as many as a double has.
 const DRAWN_BITS: u32 = 53;
 
 const fn mix(z: u64) -> u64 {
@@ -15,18 +15,18 @@ const fn mix(z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A random number that depends on all these numbers. For a single number, the first output of SplitMix64 with that seed. For several,
-/// the seed is the result for all but the last number, plus the last number.
+/// A random number that depends on all given numbers. For a single number, it is the first output of SplitMix64 with that number as the
+/// seed. For several numbers, the seed is the result for all but the last number, plus the last number.
 pub fn drawn(from: &[f64]) -> u64 {
     from.iter().fold(0, |state: u64, number| mix(state.wrapping_add(bits(*number)).wrapping_add(GAMMA)))
 }
 
-/// The same as a fraction from 0 to below 1, in units of 2^-53: numerator and denominator.
+/// Like [`drawn`], but a fraction from 0 to below 1, as numerator and denominator. The denominator is 2^53.
 pub fn share(from: &[f64]) -> (u64, u64) {
     (drawn(from) >> (u64::BITS - DRAWN_BITS), 1 << DRAWN_BITS)
 }
 
-/// The value of whole numbers, so that -0 equals 0; the bits of other numbers.
+/// The integer that represents a number: the value of whole numbers, so that -0 equals 0; the bits of other numbers.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

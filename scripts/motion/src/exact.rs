@@ -1,5 +1,5 @@
-//! Times that are not a whole number of nanoseconds, such as a beat at 110 beats per minute. They are exact until they are converted to
-//! clock time.
+//! Times that are not a whole number of nanoseconds, such as a beat at 110 beats per minute. Such times are kept exactly until they are
+//! converted to clock time.
 
 use std::cmp::Ordering;
 
@@ -9,7 +9,7 @@ use urrcp::Span;
 
 /// Maximum number of decimal digits that are read.
 const DECIMALS_MAX: usize = 18;
-/// Denominator bits of a fraction that is too long to be kept exactly.
+/// Number of bits of the denominator of a fraction that is too long to be kept exactly.
 const COARSE_BITS: u32 = 20;
 
 /// A time in nanoseconds, as a fraction.
@@ -18,26 +18,26 @@ const COARSE_BITS: u32 = 20;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Exact(Ratio<i128>);
 
-/// Any other number, as a fraction.
+/// A number that is not a time, as a fraction.
 pub type Fraction = Ratio<i128>;
 
 impl Exact {
-    /// Zero.
+    /// The time 0.
     pub const ZERO: Self = Self(Ratio::ZERO);
 
-    /// A multiple of this length.
+    /// This time multiplied by `count`.
     pub fn times(self, count: Fraction) -> Self {
         let approximate = || near(to_f64(self.0) * to_f64(count));
         Self(self.0.checked_mul(&count).unwrap_or_else(approximate))
     }
 
-    /// The quotient of two lengths. `None` if the other is zero.
+    /// The quotient of two lengths. `None` if `other` is zero.
     pub fn divided_by(self, other: Self) -> Option<Fraction> {
         let approximate = || near(to_f64(self.0) / to_f64(other.0));
         (other != Self::ZERO).then(|| self.0.checked_div(&other.0).unwrap_or_else(approximate))
     }
 
-    /// The sum.
+    /// The sum of two times.
     pub fn plus(self, other: Self) -> Self {
         if self.0.is_integer() && other.0.is_integer() {
             return Self(Ratio::from_integer(self.0.numer().saturating_add(*other.0.numer())));
@@ -45,32 +45,32 @@ impl Exact {
         Self(sum(self.0, other.0))
     }
 
-    /// The difference.
+    /// This time minus `other`.
     pub fn minus(self, other: Self) -> Self {
         self.plus(Self(-other.0))
     }
 
-    /// A number of nanoseconds.
+    /// Creates a time from a number of nanoseconds.
     pub const fn of_nanos(nanos: Fraction) -> Self {
         Self(nanos)
     }
 
-    /// The number of nanoseconds.
+    /// The time as a number of nanoseconds.
     pub const fn nanos(self) -> Fraction {
         self.0
     }
 
-    /// The number of seconds.
+    /// The time as a number of seconds.
     pub fn seconds(self) -> f64 {
         to_f64(self.0) / 1e9
     }
 
-    /// The latest whole nanosecond that is not later.
+    /// The time rounded down to a whole nanosecond.
     pub fn rounded_down(self) -> Span {
         Span::from_nanos(saturated(self.0.numer().div_euclid(*self.0.denom())))
     }
 
-    /// The nearest whole nanosecond; halves are rounded up.
+    /// The time rounded to the nearest whole nanosecond; halves are rounded up.
     pub fn rounded(self) -> Span {
         self.plus(Self(Ratio::new_raw(1, 2))).rounded_down()
     }
@@ -82,15 +82,16 @@ impl From<Span> for Exact {
     }
 }
 
-/// Converts lengths that count from the start of a cue to clock time.
+/// The start of a cue. It converts lengths that count from that start to clock time.
 ///
-/// If the start is known, they end at the nanosecond nearest to the exact time, so that bars end where the next ones begin. If it is
-/// unknown, they are rounded down: the sum of any number of rounded lengths does not exceed their exact sum.
+/// If the start is known, a length ends at the nanosecond nearest to the exact time, so that each bar ends where the next one begins. If
+/// the start is unknown (`None`), lengths are rounded down. The sum of any number of rounded lengths then does not exceed their exact
+/// sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Beginning(pub Option<Exact>);
 
 impl Beginning {
-    /// The clock time from the start until `length` later.
+    /// The clock time that passes from the start until `length` after it.
     pub fn lay(self, length: Exact) -> Span {
         match self.0 {
             Some(start) if !length.0.is_integer() => start.plus(length).rounded() - start.rounded(),
@@ -102,19 +103,19 @@ impl Beginning {
 /// Consecutive equal lengths, such as the repetitions of a movement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Laps {
-    /// The length of each.
+    /// The length of each lap.
     pub length: Exact,
-    /// The start of the first one, if it is fixed.
+    /// The start of the first lap, if it is fixed.
     pub from: Beginning,
 }
 
 impl Laps {
-    /// The start of this lap, counted from 0.
+    /// The start of a lap; laps are counted from 0.
     pub fn begin(&self, lap: u32) -> Span {
         self.within(lap, Exact::ZERO)
     }
 
-    /// A time after the start of a lap.
+    /// The time that is `later` after the start of a lap.
     pub fn within(&self, lap: u32, later: Exact) -> Span {
         self.from.lay(self.length.times(Ratio::from_integer(i128::from(lap))).plus(later))
     }
@@ -127,7 +128,7 @@ impl From<Span> for Laps {
     }
 }
 
-/// A decimal number as written, such as `104.5`. `None` if it is anything else, is negative or has too many digits.
+/// Parses a decimal number such as `104.5` exactly. `None` if the text is anything else, is negative or has too many digits.
 pub fn decimal(text: &str) -> Option<Fraction> {
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
@@ -139,31 +140,31 @@ pub fn decimal(text: &str) -> Option<Fraction> {
     Some(Ratio::new(numerator, 10i128.pow(u32::try_from(part.len()).ok()?)))
 }
 
-/// Converts a double to the fraction that was written: the shortest decimal that reads as the same double.
+/// Converts a double that is not negative to the fraction that was probably written: the shortest decimal that is parsed as this double.
 pub fn fraction(value: f64) -> Fraction {
     decimal(&value.to_string()).unwrap_or_else(|| near(value))
 }
 
-/// The same for any sign; for very small and very large numbers, the nearest millionth.
+/// Like [`fraction`], but for any sign. Very small and very large numbers become the nearest millionth.
 pub fn near_fraction(value: f64) -> Fraction {
     let size = decimal(&value.abs().to_string()).unwrap_or_else(|| near(value.abs()));
     if value < 0.0 { -size } else { size }
 }
 
-/// Whether a fraction is within bounds, inclusive.
+/// Whether a fraction is from `least` to `most`, inclusive.
 pub fn within(value: Fraction, least: i128, most: i128) -> bool {
     value.cmp(&Ratio::from_integer(least)) != Ordering::Less
         && value.cmp(&Ratio::from_integer(most)) != Ordering::Greater
 }
 
-/// The nearest double.
+/// The double nearest to a fraction.
 #[expect(clippy::cast_precision_loss, reason = "rounded as doubles are")]
 pub fn to_f64(value: Fraction) -> f64 {
     let (whole, rest) = (value.numer() / value.denom(), value.numer() % value.denom());
     whole as f64 + rest as f64 / *value.denom() as f64
 }
 
-/// The sum, with an error of less than a millionth if it is too long for 128 bits.
+/// The sum of two fractions; if it is too long for 128 bits, it has an error of less than a millionth.
 pub fn sum(a: Fraction, b: Fraction) -> Fraction {
     a.checked_add(&b).unwrap_or_else(|| coarse(a) + coarse(b))
 }

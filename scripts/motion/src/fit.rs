@@ -2,9 +2,9 @@
 //!
 //! Pure mathematics on numbers; this module does not depend on the origin of a curve. Values of steps lie on the device's grid. For
 //! devices that hold their value, `hold` is optimal over all times. For devices that move linearly, steps are at the times of samples:
-//! `linear` is optimal over the candidates of `lattice`, and `tube` proves a bound for any other solution. The two questions are the
-//! min-# and min-epsilon problems of Imai and Iri (Computer Vision, Graphics, and Image Processing 36, 1986), for errors measured along
-//! the value as in Hakimi and Schmeichel (CVGIP: Graphical Models and Image Processing 53, 1991).
+//! `linear` is optimal over the candidates of `lattice`, and `tube` proves a bound for any other solution. The fewest steps and the least
+//! error are the min-# and min-epsilon problems of Imai and Iri (Computer Vision, Graphics, and Image Processing 36, 1986). Errors are
+//! measured along the value, as in Hakimi and Schmeichel (CVGIP: Graphical Models and Image Processing 53, 1991).
 
 mod cones;
 mod hold;
@@ -26,18 +26,18 @@ pub use unfit::Unfit;
 /// A curve, given by samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<'a> {
-    /// In milliseconds, strictly increasing.
+    /// Times of the samples in milliseconds, strictly increasing.
     pub times: &'a [f64],
-    /// One value per time.
+    /// Values of the samples, one per time.
     pub values: &'a [f64],
-    /// Bound of the distance between the curve and its chord between two samples.
+    /// Upper bound of the distance between the curve and the straight line that joins two adjacent samples.
     pub slack: f64,
     /// Half of the curve's jump at each sample; the sample's value is the middle of the jump. Empty if the curve is continuous.
     pub gaps: &'a [f64],
 }
 
 impl Samples<'_> {
-    /// The remaining room at a sample.
+    /// The allowed distance from a sample's value: `room`, minus half of the jump at the sample.
     fn room_at(&self, sample: usize, room: f64) -> f64 {
         room - self.gap(sample)
     }
@@ -56,30 +56,30 @@ impl Samples<'_> {
 /// The values that a device can take: the multiples of the granularity from `min` to `max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
-    /// Smallest value.
+    /// Smallest value that the device can take.
     pub min: f64,
-    /// Largest value.
+    /// Largest value that the device can take.
     pub max: f64,
     /// Distance between adjacent values, above 0.
     pub granularity: f64,
 }
 
 impl Grid {
-    /// The grid of a device with these limits.
+    /// The grid of a device with the given limits.
     pub fn of(limits: &Limits) -> Self {
         Self { min: limits.min_value, max: limits.max_value, granularity: limits.granularity }
     }
 }
 
-/// Prescribed values at the ends, used exactly, even if they are off the grid. `None` if the end is free.
+/// Prescribed values at the ends of a curve, used exactly, even if they are off the grid. `None` if any value is allowed.
 ///
 /// A device that moves linearly always has a step at both ends. A device that holds has a step at the last sample only if it does not
 /// already hold the prescribed value.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ends {
-    /// At the first sample.
+    /// The value at the first sample.
     pub first: Option<f64>,
-    /// At the last sample.
+    /// The value at the last sample.
     pub last: Option<f64>,
 }
 
@@ -88,22 +88,23 @@ pub struct Ends {
 pub struct Fit {
     /// The time in milliseconds and the value of each step, in order of time.
     pub steps: Vec<(f64, f64)>,
-    /// Largest distance from the curve, including the curve's slack, up to rounding.
+    /// Largest distance of the steps from the curve, including the curve's slack, up to rounding.
     pub worst: f64,
-    /// The time of this distance, in milliseconds; for a held value possibly the time just before.
+    /// The time of the largest distance, in milliseconds. For a held value, the distance may occur just before that time.
     pub worst_at: f64,
-    /// Lower bound of the number of steps within the tolerance, which is `worst` for [`least_error`]. For a device that moves linearly,
-    /// the bound applies to steps at the samples' times.
+    /// Lower bound of the number of steps within the tolerance; for [`least_error`], the tolerance is `worst`. For a device that moves
+    /// linearly, the bound applies to steps at the samples' times.
     ///
-    /// It equals the number of steps, unless the grid or the sampling is so fine that it had to be thinned.
+    /// The bound equals the number of steps, unless the grid or the sampling is so fine that it had to be thinned.
     pub at_least: usize,
 }
 
-/// Finds the fewest steps within the tolerance, and among these the least error, to within 1 % of the tolerance.
+/// Finds the fewest steps within the tolerance, for a device that moves linearly. Among the solutions with that number of steps, it finds
+/// one whose error is minimal to within 1 % of the tolerance.
 ///
-/// For a device that moves linearly. At most 35 values per sample are candidates, including the one nearest to the curve. For curves of
-/// more than 4096 samples, at most 256 samples per straight piece are candidates. Finer values and samples are thinned evenly.
-/// [`Fit::at_least`] then shows how many steps fewer another fit could have.
+/// At most 35 values per sample are candidates, including the value nearest to the curve. For curves of more than 4096 samples, at most
+/// 256 samples per straight piece are candidates. If there are more values or samples, they are thinned evenly. No fit has fewer steps
+/// than [`Fit::at_least`] then.
 ///
 /// ```
 /// use downbeat_motion::fit::{Ends, Grid, Samples, fewest};
@@ -121,11 +122,13 @@ pub fn fewest(curve: &Samples, grid: &Grid, tolerance: f64, ends: Ends) -> Resul
     Problem::new(curve, grid, ends)?.fewest(tolerance)
 }
 
-/// Finds the least error with at most `budget` steps, to a relative precision of 1e-6 or a millionth of the granularity.
+/// Finds the least error with at most `budget` steps, for a device that moves linearly. The relative precision is 1e-6, or the absolute
+/// precision is a millionth of the granularity.
 ///
-/// The tolerance is bisected over [`fewest`]. If that thins the values (for more than 17 multiples of the granularity on either side),
-/// the error without slack is at most 17/16 times the sum of the optimum and one granularity: every value has a candidate within a
-/// seventeenth of the room, rounded up to the grid. If it thins the samples, the result is the least error found.
+/// The function bisects the tolerance and calls [`fewest`] for each. [`fewest`] thins the values if there are more than 17 multiples of
+/// the granularity on either side. The error without slack is then at most 17/16 times the sum of the optimum and one granularity: every
+/// value has a candidate within a seventeenth of the room, rounded up to the grid. If [`fewest`] thins the samples, the result is the
+/// least error found.
 ///
 /// # Errors
 /// Returns the unusable part of the input, or the number of steps that the ends alone require.
@@ -133,11 +136,12 @@ pub fn least_error(curve: &Samples, grid: &Grid, budget: usize, ends: Ends) -> R
     Problem::new(curve, grid, ends)?.least_error(budget)
 }
 
-/// Lower bound of the number of steps that a device that moves linearly needs on any grid: a proof for the result of [`fewest`].
+/// Lower bound of the number of steps at samples that a device that moves linearly needs, on any grid. It proves that a result of
+/// [`fewest`] is optimal.
 ///
-/// One more than the fewest straight pieces, each from sample to sample, that stay within the tolerance; the pieces need not be connected
-/// (O'Rourke, Communications of the ACM 24, 1981). `None` if no number of steps suffices, because the slack alone exceeds the tolerance
-/// or the samples are unusable.
+/// The bound is one more than the fewest straight pieces that stay within the tolerance. Each piece leads from a sample to a sample; the
+/// pieces need not be connected (O'Rourke, Communications of the ACM 24, 1981). `None` if no number of steps suffices, because the slack
+/// alone exceeds the tolerance or the samples are unusable.
 #[must_use]
 pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;
@@ -145,10 +149,11 @@ pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
     (room >= 0.0).then(|| Tubes::of(curve).steps_at_least(room + problem::dust(curve, Ends::default())))
 }
 
-/// Lower bound of the number of steps that a device that moves linearly needs at any times and values: a proof for every way of following
-/// the curve, not only for steps at samples.
+/// Lower bound of the number of steps, at any times and with any values, that a device that moves linearly needs. Unlike [`lower_bound`],
+/// it is not limited to steps at samples.
 ///
-/// One more than the fewest groups of samples such that one straight line fits each group. `None` as for [`lower_bound`].
+/// The bound is one more than the fewest groups of consecutive samples such that one straight line passes each group within the
+/// tolerance. `None` if no number of steps suffices, as for [`lower_bound`].
 #[must_use]
 pub fn steps_at_least(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;

@@ -1,7 +1,8 @@
 //! Musical time: beats and bars, and how long they last.
 //!
-//! A tempo counts beats per minute. A beat is the lower number of the time signature, and the upper number is the number of beats per
-//! bar. Bars and beats are counted from 1. Musical time is kept exactly, because a beat is rarely a whole number of nanoseconds.
+//! A tempo counts beats per minute. The lower number of the time signature is the note value of a beat; the upper number is the number of
+//! beats per bar. Bars and beats are counted from 1. Musical time is kept exactly, because a beat is rarely a whole number of
+//! nanoseconds.
 
 use std::sync::Arc;
 
@@ -11,10 +12,10 @@ use crate::exact::{Beginning, Exact, Fraction, decimal, sum, to_f64, within};
 
 const MINUTE: Span = Span::from_millis(60_000);
 
-/// Tempo and time signature, starting at some bar.
+/// Tempo and time signature, from a given bar on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
-    /// The first bar, from 0: 0 is bar 1.
+    /// The first bar, counted from 0: 0 is bar 1.
     pub bar: u32,
     /// The tempo, in beats per minute.
     pub beats_a_minute: Fraction,
@@ -22,20 +23,20 @@ pub struct Section {
     pub beats_a_bar: u8,
 }
 
-/// The tempo of a whole act.
+/// The tempo of a whole act, which may change at bars.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tempo(Vec<Anchored>);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Anchored {
     section: Section,
-    /// Its start, in beats and in time.
+    /// The start of the section, in beats and as a time (`at`).
     beat: Fraction,
     at: Exact,
 }
 
 impl Section {
-    /// The duration of this many beats.
+    /// The duration of a number of beats.
     fn beats(&self, beats: Fraction) -> Exact {
         Exact::from(MINUTE).times(beats).times(self.beats_a_minute.recip())
     }
@@ -47,7 +48,7 @@ impl Section {
 }
 
 impl Tempo {
-    /// Creates a tempo from sections in order of their bars; the first is at bar 1.
+    /// Creates a tempo from sections in order of their bars; the first section starts at bar 1.
     pub fn new(sections: &[Section]) -> Self {
         let mut anchored: Vec<Anchored> = Vec::with_capacity(sections.len());
         for &section in sections {
@@ -64,13 +65,13 @@ impl Tempo {
         self.0.len() > 1
     }
 
-    /// The section that applies when `key` has reached `value`.
+    /// The last section whose `key` is at most `value`.
     fn section<T: PartialOrd>(&self, key: impl Fn(&Anchored) -> T, value: T) -> Option<&Anchored> {
         let after = self.0.partition_point(|section| key(section) <= value);
         self.0.get(after.saturating_sub(1))
     }
 
-    /// The time of a position; both are counted from the beginning.
+    /// The time of a position, counted from the beginning.
     fn position(&self, bar: u32, beat: Fraction) -> Option<Exact> {
         let section = self.section(|s| s.section.bar, bar)?;
         let bars = section.section.bars(whole(bar - section.section.bar));
@@ -93,10 +94,10 @@ fn whole(number: u32) -> Fraction {
     Fraction::from_integer(i128::from(number))
 }
 
-/// The meaning of beats at the place that is being read.
+/// The context that gives beats their meaning: the tempo and the start of the cue that is being read.
 #[derive(Clone, Debug, Default)]
 pub struct Music {
-    /// The tempo; `None` if the scenario has none.
+    /// The tempo; `None` if the scenario has no tempo.
     pub tempo: Option<Arc<Tempo>>,
     /// The start of the cue, if it is fixed.
     pub start: Beginning,
@@ -114,7 +115,7 @@ pub enum NoMusicalLength {
 }
 
 impl NoMusicalLength {
-    /// The message of the finding.
+    /// The message of the finding about the musical time `text`.
     pub fn message(self, text: &str) -> String {
         match self {
             Self::WithoutTempo => format!("`{text}` is a musical time, but the scenario has no tempo"),
@@ -123,7 +124,7 @@ impl NoMusicalLength {
         }
     }
 
-    /// How to fix it.
+    /// How to fix the mistake.
     pub const fn hint(self) -> &'static str {
         match self {
             Self::WithoutTempo => "add `tempo: 120` (beats per minute) at the top of the scenario",
@@ -145,7 +146,7 @@ impl Music {
         Some(self.length(bars, beats))
     }
 
-    /// The duration of bars and beats, from the start of the cue.
+    /// The duration of a number of bars and beats from the start of the cue on.
     pub fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, NoMusicalLength> {
         let tempo = self.tempo.as_ref().ok_or(NoMusicalLength::WithoutTempo)?;
         let start = match (self.start.0, tempo.changes()) {
@@ -164,7 +165,8 @@ impl Music {
         Ok(time().unwrap_or(Exact::ZERO))
     }
 
-    /// If a position has a beat that its bar does not have: the number of beats in the bar, and the equivalent position in a later bar.
+    /// For a position whose beat exceeds the bar: the number of beats in that bar, and the equivalent position in a later bar. Otherwise
+    /// `None`.
     pub fn beyond_bar(&self, text: &str) -> Option<(u8, String)> {
         let (written, mut beat) = position(text)?;
         let tempo = self.tempo.as_ref()?;
@@ -181,7 +183,7 @@ impl Music {
         (bar > written).then_some((beats(written)?, meant))
     }
 
-    /// Parses a position such as `bar 3 beat 2` as the time from the beginning; `None` if the text is not a position.
+    /// Parses a position such as `bar 3 beat 2` and converts it to the time from the beginning. `None` if the text is not a position.
     pub fn position(&self, text: &str) -> Option<Result<Exact, NoMusicalLength>> {
         let (bar, beat) = position(text)?;
         let Some(tempo) = self.tempo.as_ref() else { return Some(Err(NoMusicalLength::WithoutTempo)) };
@@ -189,7 +191,7 @@ impl Music {
     }
 }
 
-/// `bar 3 beat 2` or `bar 3`, as bars and beats from 0.
+/// Parses `bar 3 beat 2` or `bar 3` into the bar and the beat, both counted from 0. `None` if the text is not a position.
 pub fn position(text: &str) -> Option<(u32, Fraction)> {
     let words: Vec<_> = text.split_whitespace().collect();
     let (bar, beat) = match words.as_slice() {
@@ -200,7 +202,7 @@ pub fn position(text: &str) -> Option<(u32, Fraction)> {
     ((1..=1_000_000).contains(&bar) && within(beat, 1, 1_000)).then(|| (bar - 1, beat - 1))
 }
 
-/// `4 beats`, `1 bar`, `1 bar 2 beats`, as bars and beats.
+/// Parses `4 beats`, `1 bar` or `1 bar 2 beats` into bars and beats. `None` if the text is not a length.
 fn length(text: &str) -> Option<(Fraction, Fraction)> {
     let words: Vec<_> = text.split_whitespace().collect();
     let number = |word: &str| decimal(word).filter(|value| within(*value, 0, 1_000_000));

@@ -1,4 +1,4 @@
-//! Acts, each with the scripts of every robot.
+//! The result types of compiling a scenario: acts, plans, and the scripts of each robot.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -11,15 +11,15 @@ use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Server, Span, StopCo
 
 use crate::requirements::Requirements;
 
-/// Position of each device, per robot.
+/// Known position of each device of each robot, in the device's unit.
 pub type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
 
 /// A compiled scenario: its acts and the transitions between them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choreography {
-    /// The scenario's name.
+    /// Name of the scenario.
     pub scenario: String,
-    /// In the order of the file; the mission begins with the first one.
+    /// Acts in the order of the file; the mission begins with the first one.
     pub acts: Vec<Act>,
     /// Bounds that the scenario requires. They are not enforced during play.
     pub requirements: Requirements,
@@ -28,28 +28,28 @@ pub struct Choreography {
 /// A group of scripts that are prepared, decided and started together, with the conditions before and the transitions after it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Act {
-    /// Unique in the scenario; empty if the scenario has no acts of its own.
+    /// Name of the act, unique in the scenario; empty if the scenario has no acts of its own.
     pub name: String,
-    /// The scripts to send. Their starts are command times: earlier than their motions by the latency of the device.
+    /// The scripts to send. Each starts at its command time: earlier than its motion by the latency of the device.
     pub plan: Plan,
     /// Delay of the act's motions relative to the written times, so that devices with a latency can be commanded before they must move.
-    /// All times below are motion times since the act's start and include this delay.
+    /// All times in the fields below are motion times since the act's start and include this delay.
     pub lead_in: Span,
-    /// The compensated latencies: those of the moved devices whose latency is known.
+    /// Latencies that `plan` compensates: those of the moved devices whose latency is known.
     pub latencies: BTreeMap<RobotId, BTreeMap<DeviceId, DeviceLatency>>,
-    /// Its cues in the order of the file, with their planned times.
+    /// Cues of the act in the order of the file, with their planned times.
     pub cues: Vec<PlannedCue>,
-    /// How the steps of each device were computed.
+    /// For each device, how its steps were computed.
     pub devices: Vec<DeviceUse>,
     /// Movement of the robots in space during the act.
     pub in_space: InSpace,
-    /// Sensor readings during the act.
+    /// Sensor readings that the act plans.
     pub readings: Vec<PlannedReading>,
-    /// Condition for its beginning.
+    /// Condition that must be met before the act begins.
     pub wait: Wait,
-    /// Longest wait for this condition.
+    /// Longest wait for the condition in `wait`; `None` for no limit.
     pub timeout: Option<Span>,
-    /// Transition after the wait has timed out.
+    /// Transition after this wait has timed out.
     pub on_timeout: Way,
     /// Transition after the act has ended.
     pub next: Way,
@@ -63,27 +63,27 @@ pub struct Act {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Way {
-    /// To the act with this index.
+    /// Continue with the act at this index.
     Act(usize),
-    /// The mission ends successfully.
+    /// End the mission successfully.
     End,
-    /// The mission fails.
+    /// End the mission as failed.
     Fail,
 }
 
 /// Reaction to a failed robot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FailurePolicy {
-    /// For robots without an entry in `robots`.
+    /// Reaction to failures of robots without an entry in `robots`.
     pub default: OnFailure,
-    /// Exceptions for single robots.
+    /// Reactions to failures of single robots.
     pub robots: Vec<(RobotId, OnFailure)>,
-    /// The act that follows a failure, by its index.
+    /// Index of the act that follows a failure.
     pub then: Option<usize>,
 }
 
 impl FailurePolicy {
-    /// Returns the default policy, then those of single robots.
+    /// Returns the default reaction, then the reactions for single robots.
     pub fn policies(&self) -> impl Iterator<Item = OnFailure> {
         std::iter::once(self.default).chain(self.robots.iter().map(|(_, rule)| *rule))
     }
@@ -95,7 +95,7 @@ impl FailurePolicy {
     }
 }
 
-/// Reaction of the fleet to a failed robot.
+/// What the other robots do when a robot has failed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnFailure {
@@ -104,23 +104,23 @@ pub enum OnFailure {
     Stop,
     /// All robots go to their default state.
     Home,
-    /// The others continue.
+    /// The other robots continue.
     Without,
 }
 
-/// Reaction of the other robots when a robot's link is silent or broken shortly before the start, so that it is unknown whether the robot
-/// will start. A known state is never treated as doubt.
+/// Reaction of the other robots when it is unknown whether a robot will start: its link is silent or broken shortly before the start. If
+/// the robot's state is known, there is no doubt.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnDoubt {
-    /// They start. If the silent robot is gone, they begin without it.
+    /// The other robots start. If the silent robot is gone, they begin without it.
     #[default]
     Start,
-    /// They do not move. If the silent robot starts, it moves alone until its lease has ended.
+    /// The other robots do not move. If the silent robot starts, it moves alone until its lease has ended.
     Withdraw,
 }
 
-/// Condition for the beginning of an act.
+/// Condition for the start of an act.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Wait {
@@ -131,53 +131,53 @@ pub enum Wait {
     Operator,
     /// A time of day by the server's clock, since local midnight.
     TimeOfDay(Span),
-    /// An instant.
+    /// An instant by the server's clock.
     Instant(Timestamp<Server>),
-    /// A reading within a range.
+    /// A sensor reading within a range.
     Sensor {
-        /// Robot, by its id.
+        /// Id of the robot that has the sensor.
         robot: String,
-        /// Sensor, by its device id.
+        /// Device id of the sensor.
         sensor: String,
         /// The accepted readings.
         range: SensorRange,
     },
 }
 
-/// A cue with its times, counted from the act's start.
+/// A cue with its times since the act's start.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedCue {
-    /// Its name.
+    /// Name of the cue.
     pub name: String,
-    /// When it starts.
+    /// Time at which the cue starts, since the act's start.
     pub start: Span,
-    /// When the last of its robots has ended.
+    /// Time at which the last robot of the cue has ended, since the act's start.
     pub end: Span,
-    /// Largest delay of its start that keeps all its relations and does not delay the end of the act.
+    /// Largest delay of the cue's start that keeps all its relations and does not delay the end of the act.
     pub slack: Span,
-    /// Whether it is on the critical path: a chain of relations without slack from it to the end of the act. A cue fixed by `at` has no
-    /// slack either, but is not critical if other cues end later.
+    /// Whether the cue is on the critical path: a chain of relations without slack from the cue to the end of the act. A cue fixed by
+    /// `at` has no slack either, but is not critical if other cues end later.
     pub critical: bool,
-    /// How its movement is repeated; `None` if it plays once.
+    /// Repetition of the cue's movement; `None` if it plays once.
     #[serde(rename = "repeat", skip_serializing_if = "Option::is_none")]
     pub repetition: Option<Repetition>,
-    /// Text for people only.
+    /// Text for people; it does not affect any robot.
     #[serde(flatten)]
     pub text: CueText,
 }
 
-/// Text for people. It does not affect any robot.
+/// Text for people that is attached to a cue. It does not affect any robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CueText {
-    /// The choreographer's remark.
+    /// The choreographer's remark on the cue.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
-/// A movement that is repeated.
+/// How often and at which interval a movement is repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Repetition {
-    /// Number of times it is played, at least 2.
+    /// Number of times the movement is played, at least 2.
     pub times: u32,
     /// Length of a single repetition.
     #[serde(rename = "length_ms")]
@@ -187,47 +187,48 @@ pub struct Repetition {
     pub every: Span,
 }
 
-/// How the steps of a device were computed.
+/// The steps computed for one device in an act, and how they compare with its limits.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DeviceUse {
-    /// The robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// The device of this robot.
+    /// Id of the device on this robot.
     pub device: DeviceId,
-    /// Number of steps in all its scripts.
+    /// Number of steps in all scripts of the device.
     pub steps: usize,
-    /// Lower bound: no placement of steps needs fewer.
+    /// Lower bound on `steps`: no other choice of steps needs fewer.
     pub at_least: usize,
-    /// Number of consecutive scripts.
+    /// Number of scripts into which the steps are divided; they follow each other.
     pub scripts: usize,
     /// Number of steps that the device can hold: `max_number_of_steps` for each script of its queue.
     pub budget: u64,
     /// Largest deviation from the movement as written, in the device's unit.
     pub worst_error: f64,
-    /// Time of this deviation, since the act's start.
+    /// Time of the largest deviation, since the act's start.
     pub worst_at: Span,
-    /// Largest show speed factor at which its movements stay within the limits of speed and acceleration; infinite without such limits.
+    /// Largest show speed factor at which the device's movements stay within its limits of speed and acceleration; infinite without such
+    /// limits.
     #[serde(skip)]
     pub factor_max: f64,
-    /// The same factor for the moves to its first keyframe from the positions in which other acts leave the device.
+    /// Like `factor_max`, but for the moves to the device's first keyframe from the positions in which other acts leave it.
     #[serde(skip)]
     pub entry_factor_max: f64,
-    /// Largest speed under position control that its block and the fleet file allow, in its unit per second.
+    /// Largest speed under position control that the device's block and the fleet file allow, in the device's unit per second.
     #[serde(skip)]
     pub speed_max: Option<f64>,
-    /// Whether its speed between positions is unlimited, so that no movement is too fast for it.
+    /// Whether the device's speed between positions is unlimited, so that no movement is too fast for it.
     #[serde(skip)]
     pub is_unlimited: bool,
 }
 
-/// The place of the first script of a device in a choreography.
+/// Indices of the first script of a device in a choreography.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FirstUse {
     /// Index of the act.
     pub act: usize,
-    /// Index of the robot in the plan of the act.
+    /// Index of the robot in the act's plan.
     pub robot: usize,
-    /// Index of the script among those of the robot.
+    /// Index of the script in the robot's plan.
     pub script: usize,
 }
 
@@ -256,7 +257,8 @@ impl Choreography {
         uses
     }
 
-    /// Returns the position that a first use expects. `None` if it does not use position control.
+    /// Returns the robot, the device and the position at which its first script begins. `None` if that script does not begin with
+    /// position control.
     #[must_use]
     pub fn first_position(&self, first: FirstUse) -> Option<(&RobotId, &DeviceId, f64)> {
         let planned = self.acts.get(first.act)?.plan.robots.get(first.robot)?;
@@ -282,24 +284,24 @@ impl RobotPlan {
 /// A planned reading of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedReading {
-    /// Id of the robot that reads.
+    /// Id of the robot that has the sensor.
     pub robot: RobotId,
-    /// The device of that robot that is a sensor.
+    /// Device id of the sensor.
     pub sensor: DeviceId,
-    /// Since the act's start.
+    /// Time of the reading, since the act's start.
     pub at: Span,
 }
 
 /// The scripts of one act.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// Name of the scenario and of the act.
+    /// Name of the scenario and, if it has one, of the act.
     pub scenario: String,
-    /// Largest allowed spread of starts.
+    /// Largest allowed difference between the robots' start times.
     pub start_tolerance: Span,
-    /// Lead time, if the scenario prescribes one.
+    /// Time from sending the act to its start; `None` if the scenario does not prescribe it.
     pub lead: Option<Span>,
-    /// The leases. If no pending lease is set, the scheduler computes it.
+    /// Leases of the scripts. If no pending lease is set, the scheduler computes one.
     pub stop_condition: StopCondition,
     /// The robots that move, in the order of the fleet.
     pub robots: Vec<RobotPlan>,
@@ -310,27 +312,27 @@ pub struct Plan {
 pub struct RobotPlan {
     /// Id of the robot.
     pub robot: RobotId,
-    /// In the order of the robot's devices; those of one device are in order of time.
+    /// Scripts in the order of the robot's devices; those of one device are in order of time.
     pub scripts: Vec<DeviceScript>,
 }
 
 /// One script for one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceScript {
-    /// Id of the device that plays it.
+    /// Id of the device that plays the script.
     pub device: DeviceId,
-    /// Its start, since the start of the act.
+    /// Command time at which the script starts, since the act's start.
     pub start: Millis,
-    /// Its leases.
+    /// Leases of the script.
     pub stop_condition: StopCondition,
-    /// Its steps.
+    /// Steps of the script.
     pub script: Script,
-    /// Time from its last step to the end of the movement; the value is held meanwhile.
+    /// Time from the script's last step to the end of its movement, during which the device holds the value.
     pub rest: Span,
 }
 
 impl DeviceScript {
-    /// Returns the time from its start to the end of its movement.
+    /// Returns the time from the script's start to the end of its movement.
     #[must_use]
     pub fn duration(&self) -> Span {
         self.script.duration() + self.rest
@@ -338,20 +340,20 @@ impl DeviceScript {
 }
 
 impl Act {
-    /// Returns its name in reports: its own, or the scenario's if it has none.
+    /// Returns the name for reports: the act's own or, if it is empty, the scenario's.
     #[must_use]
     pub fn called(&self) -> &str {
         if self.name.is_empty() { &self.plan.scenario } else { &self.name }
     }
 
-    /// Returns the time from a command to visible motion; zero if the device's latency is unknown.
+    /// Returns the time from a command to the device to its visible motion; zero if the latency is unknown.
     #[must_use]
     pub fn latency_of(&self, robot: &RobotId, device: &DeviceId) -> Span {
         let known = self.latencies.get(robot).and_then(|devices| devices.get(device));
         known.map_or(Span::ZERO, |known| known.latency.median)
     }
 
-    /// Returns the time at which the motion of one of its scripts begins, since the act's start.
+    /// Returns the time at which the motion of `script` begins, since the act's start.
     #[must_use]
     pub fn moves_at(&self, robot: &RobotId, script: &DeviceScript) -> Span {
         script.start.span() + self.latency_of(robot, &script.device)
@@ -382,7 +384,7 @@ impl Plan {
     }
 }
 
-/// Equal for equal scripts, and usually different for others.
+/// Returns a number that is equal for scripts with equal steps and usually different for others.
 fn fingerprint(script: &Script) -> u64 {
     let mut hasher = DefaultHasher::new();
     for step in script.steps() {
@@ -394,7 +396,7 @@ fn fingerprint(script: &Script) -> u64 {
 }
 
 impl Choreography {
-    /// Builds a choreography of one act, which begins immediately and ends the mission.
+    /// Builds a choreography with a single act, which begins immediately and ends the mission.
     #[must_use]
     pub fn of_plan(plan: Plan) -> Self {
         let act = Act {
@@ -417,8 +419,8 @@ impl Choreography {
             .with_shared_scripts()
     }
 
-    /// Makes scripts with equal steps share their memory. Groups in unison need no more memory than one robot, and values derived from a
-    /// script, such as its hash and text, are computed only once.
+    /// Makes scripts with equal steps share their memory. Robots that play in unison then need no more memory than one robot. Values
+    /// derived from a script, such as its hash and text, are computed only once.
     #[must_use]
     pub fn with_shared_scripts(mut self) -> Self {
         let mut known: HashMap<u64, Vec<Script>> = HashMap::new();
@@ -433,14 +435,14 @@ impl Choreography {
         self
     }
 
-    /// Returns the closest approach of two bodies in any act, with that act. `None` if no two bodies are known.
+    /// Returns the closest approach of two bodies in any act, with that act. `None` if no act has two bodies with known positions.
     #[must_use]
     pub fn closest(&self) -> Option<(&Act, &Closest)> {
         let known = self.acts.iter().filter_map(|act| Some((act, act.in_space.closest.as_ref()?)));
         known.min_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance))
     }
 
-    /// Returns the acts in order, from the first one along `next`; ends before an act that is already listed.
+    /// Returns the indices of the acts on the main line: the first act, then along `next` until an act is already listed.
     #[must_use]
     pub fn main_line(&self) -> Vec<usize> {
         let mut line = Vec::new();
@@ -456,7 +458,7 @@ impl Choreography {
     }
 }
 
-/// Whether a control type drives a rate, which continues until the next change.
+/// Whether a control type sets a speed or acceleration, which remains in effect until the next change.
 #[must_use]
 pub const fn is_rate(control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)

@@ -32,7 +32,7 @@ pub fn compensate(acts: &mut [Act], fleet: &Fleet) {
     apply(acts);
 }
 
-/// Compensates the latencies stored in the acts.
+/// Compensates the latencies in `latencies` of each act.
 pub(crate) fn apply(acts: &mut [Act]) {
     for (act, lead_in) in lead_ins(acts).into_iter().enumerate() {
         shift(&mut acts[act], lead_in);
@@ -43,7 +43,7 @@ pub(crate) fn apply(acts: &mut [Act]) {
     }
 }
 
-/// Reverts the compensation: the starts of scripts are motion times again.
+/// Reverts the compensation of an act, so that its scripts start at motion times again.
 pub fn undo(act: &mut Act) {
     let lead_in = std::mem::take(&mut act.lead_in);
     each_script(act, |script, median| script.start = moved(script.start, median - lead_in));
@@ -70,7 +70,7 @@ fn needed(act: &Act) -> Span {
     early.max().unwrap_or_default().max(Span::ZERO)
 }
 
-/// Returns the time from the last command of an act to the end of its last motion.
+/// Returns the time by which the last motion of an act ends later than its last command.
 fn tail(act: &Act) -> Span {
     let ends = |script: &DeviceScript| script.start.span() + script.duration();
     let motions = scripts(act).map(|(script, _)| ends(script)).max();
@@ -78,7 +78,7 @@ fn tail(act: &Act) -> Span {
     motions.zip(commands).map_or(Span::ZERO, |(motions, commands)| motions - commands)
 }
 
-/// Returns all scripts, each with the latency of its device.
+/// Returns all scripts of an act, each with the latency of its device.
 fn scripts(act: &Act) -> impl Iterator<Item = (&DeviceScript, Span)> {
     act.plan.robots.iter().flat_map(|robot| {
         robot.scripts.iter().map(|script| (script, act.latency_of(&robot.robot, &script.device)))
@@ -95,12 +95,12 @@ fn each_script(act: &mut Act, mut change: impl FnMut(&mut DeviceScript, Span)) {
     act.plan.robots = robots;
 }
 
-/// A start that does not move keeps its exact value.
+/// Returns `start` shifted by `by`. A start that does not change keeps its exact value.
 fn moved(start: Millis, by: Span) -> Millis {
     if by == Span::ZERO { start } else { Millis::from_span(start.span() + by) }
 }
 
-/// Shifts everything that is in motion time.
+/// Shifts everything in the act that is in motion time.
 fn shift(act: &mut Act, by: Span) {
     for cue in &mut act.cues {
         (cue.start, cue.end) = (cue.start + by, cue.end + by);

@@ -1,7 +1,7 @@
-//! The available time for sending scripts that a device cannot hold from the start.
+//! Refills: the time available for sending scripts that a device cannot hold from the start.
 //!
-//! A device holds at most `script_queue` scripts that have not ended. If all places are taken, the next script of its chain can be sent
-//! once one of them has ended, also across acts that follow each other immediately. It must arrive before its own start.
+//! A device holds at most `script_queue` scripts that have not ended. If its queue is full, the device's next script can be sent once
+//! one of these has ended, also across acts that follow each other immediately. The script must arrive before its own start.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -9,32 +9,34 @@ use urrcp::{DeviceId, RobotId, Span};
 
 use crate::choreography::{Act, Choreography, DeviceScript, Wait, Way};
 
-/// Where lines of acts meet, this many acts are processed again with the scripts that each line left on the devices.
+/// Where several lines of acts lead to the same acts, each line processes this many of them again, with the scripts it left on the
+/// devices.
 const AGAIN: usize = 2;
 
-/// A script for which its device has no room until an earlier one has ended.
+/// A script that its device can only receive once an earlier script has ended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refill {
-    /// Index of its act in the choreography.
+    /// Index of the script's act in the choreography.
     pub act: usize,
-    /// Id of the robot that plays it.
+    /// Id of the robot that plays the script.
     pub robot: RobotId,
-    /// Id of the device that plays it.
+    /// Id of the device that plays the script.
     pub device: DeviceId,
     /// Index of the script among those of this device in this act, from 0.
     pub script: usize,
     /// The script whose end makes room.
     pub freed_by: Freed,
-    /// Available time from the end of `freed_by` to the deadline: its own start or, for a first script, the end of the previous act.
+    /// Available time from the end of `freed_by` to the deadline: the script's own start or, for the first one of an act, the end of the
+    /// previous act.
     pub time: Span,
-    /// Consequence if this time is too short.
+    /// Consequence if `time` is too short.
     pub kind: RefillKind,
 }
 
-/// A script that makes room.
+/// A script whose end makes room for another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Freed {
-    /// Index of its act in the choreography.
+    /// Index of the script's act in the choreography.
     pub act: usize,
     /// Index of the script among those of this device in that act, from 0.
     pub script: usize,
@@ -43,14 +45,14 @@ pub struct Freed {
 /// Consequence of too little time for a script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum RefillKind {
-    /// The act is delayed: it is sent once every device has room for its first script, and starts later than the previous act ends.
+    /// The act is delayed: it is sent once every device has room for its first script, so it starts later than the previous act ends.
     First,
-    /// Nothing waits: the act already plays, and a late script is rejected.
+    /// The act is not delayed, because it already plays: a script that arrives late is rejected.
     Later,
 }
 
-/// Returns the tightest refill of each act and kind, in the order of the acts. Acts that wait for something begin with empty devices,
-/// since everything before them has ended.
+/// Returns the refill with the least time for each act and kind, in the order of the acts. When an act that waits for a condition
+/// begins, its devices are empty, since everything before it has ended.
 ///
 /// `queue` returns the number of scripts that a device holds; devices without a number are skipped. `sending` is the shortest time for
 /// sending a script: an act begins at least this long after all devices have room for its first scripts, which leaves its later scripts
@@ -67,7 +69,7 @@ pub fn refills(
     refills
 }
 
-/// Returns the tightest refills for each robot of each act, since sending may take longer to some robots than to others.
+/// Like [`refills`], but separately for each robot of each act, since sending may take longer to some robots than to others.
 #[must_use]
 pub fn refills_of_robots(
     choreography: &Choreography,
@@ -77,7 +79,7 @@ pub fn refills_of_robots(
     let acts = &choreography.acts;
     let mut walk = Walk { acts, queue, sending, tightest: HashMap::new() };
     let mut visited = vec![false; acts.len()];
-    // Limits the work if many lines meet in one act.
+    // Limits the work if many lines lead to one act.
     let mut left = 2 * acts.iter().map(scripts_of).sum::<usize>();
     let heads = (0..acts.len()).take(1).chain(heads(acts));
     // Acts that no line reaches from a head form a cycle.
@@ -91,9 +93,9 @@ pub fn refills_of_robots(
     refills
 }
 
-/// Returns the refills of `act` directly after `before`, regardless of what the scenario makes it wait for: an act whose time has already
-/// passed when the previous one ends follows immediately. It starts `pause` after that end, with the scripts that the previous act left
-/// on the devices.
+/// Returns the refills of `act` directly after `before`, whatever condition the scenario makes `act` wait for: if it waits for a time
+/// that has already passed, it follows immediately. It starts `pause` after the end of `before`, with the scripts that `before` left on
+/// the devices.
 #[must_use]
 pub fn refills_behind(
     choreography: &Choreography,
@@ -116,7 +118,7 @@ fn scripts_of(act: &Act) -> usize {
     act.plan.robots.iter().map(|robot| robot.scripts.len()).sum()
 }
 
-/// Returns the act that begins as soon as this one ends.
+/// Returns the act that begins as soon as `act` ends.
 fn following(acts: &[Act], act: usize) -> Option<usize> {
     match acts[act].next {
         Way::Act(next) if acts.get(next)?.wait == Wait::Done => Some(next),
@@ -133,13 +135,13 @@ fn heads(acts: &[Act]) -> impl Iterator<Item = usize> {
     (0..acts.len()).filter(move |act| !follows[*act])
 }
 
-/// A script that was sent. Its end is relative to the start of the line.
+/// A script that was sent. Its end `ends` is relative to the start of the line of acts.
 struct Sent {
     what: Freed,
     ends: Span,
 }
 
-/// The latest scripts of each device, at most as many as it holds.
+/// The latest scripts of each device, at most as many as the device holds.
 type Held<'a> = HashMap<(&'a RobotId, &'a DeviceId), VecDeque<Sent>>;
 
 struct Walk<'a, Q> {
@@ -150,7 +152,7 @@ struct Walk<'a, Q> {
 }
 
 impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
-    /// Processes the acts that follow each other, starting with `head`.
+    /// Processes the acts that follow each other immediately, starting with `head`.
     fn line(&mut self, head: usize, visited: &mut [bool], left: &mut usize) {
         let (mut held, mut begin, mut again) = (Held::new(), Span::ZERO, 0);
         let mut next = Some(head);
@@ -166,7 +168,7 @@ impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
         }
     }
 
-    /// Adds the scripts of an act after one that has ended at `ended`. Returns its start.
+    /// Adds the scripts of an act; the act before it ended at `ended`. Returns the start of the act.
     fn act(&mut self, act: usize, ended: Span, held: &mut Held<'a>) -> Span {
         let mut begin = ended;
         for chain in self.chains(act) {
@@ -205,7 +207,7 @@ impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
         chains.filter_map(chain).collect()
     }
 
-    /// Keeps the refill if it is the tightest of its act, kind and robot.
+    /// Stores the refill if it has the least time of its act, kind and robot.
     fn note(&mut self, chain: &Chain<'a>, script: usize, freed_by: Freed, time: Span) {
         let kind = if script == 0 { RefillKind::First } else { RefillKind::Later };
         let known = self.tightest.get(&(chain.act, kind, chain.robot));
@@ -217,11 +219,11 @@ impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
     }
 }
 
-/// The scripts of a device in an act.
+/// Consecutive scripts of one device in an act.
 struct Chain<'a> {
     act: usize,
     robot: &'a RobotId,
-    /// Not empty.
+    /// Scripts of the device; not empty.
     scripts: &'a [DeviceScript],
     queue: usize,
 }
@@ -253,7 +255,7 @@ mod tests {
         }
     }
 
-    /// One robot with one device, whose consecutive scripts last `durations` milliseconds.
+    /// Builds an act for one robot with one device. Its consecutive scripts last `durations` milliseconds.
     fn act(durations: &[i64], next: Way) -> Act {
         let mut start = 0;
         let script = |duration: &i64| {
@@ -351,7 +353,7 @@ mod tests {
     #[test]
     fn circles_and_lines_that_meet_are_followed() {
         assert_eq!(of(vec![act(&[1_000, 200], Way::Act(0))], 2), [(0, First, 200), (0, Later, 1_000)]);
-        // The second act leads to the third as well, and leaves more on the device.
+        // The second act also leads to the third, and leaves more scripts on the device.
         let mut second = act(&[1_000, 100], Way::Act(2));
         second.wait = Wait::Operator;
         let acts = vec![act(&[1_000], Way::Act(2)), second, act(&[50, 50], Way::End)];

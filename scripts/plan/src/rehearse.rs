@@ -1,4 +1,4 @@
-//! Rehearsals of a choreography: slower, with a part of the fleet, or with a single act.
+//! Rehearsals of a choreography: at another speed, with some of the robots, or with a single act.
 
 use downbeat_fleet::fleet::{Fleet, FleetRobot};
 use downbeat_space::space::DUST;
@@ -11,10 +11,10 @@ use crate::compensate;
 const SHOWN: usize = 20;
 
 impl Choreography {
-    /// Reduces the choreography to these robots. Acts keep their times, even if none of the robots plays in them.
+    /// Removes all other robots from the choreography. Acts keep their times, even if none of the given robots plays in them.
     ///
     /// # Errors
-    /// The names of robots that no act moves.
+    /// Returns the names of given robots that no act moves.
     pub fn only(mut self, robots: &[RobotId]) -> Result<Self, Vec<RobotId>> {
         let moved = |id: &&RobotId| {
             !self.acts.iter().flat_map(|act| &act.plan.robots).any(|robot| robot.robot == **id)
@@ -36,7 +36,7 @@ impl Choreography {
         Ok(self)
     }
 
-    /// Reduces the choreography to this act, which then begins immediately.
+    /// Reduces the choreography to act number `act`, from 0, which then begins immediately.
     #[must_use]
     pub fn act_alone(mut self, act: usize) -> Self {
         let mut act = self.acts.swap_remove(act);
@@ -49,11 +49,11 @@ impl Choreography {
         self
     }
 
-    /// Plays the choreography at `speed` times the written speed: times are divided by `speed`, speeds multiplied by it, and
-    /// accelerations by its square, on the device's grid. The result is checked again against the limits that each device declares.
+    /// Plays the choreography at `speed` times the written speed: divides times by `speed`, multiplies speeds by it and accelerations by
+    /// its square. Rounds values to the device's grid and checks them again against the limits that each device declares.
     ///
     /// # Errors
-    /// The limits that devices cannot keep at this speed, each with robot, device and step.
+    /// Returns a message for each limit that would be exceeded at this speed.
     pub fn at_speed(mut self, speed: f64, fleet: &Fleet) -> Result<Self, Vec<String>> {
         let mut faults = Vec::new();
         for act in &mut self.acts {

@@ -4,29 +4,29 @@ use std::fmt;
 
 use urrcp::Span;
 
-/// The requirements of a scenario under `require`.
+/// The scenario's `require` section: bounds on the results of its trials. A bound that is `None` is not required.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Requirements {
-    /// Bound for the true spread of starts in half of the trials.
+    /// Upper bound on the median true spread of starts.
     pub spread_p50: Option<Ceiling>,
-    /// Bound for the spread in 99 of 100 trials.
+    /// Upper bound on the spread of starts in 99 of 100 trials.
     pub spread_p99: Option<Ceiling>,
-    /// Bound for the spread in all trials.
+    /// Upper bound on the spread of starts in all trials.
     pub spread_max: Option<Ceiling>,
-    /// Required share of the trials in which the mission starts.
+    /// Lower bound on the share of trials in which the mission starts.
     pub starts: Option<Floor<Share>>,
-    /// Required share of the trials in which the mission is done.
+    /// Lower bound on the share of trials in which the mission is done.
     pub finishes: Option<Floor<Share>>,
-    /// Required distance between any two bodies, from surface to surface, in metres.
+    /// Lower bound on the distance between any two bodies, from surface to surface, in metres.
     pub closest: Option<Floor<f64>>,
-    /// Whether each robot itself must drop a script that was not decided.
+    /// Whether each robot itself must drop a script whose start was not decided.
     pub all_or_none: Option<AllOrNone>,
 }
 
 /// How strictly a mission prevents a robot from starting alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AllOrNone {
-    /// Each robot acts on `pending_until`, so that no delay of a message starts a script that was not decided.
+    /// Each robot acts on `pending_until`, so that no delayed message can start a script whose start was not decided.
     Strict,
 }
 
@@ -38,17 +38,17 @@ impl Requirements {
     }
 }
 
-/// An upper bound for a figure.
+/// An upper bound on a measured figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ceiling {
-    /// The figure must be smaller than this.
+    /// The figure must be smaller than this value.
     Below(Span),
-    /// The figure must be smaller than or equal to this.
+    /// The figure must be smaller than or equal to this value.
     AtMost(Span),
 }
 
 impl Ceiling {
-    /// Whether a figure satisfies it.
+    /// Whether `figure` satisfies this bound.
     #[must_use]
     pub fn holds(self, figure: Span) -> bool {
         match self {
@@ -57,7 +57,7 @@ impl Ceiling {
         }
     }
 
-    /// The bound itself.
+    /// The value of the bound.
     #[must_use]
     pub const fn bound(self) -> Span {
         match self {
@@ -65,7 +65,7 @@ impl Ceiling {
         }
     }
 
-    /// The word for it in a scenario: `below` or `at most`.
+    /// The word for this kind of bound in a scenario: `below` or `at most`.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -75,17 +75,17 @@ impl Ceiling {
     }
 }
 
-/// A lower bound for a figure.
+/// A lower bound on a measured figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Floor<T> {
-    /// The figure must be larger than this.
+    /// The figure must be larger than this value.
     Above(T),
-    /// The figure must be larger than or equal to this.
+    /// The figure must be larger than or equal to this value.
     AtLeast(T),
 }
 
 impl<T: Copy> Floor<T> {
-    /// The bound itself.
+    /// The value of the bound.
     #[must_use]
     pub const fn bound(self) -> T {
         match self {
@@ -93,7 +93,7 @@ impl<T: Copy> Floor<T> {
         }
     }
 
-    /// The word for it in a scenario: `above` or `at least`.
+    /// The word for this kind of bound in a scenario: `above` or `at least`.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -104,7 +104,7 @@ impl<T: Copy> Floor<T> {
 }
 
 impl Floor<f64> {
-    /// Whether a figure satisfies it. NaN never does.
+    /// Whether `figure` satisfies this bound. NaN never does.
     #[must_use]
     pub fn holds(self, figure: f64) -> bool {
         match self {
@@ -115,7 +115,7 @@ impl Floor<f64> {
 }
 
 impl Floor<Share> {
-    /// Whether the share `count` of `all` satisfies it, compared exactly.
+    /// Whether `count` out of `all` satisfies this bound, compared exactly.
     #[must_use]
     pub fn holds(self, count: u64, all: u64) -> bool {
         let figure = u128::from(count) * u128::from(Share::WHOLE);
@@ -127,26 +127,26 @@ impl Floor<Share> {
     }
 }
 
-/// A share of the whole, in billionths, so that 999 of 1,000 are exactly 99.9 %.
+/// A share of a whole, in billionths, so that 999 of 1,000 are exactly 99.9 %.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Share(u32);
 
 impl Share {
     const WHOLE: u32 = 1_000_000_000;
 
-    /// Creates a share of `billionths`, clamped to the whole.
+    /// Creates a share of `billionths`; more than the whole counts as the whole.
     #[must_use]
     pub fn from_billionths(billionths: u32) -> Self {
         Self(billionths.min(Self::WHOLE))
     }
 
-    /// From 0 to 1,000,000,000.
+    /// The share in billionths, from 0 to 1,000,000,000.
     #[must_use]
     pub const fn billionths(self) -> u32 {
         self.0
     }
 
-    /// From 0 to 100.
+    /// The share in percent, from 0 to 100.
     #[must_use]
     pub fn percent(self) -> f64 {
         f64::from(self.0) / 1e7

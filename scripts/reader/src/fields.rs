@@ -35,56 +35,56 @@ pub use expressions::Robot;
 pub use expressions::tried;
 pub use nesting::{Name, Unset};
 
-/// Reads values. Holds the findings so far, the variables in scope, and the tempo.
+/// Reads the values of a tree. It holds the findings so far, the variables in scope, and the tempo.
 pub struct Reader {
     /// The findings so far.
     pub found: Vec<Pending>,
     /// The variables in scope.
     pub scope: Scope,
-    /// The tempo that applies to beats here.
+    /// The tempo and start that give beats their meaning at the current place.
     pub music: Music,
-    /// Budget of knots for the movements of all cues.
+    /// Budget for the knots of the movements of all cues.
     pub knots: Budget,
     /// Parameters without a value in the current movement.
     pub unset: Vec<Unset>,
-    /// Budget of evaluation steps for expressions.
+    /// Budget for the steps that evaluate expressions.
     pub evaluations: Budget,
-    /// The robot whose movement is being read.
+    /// The robot whose movement is being read, if any.
     pub robots: Robots,
-    /// The robots of its cue.
+    /// The robots of the cue that is being read.
     pub group: Group,
     /// The moves and sequences that are being read, nested in one another.
     pub nesting: Nesting,
-    /// The origin of the times of cues, as far as it is known.
+    /// The time from which the times of cues count, as far as it is known.
     pub origin: Beginning,
-    /// The devices of the fleet.
+    /// The devices of the fleet and their units, for hints.
     pub units: Units,
     /// The keys of a cue, which hints about other maps also need.
     pub cue_keys: &'static [&'static str],
-    /// Whether a tempo cannot be read, which is already reported.
+    /// Whether the tempo is wrong, which is already reported.
     pub tempo_is_wrong: bool,
-    /// The first time without a tempo in each file: the index of its finding, its message, and the places of all such times.
+    /// For each file, the first musical time without a tempo: the index of its finding, its message, and the places of all such times.
     without_tempo: HashMap<u16, (usize, String, HashSet<String>)>,
     /// Keys and values that are already reported as wrong: those that a comma cut in two, and misspelt keys that are read as the
-    /// suggested ones.
+    /// suggested key.
     wrong: Vec<Place>,
-    /// Variables that are defined below.
+    /// Names of variables that are defined further below in the file.
     pub later: HashSet<String>,
-    /// Cues of other acts, with their acts.
+    /// The cues of other acts: the name of each cue, and its act.
     pub act_of: HashMap<String, String>,
-    /// Remaining comparisons of names.
+    /// The remaining number of comparisons of names, for hints.
     comparisons: Cell<usize>,
-    /// Counts of findings by severity.
+    /// The counts of errors and of warnings.
     told: [Told; 2],
-    /// Errors that are reported only if there are no others; otherwise one of the others is their cause.
+    /// Errors that are reported only if there are no other errors. Otherwise another error is their probable cause.
     follow_ups: Vec<Pending>,
-    /// The index of the finding that further faults with the same cause join.
+    /// By code and cause: the index of the finding that further faults with the same cause join.
     alike: HashMap<(Code, String), usize>,
     /// The number of errors that have joined other findings.
     joined: usize,
 }
 
-/// Findings of one severity.
+/// Counts of the findings of one severity.
 #[derive(Clone, Copy, Default)]
 struct Told {
     count: usize,
@@ -93,7 +93,7 @@ struct Told {
     more: usize,
 }
 
-/// The number of findings at some point.
+/// A state of the reader's findings that [`Reader::forget`] can return to.
 pub struct FindingsMark {
     found: usize,
     told: [Told; 2],
@@ -169,7 +169,7 @@ impl Reader {
         });
     }
 
-    /// Whether a time is the first one of its file without a tempo. Further ones are counted in the finding of the first.
+    /// Whether a musical time is the first one without a tempo in its file. Further such times are counted in the finding of the first.
     fn is_first_without_tempo(&mut self, place: &Place, message: &str) -> bool {
         if self.tempo_is_wrong {
             return false;
@@ -195,7 +195,7 @@ impl Reader {
         false
     }
 
-    /// Adds a fault of some robots. It joins the finding of other faults with the same cause.
+    /// Adds a fault of some robots. If a finding with the same code and cause exists, the fault joins it.
     pub fn add_shared(&mut self, fault: SharedFault) {
         let key = (fault.code, fault.cause.clone());
         let known = self.alike.get(&key).and_then(|known| self.found.get_mut(*known));
@@ -214,7 +214,7 @@ impl Reader {
         }
     }
 
-    /// Adds a finding that each use of an item would repeat. Only the first one is reported.
+    /// Adds a finding that would be repeated for each use of an item. Only the first finding with this cause is reported.
     pub fn add_once(
         &mut self,
         cause: String,
@@ -240,7 +240,7 @@ impl Reader {
         self.alike.contains_key(&(code, cause.to_owned()))
     }
 
-    /// Adds a finding about a file, at the place that names the file.
+    /// Adds a finding about another file, at the place that names that file.
     pub fn add_named(&mut self, place: Place, about: Finding) {
         let Finding { code, message, expected, hint, .. } = about;
         self.add(code, place, message, expected, hint);
@@ -274,21 +274,21 @@ impl Reader {
         self.told = mark.told;
     }
 
-    /// Removes findings after `before` whose code `keep` rejects, because there were too many.
+    /// Removes the findings from index `before` on whose code `keep` rejects.
     pub fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
         let since = self.found.split_off(before.min(self.found.len()));
         self.alike.retain(|_, index| *index < before);
         self.found.extend(since.into_iter().filter(|found| keep(found.code)));
     }
 
-    /// Adds a finding that is reported only if there are no errors.
+    /// Adds a finding that is reported only if there are no other errors.
     pub fn add_unless_others(&mut self, follow_up: Pending) {
         if self.follow_ups.len() < FINDINGS_MAX {
             self.follow_ups.push(follow_up);
         }
     }
 
-    /// All reported findings. If there were too many, the last one states the number of the rest.
+    /// Returns all reported findings. If there were too many, the last one states how many are not shown.
     pub fn finish(mut self) -> Vec<Pending> {
         if self.found.iter().all(|found| found.code.severity() == Severity::Warning) {
             for Pending { code, place, message, expected, hint, .. } in std::mem::take(&mut self.follow_ups) {
@@ -313,12 +313,12 @@ impl Reader {
         self.told[0].count + self.told[0].more + self.joined
     }
 
-    /// Whether the limit of errors is reached, so that further ones are not reported.
+    /// Whether the maximum number of errors is reached, so that further errors are not reported.
     pub const fn is_full(&self) -> bool {
         self.told[0].count == FINDINGS_MAX
     }
 
-    /// A hint with the known name most similar to a wrong one, within the budget of comparisons.
+    /// A hint with the known name most similar to `wrong`, within the budget of comparisons.
     pub fn did_you_mean<'a>(&self, wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
         let mut left = self.comparisons.get();
         let hint = nearest(wrong, known, &mut left);
@@ -331,7 +331,8 @@ impl Reader {
         self.wrong_value(at, at.node, expected);
     }
 
-    /// The same for a value from elsewhere. If it is a parameter of a move or a sequence, the finding is at the place that assigns it.
+    /// Like [`Self::wrong_type`], but for a value that the node refers to. If it is a parameter of a move or a sequence, the finding is
+    /// at the place that assigns it.
     fn wrong_value(&mut self, at: &At<'_>, value: &Node, expected: &str) {
         if self.is_template(at, expected) {
             return;
@@ -342,7 +343,8 @@ impl Reader {
         self.add_styled(place, format!("found {}", value.kind()), expected, [hint, in_block]);
     }
 
-    /// Adds a finding about a value of the wrong type, with a hint for values in brackets, and another one for block style if it differs.
+    /// Adds a finding about a value of the wrong type. It has two hints: for values in brackets, and for block style if that hint
+    /// differs.
     pub fn add_styled(
         &mut self,
         place: Place,
@@ -375,7 +377,7 @@ impl Reader {
         self.values(at, what, K::NAMES, K::REQUIRED).map(K::of)
     }
 
-    /// The value of each known key.
+    /// The values of the known keys of a map, in the order of `known`.
     fn values<'a>(
         &mut self,
         at: &'a At<'a>,
@@ -468,7 +470,7 @@ impl Reader {
         })
     }
 
-    /// Whether a finding already suggests this key for one of the keys here.
+    /// Whether a finding about an unknown key of this map already suggests `key`.
     pub fn is_miswritten(&self, at: &At<'_>, key: &str) -> bool {
         let meant = [did_you_mean_this(key), format!("`{key}`"), format!("`{key}:")];
         let place = at.place();
@@ -482,7 +484,7 @@ impl Reader {
             .any(|hint| meant.iter().any(|meant| hint.contains(meant)))
     }
 
-    /// The entries of a map with free keys, each key once.
+    /// The entries of a map whose keys are names of the user, each key once.
     pub fn entries<'a>(&mut self, at: &'a At<'a>, what: &str) -> Vec<(&'a str, At<'a>)> {
         let Node::Map(entries) = at.node else {
             self.wrong_type(at, &format!("a map from {what}"));
@@ -509,7 +511,7 @@ impl Reader {
         self.add(Code::DuplicateKey, at.key_place(), message, "unique keys", hint);
     }
 
-    /// The items of a list. Any other node is a finding, and is treated as an empty list.
+    /// The items of a list. Adds a finding for any other node and treats it as an empty list.
     pub fn list<'a>(&mut self, at: &'a At<'a>, expected: &str) -> Vec<At<'a>> {
         match at.node {
             Node::List(items) => items.iter().enumerate().map(|(i, node)| at.item(i, node)).collect(),
@@ -521,7 +523,7 @@ impl Reader {
     }
 }
 
-/// Whether a variable can be used where this is expected.
+/// Whether a variable can be used where a value described by `expected` belongs.
 fn is_scalar(expected: &str) -> bool {
     !expected.starts_with("a list") && !expected.contains("a map")
 }

@@ -1,17 +1,17 @@
-//! The lists of keys and words that the reader knows. Each list that it compares with a document is recorded, with the place. Tests
-//! compare the schemas with these lists.
+//! Records each list of keys or words that the reader compares with a document, with the place. Tests compare the schemas with these
+//! lists.
 
 use std::cell::RefCell;
 
 use downbeat_yaml::at::At;
 use downbeat_yaml::finding::Place;
 
-/// A list with its place and kind.
+/// A list of valid keys or words, with the place where the reader used it.
 #[derive(Clone, Debug)]
 pub enum Known {
-    /// The keys of a map.
+    /// The keys that the map at a place may have.
     Keys(Place, Vec<&'static str>),
-    /// The words that a value may have.
+    /// The words that are valid for the value at a place.
     Words(Place, Vec<&'static str>),
 }
 
@@ -19,12 +19,12 @@ thread_local! {
     static RECORDED: RefCell<Option<Vec<Known>>> = const { RefCell::new(None) };
 }
 
-/// Records a list of keys.
+/// Records the valid keys of a map.
 pub(crate) fn keys(at: &At<'_>, keys: &[&'static str]) {
     record(|| Known::Keys(at.place(), keys.to_vec()));
 }
 
-/// Records a list of words.
+/// Records the valid words of a value.
 pub(crate) fn words(at: &At<'_>, words: impl Iterator<Item = &'static str>) {
     record(|| Known::Words(at.place(), words.collect()));
 }
@@ -37,7 +37,7 @@ fn record(known: impl FnOnce() -> Known) {
     });
 }
 
-/// Runs `read`, and returns the lists that this thread compares meanwhile.
+/// Runs `read`, and returns the lists that this thread records meanwhile.
 pub fn while_reading(read: impl FnOnce()) -> Vec<Known> {
     RECORDED.set(Some(Vec::new()));
     read();

@@ -1,4 +1,4 @@
-//! The variables in scope: those of the files, which the parameters of a move shadow.
+//! The variables in scope: those of the files, and the parameters of moves, which shadow them.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -6,25 +6,25 @@ use std::sync::Arc;
 use downbeat_yaml::finding::Place;
 use downbeat_yaml::node::Node;
 
-/// Names with their values, from the outermost to the innermost.
+/// Variables with their values, from the outermost to the innermost.
 #[derive(Clone, Debug, Default)]
 pub struct Scope {
     all: Vec<Variable>,
-    /// The indices of the values of each name.
+    /// The indices in `all` of the variables with each name, the innermost last.
     by_name: HashMap<String, Vec<usize>>,
 }
 
-/// A name with its value.
+/// A variable or parameter with its value.
 #[derive(Clone, Debug)]
 pub struct Variable {
     name: String,
     value: Node,
-    /// The place that assigns the value, for parameters of a sequence.
+    /// The place that assigns the value, for a parameter of a move or a sequence; otherwise `None`.
     place: Option<Arc<Place>>,
 }
 
 impl Scope {
-    /// The value of a variable.
+    /// The value of the innermost variable with this name.
     pub fn get(&self, name: &str) -> Option<&Node> {
         self.last(name).map(|place| &self.all[place].value)
     }
@@ -38,7 +38,8 @@ impl Scope {
         self.all.iter().map(|variable| variable.name.as_str())
     }
 
-    /// Sets a variable. Null marks a missing or wrong value that is already reported: uses of it are ignored silently.
+    /// Sets a variable. Null marks a missing or wrong value that is already reported: the reader silently ignores uses of such a
+    /// variable.
     pub fn set(&mut self, name: impl Into<String>, value: Node) {
         self.set_given(name, value, None);
     }
@@ -53,7 +54,7 @@ impl Scope {
         self.all.push(variable);
     }
 
-    /// The place that assigns the value of a name, if it is a parameter of a sequence.
+    /// The place that assigns the value of a variable, if the variable is a parameter of a move or a sequence.
     pub fn place(&self, name: &str) -> Option<&Arc<Place>> {
         self.last(name).and_then(|last| self.all[last].place.as_ref())
     }
@@ -63,14 +64,14 @@ impl Scope {
         self.all.len()
     }
 
-    /// Removes and returns everything set after the mark, for [`Self::restore`].
+    /// Removes and returns all variables set after the mark, for [`Self::restore`].
     pub fn hide(&mut self, mark: usize) -> Vec<Variable> {
         let hidden = self.all.get(mark..).map(<[_]>::to_vec).unwrap_or_default();
         self.forget(mark);
         hidden
     }
 
-    /// Restores hidden variables.
+    /// Restores variables that [`Self::hide`] has removed.
     pub fn restore(&mut self, hidden: impl IntoIterator<Item = Variable>) {
         hidden.into_iter().for_each(|variable| self.add(variable));
     }

@@ -19,12 +19,12 @@ use downbeat_yaml::finding::{Part, Place, did_you_mean_this};
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// The devices of a fleet by name, each with its unit if all robots with this device agree.
+/// The devices of a fleet by name, each with its unit. The unit is `None` if robots with this device disagree about it.
 #[derive(Debug, Default)]
 pub struct Units(HashMap<String, Option<String>>);
 
 impl Units {
-    /// If several robots have the device, its unit is only known if it is the same on all of them.
+    /// Collects the devices of all robots. If several robots have a device, its unit is only known if it is the same on all of them.
     pub fn of<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
         let mut units: HashMap<String, Option<String>> = HashMap::new();
         for device in devices {
@@ -46,7 +46,7 @@ impl Units {
         self.0.contains_key(name)
     }
 
-    /// The device that a place in a track belongs to, and its unit.
+    /// The device of the track that a place belongs to, and the unit of the device.
     fn at<'p>(&self, place: &'p Place) -> Option<(&'p str, Option<&str>)> {
         let at = place
             .path
@@ -318,7 +318,7 @@ pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected:
     }
 }
 
-/// The hint for a value in block style, if it differs.
+/// The hint for a value of the wrong kind in block style, if it differs from the hint for brackets.
 pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     match node {
         Node::Map(_) if expected.starts_with("a list of") => {
@@ -385,7 +385,7 @@ pub fn one_time(place: &Place, node: &Node) -> Option<String> {
     }
 }
 
-/// A hint for an endless or a negative time, which depends on the key.
+/// A hint for an endless or a negative time. It depends on the key of the time.
 pub fn time(place: &Place, text: &str) -> Option<String> {
     let keys: Vec<&str> = place
         .path
@@ -446,12 +446,12 @@ pub fn times(place: &Place, value: f64) -> Option<String> {
     }
 }
 
-/// Whether this is the value of `repeat`.
+/// Whether the place is the value of `repeat` or of `times`.
 fn is_repeat(place: &Place) -> bool {
     matches!(place.path.last(), Some(Part::Key(key, _)) if key == "repeat" || key == "times")
 }
 
-/// The metres in `3m` or `30cm`.
+/// Parses a length such as `3m` or `30cm`, in metres.
 fn metres(text: &str) -> Option<f64> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let (_, scale) = LENGTHS.iter().find(|(unit, _)| text[digits.len()..] == **unit)?;
@@ -527,7 +527,7 @@ pub fn bare(scope: &Scope, inner: &str) -> String {
     written
 }
 
-/// `{x: 0, y: 0, z: 3}`
+/// A hint for coordinates as a map, such as `{x: 0, y: 0, z: 3}`.
 fn coordinates(entries: &[(String, Node)]) -> Option<String> {
     let value = |axis: &str| match entries.iter().find(|(key, _)| key == axis) {
         Some((_, Node::Number(value))) => Some(*value),
@@ -542,7 +542,7 @@ fn coordinates(entries: &[(String, Node)]) -> Option<String> {
 const STATES: [&str; 12] =
     ["on", "off", "yes", "no", "min", "max", "home", "default", "open", "closed", "high", "low"];
 
-/// Whether this is the value of a keyframe.
+/// Whether the place is the value of a keyframe.
 fn is_value(place: &Place) -> bool {
     matches!(place.path.last(), Some(Part::Key(key, _)) if key == "to")
         && place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"))
@@ -665,17 +665,17 @@ pub fn as_a_range(text: &str) -> Option<String> {
     })
 }
 
-/// The largest number of robots that a hint lists.
+/// Maximum number of robots that a hint lists.
 const LISTED_MAX: usize = 20;
 
-/// Whether a number, or several numbers, are expected.
+/// Whether `expected` describes a number or several numbers.
 fn names_number(expected: &str) -> bool {
     ["number", "device's unit", "metres", "degrees", "hertz", "beats per minute", "factor"]
         .iter()
         .any(|word| expected.contains(word))
 }
 
-/// Whether a single number is expected.
+/// Whether `expected` describes a single number.
 fn wants_number(expected: &str) -> bool {
     names_number(expected)
         && !expected.contains('[')
@@ -781,7 +781,7 @@ const ANGLES: [(&str, f64); 4] = [
     ("degrees", std::f64::consts::PI / 180.0),
 ];
 
-/// A hint with the value in another unit, to four decimals.
+/// A hint with a value converted from the unit `from` to the unit `to`, to four decimals.
 fn converted(value: f64, from: &str, to: &str, scales: &[(&str, f64)]) -> Option<String> {
     let scale = |unit: &str| scales.iter().find(|(known, _)| *known == unit).map(|(_, scale)| *scale);
     let value = value * scale(from)? / scale(to)?;

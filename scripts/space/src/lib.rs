@@ -2,9 +2,9 @@
 //!
 //! | module | |
 //! |---|---|
-//! | [`space`] | closest approaches, volumes and speeds of moving bodies; arms and driving robots |
+//! | [`space`] | closest approaches, volumes and speeds of moving bodies, including arms and driving robots |
 //! | [`formation`] | places for groups of bodies |
-//! | [`transit`] | a place for each body, and routes there that keep the bodies apart |
+//! | [`transit`] | assignment of places to bodies, and routes to these places that keep the bodies apart |
 
 pub mod formation;
 pub mod space;

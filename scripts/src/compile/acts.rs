@@ -18,7 +18,7 @@ use crate::scenario::Act;
 use crate::sensor_range::SensorRange;
 use crate::shown::shortened;
 
-/// The transitions of an act.
+/// When an act begins, and where its transitions lead.
 pub(super) struct Ways {
     pub(super) wait: Wait,
     pub(super) on_timeout: Way,
@@ -26,7 +26,7 @@ pub(super) struct Ways {
     pub(super) on_failure: FailurePolicy,
 }
 
-/// Returns the transitions of each act. `complete`: whether all acts could be read, so that the graph can be checked.
+/// Returns the transitions of each act. `complete` is whether all acts could be read, so that the graph can be checked.
 pub(super) fn ways(findings: &mut Reader, acts: &[Act], cast: &Cast<'_>, complete: bool) -> Vec<Ways> {
     let before = findings.found.len();
     same_names(findings, acts);
@@ -92,7 +92,7 @@ fn way(
     Ways { wait, on_timeout, next, on_failure: policy }
 }
 
-/// Whether there is room for a rule for this many robots: each act has its own rule for each of them.
+/// Whether the budget allows a rule for this many robots: each act has its own rule for each of them.
 fn taken(findings: &mut Reader, act: &Act, room: &mut Budget, robots: usize) -> bool {
     let (told, sound) = (room.is_overdrawn(), room.take(robots.max(1)));
     if !sound && !told {
@@ -162,7 +162,7 @@ fn check_sensor<'c>(
     Some((*robot, found?))
 }
 
-/// Checks that the sensor can have a reading for which the act waits.
+/// Checks that the sensor's range includes a reading for which the act waits.
 fn check_range(findings: &mut Reader, act: &Act, device: &Device, range: &SensorRange) {
     let Some(sensor) = device.available_control_types.sensor() else { return };
     let (least, most) = (sensor.min_value, sensor.max_value);
@@ -214,7 +214,7 @@ where
 }
 
 /// Returns the groups of mutually reachable acts among the chosen ones, in the order of the file. Omits a group if a transition in
-/// `direction` connects it with another chosen act.
+/// `direction` connects it with a chosen act outside the group.
 fn circles(
     graph: &DiGraph<(), ()>,
     is_chosen: impl Fn(NodeIndex) -> bool,
@@ -253,7 +253,7 @@ fn unreachable(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex], beyond
     findings.add(Code::Unreachable, act.place.clone(), message, "acts that can be reached", hint);
 }
 
-/// Reports acts that follow each other without end. The last of them in the file is the one that leads back.
+/// Reports a cycle of acts that never ends. The last of these acts in the file is the one that leads back.
 fn dead_end(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex]) {
     let Some(last) = circle.last().map(|node| &acts[node.index()]) else { return };
     let name = shortened(&last.name);

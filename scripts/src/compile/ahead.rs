@@ -1,5 +1,6 @@
-//! Fits ahead: fitting curves with as few steps as possible takes nearly all the compile time of a scenario with many curves. The fits do
-//! not depend on each other, so they run on all processors. The subsequent pass through the cues, act by act, then finds the results.
+//! Fits curves ahead of the compilation of acts. Fitting curves with as few steps as possible takes nearly all the compile time of a
+//! scenario with many curves. The fits do not depend on each other, so they run on all processors. The pass through the cues, act by
+//! act, then uses the results.
 
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,11 +16,11 @@ use crate::fields::Reader;
 use crate::motion::Fits;
 use crate::scenario::{Cue, Motion, Movement};
 
-/// Below this number of sections, fitting takes less time than starting threads.
+/// Minimum number of sections for fitting on several threads: for fewer, starting threads takes longer than fitting.
 pub(super) const WAYS_MIN: usize = 500;
-/// A larger number may be more than is ever used.
+/// Maximum number of sections for fitting ahead: with more, some fits might never be used.
 const WAYS_MAX: usize = 1_000_000;
-/// Maximum number of threads.
+/// Maximum number of threads for fitting.
 const THREADS_MAX: usize = 16;
 
 /// A cue with everything that determines its steps.
@@ -29,14 +30,14 @@ pub(super) struct Timed<'a> {
     pub(super) time: &'a CueTime,
 }
 
-/// Robots of a cue that share a movement, with the number of sections between two knots that must be fitted.
+/// Robots of a cue that share a movement. `ways` is the number of its sections between two knots that must be fitted.
 struct Share<'a> {
     timed: &'a Timed<'a>,
     members: Cow<'a, Members>,
     ways: usize,
 }
 
-/// Number of sections between two knots that must be fitted.
+/// Returns the number of sections between two knots that must be fitted.
 fn ways<'m>(movements: impl Iterator<Item = &'m Movement>) -> usize {
     let fitted = movements.flat_map(|movement| &movement.tracks).filter_map(|track| match &track.motion {
         Motion::Curve(curve) => {
@@ -65,7 +66,7 @@ fn shares<'a>(timed: &'a Timed<'a>) -> Vec<Share<'a>> {
     all.chunk_by(|a, b| a.movement == b.movement).map(share).collect()
 }
 
-/// Fits the curves of all cues on as many threads as there are processors. Empty if that would not pay off.
+/// Fits the curves of all cues on as many threads as there are processors. Empty if this would not save time.
 pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     let mut wanted: Vec<Share<'_>> = cues.iter().flat_map(shares).collect();
     wanted.retain(|share| share.ways > 0);
@@ -73,7 +74,7 @@ pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     if !(WAYS_MIN..=WAYS_MAX).contains(&all) {
         return Fits::default();
     }
-    // The longest first, so that none of them remains until the end.
+    // The share with the most sections comes first, so that no long share remains until the end.
     wanted.sort_by_key(|share| std::cmp::Reverse(share.ways));
     let steps = AtomicUsize::new(0);
     together(&wanted, |share, fits| {
@@ -85,7 +86,8 @@ pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
     })
 }
 
-/// Distributes tasks over several threads until a task returns `false`, and joins their fits. Empty if there is only one processor.
+/// Distributes tasks over several threads until a task returns `false`, and joins the fits of all threads. Empty if there is only one
+/// processor.
 pub(super) fn together<T: Sync>(tasks: &[T], task: impl Fn(&T, &mut Fits) -> bool + Sync) -> Fits {
     let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX).min(tasks.len());
     if threads < 2 {

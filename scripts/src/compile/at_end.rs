@@ -1,4 +1,4 @@
-//! `at_end: home`: after each transition to the end, an act moves devices to their default values.
+//! Implements `at_end: home`: after each transition to the end, an act moves devices to their default values.
 
 use std::collections::HashMap;
 
@@ -16,25 +16,25 @@ use crate::render::counted;
 use crate::scenario::{AtEnd, Scenario};
 
 const NAME: &str = "home";
-/// The shortest computed duration, in seconds.
+/// The shortest duration computed for such an act, in seconds.
 const OVER_MIN: f64 = 1.0;
-/// The duration of linear movements without a limit, in seconds.
+/// The duration of a linear movement of a device without a speed limit, in seconds.
 const OVER_WITHOUT_LIMITS: f64 = 5.0;
-/// Maximum number of added acts. Each is compiled separately, for the whole fleet.
+/// Maximum number of added acts. Each of them is compiled separately, for the whole fleet.
 const HOMES_MAX: usize = 32;
-/// The fraction by which a computed duration exceeds the result of the formula, because some steps on a grid are faster.
+/// Fraction that is added to the duration from the formula, because some steps on a grid are faster.
 const SLACK: f64 = 0.02;
 
-/// Positions in which acts leave devices, by the index of the act.
+/// Positions in which acts leave devices. Keys are indices of acts.
 #[derive(Default)]
 pub(super) struct Rests {
-    /// After the act has ended.
+    /// Positions after the act has ended.
     pub(super) ended: HashMap<usize, Rest>,
-    /// After its wait has timed out, if the mission ends then.
+    /// Positions after the act's wait has timed out, if the mission ends then.
     pub(super) timed_out: HashMap<usize, Rest>,
 }
 
-/// Adds the acts, one for each set of positions in which the mission may end.
+/// Adds one act for each set of positions in which the mission may end.
 pub(super) fn go_home(
     findings: &mut Reader,
     scenario: &Scenario,
@@ -63,7 +63,7 @@ pub(super) fn go_home(
     }
 }
 
-/// The added acts, each with its movements.
+/// The acts that `at_end` adds, each with its movements.
 struct Homes<'a> {
     at_end: &'a AtEnd,
     scenario: &'a Scenario,
@@ -73,7 +73,8 @@ struct Homes<'a> {
 }
 
 impl Homes<'_> {
-    /// Returns the transition from an act that leaves devices in these positions. `None` if nothing has to move, or after a finding.
+    /// Returns the transition out of `act`, which leaves devices in the positions `rest`. `None` if nothing has to move, or after a
+    /// finding.
     fn way(&mut self, findings: &mut Reader, acts: &mut Vec<Act>, act: usize, rest: &Rest) -> Option<Way> {
         let home = Homecoming::from(findings, self.at_end, (self.cast, &acts[act].name), rest)?;
         let rule = |act: &Act| (act.on_failure.default, act.on_failure.robots.clone(), act.on_doubt);
@@ -137,17 +138,17 @@ impl Homes<'_> {
     }
 }
 
-/// The devices that are moved, and the duration that their limits permit.
+/// The devices that move home, and the duration of their movement.
 #[derive(PartialEq)]
 struct Homecoming {
     devices: Vec<(RobotId, DeviceId, [f64; 2])>,
     over: Span,
-    /// The duration that the limits of the devices require.
+    /// The shortest duration that the limits of the devices permit.
     needed: Span,
 }
 
 impl Homecoming {
-    /// Returns `None` if nothing has to move, or if the position of a device is unknown.
+    /// Creates the movements home. `None` if nothing has to move, or if the position of a device is unknown.
     fn from(
         findings: &mut Reader,
         at_end: &AtEnd,
@@ -169,7 +170,7 @@ impl Homecoming {
             if from != to {
                 let shortest = shortest(cast, *robot, device, (to - from).abs());
                 needed = needed.max(shortest.unwrap_or(0.0));
-                // Without a limit, the speed of a linear device is unknown; a lamp may change immediately.
+                // If the device has no limit, a linear one has an unknown speed, and a lamp may change immediately.
                 let usual = if device.interpolation == Interpolation::Linear {
                     OVER_WITHOUT_LIMITS
                 } else {
@@ -210,12 +211,12 @@ impl Homecoming {
     }
 }
 
-/// Rounds up to a time that is easy to read.
+/// Rounds up to tenths of a second, which are easy to read.
 fn tenths_of_a_second(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 10.0).ceil() * 100.0)
 }
 
-/// Returns the shortest duration of a smooth movement within the limits of a device, in seconds. `None` without a limit.
+/// Returns the shortest duration of a smooth movement over `distance` within the device's limits, in seconds. `None` if it has no limit.
 fn shortest(cast: &Cast<'_>, robot: usize, device: &Device, distance: f64) -> Option<f64> {
     let limits = cast.limits(robot, device, ControlType::Position);
     let by_speed = limits.speed.map(|speed| Easing::Smooth.slope_max() * distance / speed);
@@ -251,7 +252,7 @@ mod tests {
         compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings)).acts
     }
 
-    /// Returns the first and the last value of a device in an act, and the offset of the last one.
+    /// Returns the first and the last value of a device in an act, and the offset of the last value.
     fn moved(act: &Act, device: &str) -> Option<([f64; 2], Span)> {
         let script = act.plan.robots[0].scripts.iter().find(|script| script.device.as_str() == device)?;
         let steps = script.script.steps();

@@ -1,4 +1,4 @@
-//! The participants: resolves names of robots, groups and roles against the fleet, and finds the devices of each robot.
+//! The participants of a scenario: resolves names of robots, groups and roles against the fleet, and finds the devices of each robot.
 
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
@@ -27,7 +27,7 @@ pub(super) struct Cast<'a> {
     index_of: HashMap<Cow<'a, str>, usize>,
     /// Kind of each robot; robots of the same kind have the same devices and limits.
     kinds: Vec<usize>,
-    /// Sorted names; created for the first finding that lists them.
+    /// Sorted names of robots, groups and roles; created for the first finding that lists them.
     known: OnceLock<Vec<String>>,
 }
 
@@ -35,9 +35,9 @@ pub(super) struct Cast<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Member {
     pub(super) robot: usize,
-    /// 0 for the cue's own movement, then the index of its override plus one, then the movements of single robots.
+    /// 0: the cue's own movement; 1 and up: its overrides, in order; above those: the movements of single robots.
     pub(super) movement: usize,
-    /// Delay relative to the cue.
+    /// Delay of the robot's start after the start of the cue.
     pub(super) delay: Span,
 }
 
@@ -45,9 +45,9 @@ pub(super) struct Member {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Members {
     pub(super) all: Vec<Member>,
-    /// The largest delay.
+    /// The largest delay of all robots.
     pub(super) delay: Span,
-    /// The longest movement, before stretching.
+    /// Duration of the longest movement, before stretching.
     pub(super) length: Span,
 }
 
@@ -90,12 +90,12 @@ impl<'a> Cast<'a> {
         self.given_limits(robot, device).or_declared(device, control_type)
     }
 
-    /// Returns the limits as given in the fleet file.
+    /// Returns the device's speed and acceleration limits as given in the fleet file.
     pub(super) fn given_limits(&self, robot: usize, device: &Device) -> RateLimits {
         self.fleet.robots[robot].limits.get(device.id.as_str()).copied().unwrap_or_default()
     }
 
-    /// `robot `a` has`, `robots `a`, `b` have`.
+    /// Formats robots with a verb: `robot `a` has`, or `robots `a`, `b` have`.
     pub(super) fn have(&self, robots: &[usize]) -> String {
         match robots {
             [one] => format!("robot `{}` has", self.id(*one)),
@@ -111,12 +111,12 @@ impl<'a> Cast<'a> {
         robots.iter().map(|robot| self.id(*robot).clone()).collect()
     }
 
-    /// The device of this name.
+    /// Returns the robot's device with this name.
     pub(super) fn device(&self, robot: usize, name: &str) -> Option<&'a Device> {
         self.devices(robot).iter().find(|device| is_same(device.id.as_str(), name))
     }
 
-    /// Returns the robots that a name refers to.
+    /// Returns the robots that a name of a robot, a group or a role refers to.
     pub(super) fn robots(&self, findings: &mut Reader, name: &Name) -> Vec<usize> {
         match self.roles.get(&name.text) {
             // `check_roles` reports the faults of a role.
@@ -133,7 +133,7 @@ impl<'a> Cast<'a> {
         }
     }
 
-    /// Returns `None` if the name belongs to neither a robot nor a group.
+    /// Returns the robots that a name of a robot or a group refers to; `None` if it is neither.
     fn robots_of_fleet(&self, name: &Name) -> Option<Vec<usize>> {
         if let Some(&index) = self.index_of.get(composed(&name.text).as_ref()) {
             return Some(vec![index]);
@@ -312,7 +312,7 @@ fn unset_parameter(findings: &mut Reader, unset: &Unset) {
     );
 }
 
-/// Returns the delay of each robot, if the last one begins in time.
+/// Returns the delay of each robot, if the last robot begins before the horizon.
 fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) -> Cow<'c, Canon> {
     let last = match &cue.canon {
         Canon::Even(_) => cue.canon.delay(robots.saturating_sub(1).max(1)),
@@ -333,31 +333,31 @@ fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) 
     Cow::Owned(Canon::default())
 }
 
-/// Known positions of moved devices, by robot and device; includes devices moved in earlier acts.
+/// Positions in which devices are left, by (robot, device), as far as known; includes devices moved in earlier acts.
 pub(super) type Rest = HashMap<(usize, usize), Left>;
 
 /// The position in which a device is left, as far as known.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Left {
-    /// After every regular transition between acts.
+    /// Position after every regular transition between acts; `None` if it is not always the same.
     usually: Option<f64>,
-    /// Also after a failure, a timeout or a return from a later act.
+    /// Position that also holds after a failure, a timeout or a return from a later act; `None` if it is not always the same.
     certainly: Option<f64>,
 }
 
 impl Left {
-    /// Returns the position that holds after every transition, including a failure, a timeout or a return from a later act.
+    /// Returns the position if it holds after every transition, including a failure, a timeout or a return from a later act.
     pub(super) const fn certainly(self) -> Option<f64> {
         self.certainly
     }
 
-    /// Creates the position after the last movement of an act.
+    /// Creates the position in which the last movement of an act leaves a device.
     pub(super) const fn at(value: Option<f64>) -> Self {
         Self { usually: value, certainly: value }
     }
 }
 
-/// Positions of devices at the beginning of an act, as far as known.
+/// Positions of devices at the start of an act, as far as known.
 pub(super) struct Positions<'a> {
     fleet: &'a Fleet,
     /// The positions in which each preceding act leaves the devices.
@@ -366,12 +366,12 @@ pub(super) struct Positions<'a> {
     others: OtherWays,
 }
 
-/// Transitions into an act other than from the end of a preceding act.
+/// Which transitions lead into an act, apart from the end of a preceding act.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct OtherWays {
-    /// After a failure that sends all devices to their default state.
+    /// Whether the act can follow a failure that sends all devices to their default state.
     home: bool,
-    /// After another failure, a timeout, or a return from a later act: the positions are unknown.
+    /// Whether the act can follow another failure, a timeout, or a return from a later act, after which positions are unknown.
     elsewhere: bool,
 }
 
@@ -398,7 +398,7 @@ impl<'a> Positions<'a> {
         Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first, others }
     }
 
-    /// Returns the positions after the act. Devices that it does not move stay where they are.
+    /// Returns the positions after the act, in which `moved` devices were moved. All other devices stay where they are.
     pub(super) fn left_by(&self, mut moved: Rest) -> Rest {
         for &(robot, device) in self.before.iter().flat_map(|rest| rest.keys()) {
             moved.entry((robot, device)).or_insert_with(|| {
@@ -411,8 +411,8 @@ impl<'a> Positions<'a> {
         moved
     }
 
-    /// Returns the position if it is the same after every transition into the act, including a failure, a timeout or a return from a
-    /// later act.
+    /// Returns the position of a device at the start of the act, if the position is certain. Every transition into the act, including a
+    /// failure, a timeout or a return from a later act, must leave the device there.
     pub(super) fn certain(&self, robot: usize, device: usize) -> Option<f64> {
         let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;
         let left =
@@ -423,17 +423,17 @@ impl<'a> Positions<'a> {
         known.all(|other| other == Some(place)).then_some(place)
     }
 
-    /// Whether the act is the first one.
+    /// Whether this is the first act.
     pub(super) const fn is_first(&self) -> bool {
         self.first
     }
 
-    /// Returns the position if it is the same after every regular transition into the act.
+    /// Returns the position of a device at the start of the act, if every regular transition into the act leaves the device there.
     pub(super) fn of(&self, robot: usize, device: usize) -> Option<f64> {
         self.or(robot, device, devices_of(&self.fleet.robots[robot]).get(device)?.default_value)
     }
 
-    /// Returns the speed of a device. Unlike a position, a speed without a default value is 0 in the default state.
+    /// Like [`Self::of`] for the speed of a device. Unlike a position, a speed without a default value is 0 in the default state.
     pub(super) fn of_speed(&self, robot: usize, device: usize) -> Option<f64> {
         let device_of = devices_of(&self.fleet.robots[robot]).get(device)?;
         let is_first = device_of.primary_control_type() == Some(ControlType::Speed);
@@ -448,7 +448,7 @@ impl<'a> Positions<'a> {
     }
 }
 
-/// Returns the acts before `index` whose `next` is this act.
+/// Returns the acts whose `next` is the act at `index`.
 pub(super) fn leading_to(acts: &[Option<Act>], index: usize) -> Vec<usize> {
     let leads = |act: &Option<Act>| act.as_ref().is_some_and(|act| act.next == Way::Act(index));
     acts.iter().enumerate().filter(|(_, act)| leads(act)).map(|(index, _)| index).collect()
@@ -457,7 +457,7 @@ pub(super) fn leading_to(acts: &[Option<Act>], index: usize) -> Vec<usize> {
 /// Returns the kind of each robot: robots of the same kind have the same devices and limits.
 fn kinds(fleet: &Fleet) -> Vec<usize> {
     let mut count = 0;
-    // Compares only robots with the same default values: in a large fleet, each robot may have its own.
+    // Compares only robots with the same default values, because each robot in a large fleet may have its own.
     let mut firsts: HashMap<Vec<Option<u64>>, Vec<(&FleetRobot, usize)>> = HashMap::new();
     let kind = |robot| {
         let devices = devices_of(robot);

@@ -1,4 +1,4 @@
-//! Checks for places of a formation that are too close to each other.
+//! Checks that no two places of a formation are too close to each other.
 
 use crate::fields::Reader;
 use crate::finding::{Code, Place};
@@ -7,7 +7,7 @@ use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::scenario::Scenario;
 use crate::shown::shortened;
 
-/// Checks formations with their own places; others depend on the number of robots.
+/// Checks formations that list their own places; the places of other shapes depend on the number of robots.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     let mut written: Vec<_> = scenario.formations.iter().collect();
     written.sort_unstable_by_key(|(name, _)| name.as_str());
@@ -24,12 +24,12 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     }
 }
 
-/// The cause of findings about places of a formation that are too close for any two of its robots.
+/// Returns the common cause of findings about places of this formation that are too close for any two of its robots.
 pub(super) fn crowded(name: &str) -> String {
     format!("places of {name}")
 }
 
-/// Describes the distance of two places, as the end of a sentence.
+/// Describes the distance between two places, as the end of a sentence.
 pub(super) fn apart(metres: f64, required: f64) -> String {
     if metres < SAME {
         "are the same".to_owned()
@@ -44,7 +44,7 @@ pub(super) fn differing(a: f64, b: f64) -> [String; 2] {
     (3..9).map(shown).find(|[a, b]| a != b).unwrap_or_else(|| shown(9))
 }
 
-/// Describes the required distance of two bodies.
+/// Describes the required distance between two bodies.
 pub(super) fn between(found: f64, required: f64) -> String {
     let [_, required] = differing(found, required);
     format!(
@@ -52,7 +52,7 @@ pub(super) fn between(found: f64, required: f64) -> String {
     )
 }
 
-/// Warns about the two nearest places if no two bodies of the fleet may be that close.
+/// Warns about the two nearest places of a formation if no two bodies of the fleet may be that close.
 pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[Point], fleet: &Fleet) {
     let Some(pair) = nearest_pair(places) else { return };
     let bodies = || fleet.robots.iter().filter_map(|robot| robot.body.as_ref());

@@ -1,4 +1,4 @@
-//! Checks the speed and acceleration of a movement against the limits of the device.
+//! Checks the speed and acceleration of a movement against the limits of its device.
 
 use std::collections::{HashMap, HashSet};
 
@@ -11,15 +11,15 @@ use crate::fields::Reader;
 use crate::finding::Code;
 use crate::motion::{Between, Curve, Easing, Knot, Shape};
 
-/// Factor by which rounding may increase a rate.
+/// Factor by which a rate may exceed its limit because of rounding.
 const DUST: f64 = 1.0 + 1e-6;
 
-/// Checks the first and second derivative between each two knots.
+/// Checks the first and second derivative in each section between two knots.
 ///
-/// A section that the device moves linearly has its mean speed. If two such sections meet, the acceleration is the change of speed
-/// divided by the mean of their lengths (the second divided difference).
+/// In a section with linear motion, the device moves at the section's mean speed. Where two such sections meet, the acceleration is the
+/// change of speed divided by the mean of their lengths (the second divided difference).
 ///
-/// Returns the largest show speed factor within these limits.
+/// Returns the largest show speed factor at which the movement stays within these limits.
 pub(super) fn check(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -69,7 +69,7 @@ pub(super) fn check(
     factor_max
 }
 
-/// A derivative of a movement, with its limit.
+/// A derivative of a movement, with the device's limit on it.
 struct Rate {
     code: Code,
     name: &'static str,
@@ -82,21 +82,22 @@ impl Rate {
         self.limit.is_some_and(|limit| self.found > limit * DUST)
     }
 
-    /// Largest show speed factor within the limit. Speeds are proportional to it, accelerations to its square.
+    /// Largest show speed factor at which the rate stays within its limit. Speeds are proportional to the factor, accelerations to its
+    /// square.
     fn factor_max(&self, control_type: ControlType) -> f64 {
         let room = self.limit.filter(|_| self.found > 0.0).map_or(f64::INFINITY, |limit| limit / self.found);
         let is_speed = control_type == ControlType::Position && self.code == Code::TooFast;
         if is_speed { room } else { room.sqrt() }
     }
 
-    /// Factor by which the movement must be longer.
+    /// Factor by which the movement must be longer to stay within the limit.
     fn longer(&self) -> f64 {
         let over = self.limit.map_or(1.0, |limit| self.found / limit);
         if self.code == Code::TooFast { over } else { over.sqrt() }
     }
 }
 
-/// Reports all limits that a section between two knots exceeds in one finding, with a time that satisfies all of them.
+/// Reports all limits that a section between two knots exceeds in one finding, with a duration that keeps all of them.
 fn too_much(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -127,8 +128,8 @@ fn too_much(
     on.add(findings, control_type, fault);
 }
 
-/// Reports places where a linear device would have to be in two positions at once: a repeated movement that does not end where it begins,
-/// or pieces that do not meet. Each is reported once, regardless of the number of repetitions.
+/// Reports instants at which a linear device would have to be in two positions: where a repeated movement does not end where it begins,
+/// or where pieces do not meet. Reports each jump once, regardless of the number of repetitions.
 fn jumps(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &Curve) {
     if on.device.interpolation != Interpolation::Linear || control_type != ControlType::Position {
         return;

@@ -1,4 +1,4 @@
-//! Checks for scripts that have no room in their device until it is too late.
+//! Checks for scripts that can only be sent to their device when it is too late.
 
 use urrcp::{DeviceId, RobotId, Span};
 
@@ -11,16 +11,16 @@ use crate::render::counted;
 use crate::scenario::Scenario;
 use crate::shown::shortened;
 
-/// Upper bound for sending a script during its act on ordinary links: a round trip, and a resend after a loss.
+/// Upper bound on the time to send a script during its act on ordinary links: a round trip, and a resend after a loss.
 const SENDING: Span = Span::from_millis(100);
-/// Upper bound for sending an act on fast links: scripts are transmitted and decided, and leases may expire before the start.
+/// Upper bound on the time to prepare an act on fast links: its scripts are sent and decided, and leases may expire before the start.
 const PREPARING: Span = Span::from_millis(500);
 /// Number of larger queues tried for a hint.
 const QUEUES_TRIED: u32 = 4;
-/// Maximum number of findings for which they are tried.
+/// Maximum number of findings for which larger queues are tried.
 const TRIALS_MAX: usize = 16;
 
-/// Compares the available time of each act with the time that sending takes.
+/// Compares the time available for sending each act's scripts with the time that sending takes.
 pub(super) fn check(
     findings: &mut Reader,
     scenario: &Scenario,
@@ -29,7 +29,7 @@ pub(super) fn check(
 ) {
     let lines = Lines { scenario, cast, choreography };
     let tight = refills(choreography, |robot, device| lines.queue(robot, device), SENDING);
-    // An act that `at_end` adds may wait: this does not delay any act of the scenario.
+    // An act that `at_end` adds may start late: this does not delay any act of the scenario.
     let may_wait = |refill: &Refill| refill.kind == RefillKind::First && refill.act >= scenario.acts.len();
     let tight = tight.into_iter().filter(|refill| refill.time < needed(refill.kind) && !may_wait(refill));
     // If acts have no end or are unreachable, their successors are unknown.
@@ -62,7 +62,7 @@ impl Lines<'_> {
         Some(device.script_queue.max(1))
     }
 
-    /// Returns the next larger queue with which this device has enough time everywhere.
+    /// Returns the smallest larger queue that gives the device enough time in every act.
     fn queue_that_does(&self, refill: &Refill) -> Option<u32> {
         let queue = self.queue(&refill.robot, &refill.device)?;
         let does = |queue: &u32| {
@@ -157,7 +157,7 @@ impl Lines<'_> {
     }
 }
 
-/// Suggests changes that provide the missing time.
+/// Suggests changes that provide the missing time `lacking`.
 fn ways_out(refill: &Refill, lacking: Span, queue: Option<u32>) -> String {
     let device = &refill.device;
     let pause = match refill.kind {
@@ -194,7 +194,7 @@ mod tests {
         Fleet { robots: vec![robot], ..Fleet::default() }
     }
 
-    /// Consecutive acts; each has its number of steps, one every `pause` milliseconds.
+    /// Writes consecutive acts. Each has the given number of steps, one every `pause` milliseconds.
     fn acts(steps: &[usize], pause: usize) -> String {
         let act = |(index, steps): (usize, &usize)| {
             let keyframe = |step: usize| format!("{{at: {}ms, to: {}}}", step * pause, step % 2 * 10);

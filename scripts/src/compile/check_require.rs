@@ -1,4 +1,4 @@
-//! Checks the requirement that only the compiled plan can answer: the closest approach.
+//! Checks the one requirement that depends on the compiled plan: the closest approach of two bodies.
 
 use super::conflict::told;
 use crate::fields::Reader;
@@ -6,8 +6,8 @@ use crate::finding::Code;
 use crate::plan::Choreography;
 use crate::scenario::Scenario;
 
-/// Warns about a distance that is too small. It stays a warning: `check` and `dry-run` check requirements, while limits of the fleet
-/// (`space`) prevent a mission.
+/// Warns if the closest approach is smaller than required. This is no error: `check` and `dry-run` check requirements, while limits in
+/// the fleet file (`space`) prevent a mission.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, choreography: &Choreography) {
     let (Some(floor), Some(place)) = (scenario.requirements.closest, &scenario.closest_place) else { return };
     let Some((act, closest)) = choreography.closest().filter(|(_, closest)| !floor.holds(closest.distance))

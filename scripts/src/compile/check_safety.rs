@@ -1,4 +1,4 @@
-//! Checks for leases without effect.
+//! Checks for leases that have no effect.
 
 use urrcp::{Millis, Span};
 

@@ -1,4 +1,4 @@
-//! Checks for bodies that come too close to each other, leave their space, or move too fast.
+//! Checks for bodies that come too close to each other, leave their allowed space, or move too fast.
 
 use std::collections::{HashMap, HashSet};
 
@@ -20,12 +20,12 @@ use crate::space::{
     depth, first_contact, furthest_out,
 };
 
-/// Maximum number of consecutive knots that a drawn path omits.
+/// Maximum number of consecutive knots that a path for drawing omits.
 const LEFT_OUT_MAX: usize = 200;
-/// Rounding error of the distance of two balls, in metres.
+/// Rounding error of the distance between two balls, in metres.
 const ROUNDING: f64 = 1e-9;
 
-/// Expectation and hint for bodies that are driven by speeds (`DRIVEN`) and for all others (`PLACED`).
+/// Expectation and hint of a finding about bodies that are driven by speeds (`DRIVEN`) and about all others (`PLACED`).
 const DRIVEN: (&str, &str) = (
     "speeds of all devices in `drive`, and previous acts that leave them at 0",
     "end every act that leads here with all speeds of the drive at 0, and drive these devices only by speed",
@@ -35,7 +35,7 @@ const PLACED: (&str, &str) = (
     "add keyframes at the beginning or a `default_value`, or drive them by position",
 );
 
-/// An act with the scripts of its robots.
+/// An act with the scripts of its robots and the positions at its start.
 pub(super) struct Stage<'a> {
     pub(super) cast: &'a Cast<'a>,
     pub(super) requirements: &'a Requirements,
@@ -49,7 +49,7 @@ pub(super) struct Stage<'a> {
     pub(super) standing: &'a Standing<'a>,
 }
 
-/// Checks an act. Returns the movements of its bodies, and the final poses of those that are driven by speeds.
+/// Checks an act. Returns the movements of its bodies, and the final poses of the bodies that are driven by speeds.
 pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses) {
     let fleet = stage.cast.fleet;
     let bodies = fleet.robots.iter().enumerate();
@@ -92,7 +92,7 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses
     (in_space, left)
 }
 
-/// Reduces the knots for drawing: omits knots as long as the replacing line is close to all of them.
+/// Omits knots of a path that are not needed for drawing: each line replaces knots that are all close to it.
 fn drawn(path: &Path) -> Vec<DrivenPoint> {
     let pose = |knot: &Knot| [knot.place.base[0], knot.place.base[1], knot.place.base[3]];
     let point = |knot: &Knot| DrivenPoint { at: span(knot.at), pose: pose(knot) };
@@ -125,8 +125,8 @@ impl Stage<'_> {
         self.cast.id(robot).as_str()
     }
 
-    /// Returns the distance, in metres, by which grids may bring two bodies of the same formation closer: half a step of each device for
-    /// its place, and half a step for its steps. The movements into a formation already allow for everything else.
+    /// Returns the distance, in metres, by which grids may bring two bodies of the same formation closer. This is half a grid step of
+    /// each device for its place, and half a grid step for its steps. The movements into a formation already allow for everything else.
     fn by_grids(&self, cues: [Option<usize>; 2], robots: [usize; 2]) -> f64 {
         let [Some(cue), Some(other)] = cues else { return 0.0 };
         let group = self.act.cues[cue].group.as_ref().filter(|_| cue == other);
@@ -141,7 +141,7 @@ impl Stage<'_> {
     }
 }
 
-/// The cues of each robot, with the robot's start times.
+/// The cues of each robot, in order of the robot's start times.
 struct Cues<'a> {
     act: &'a Act,
     of_robot: HashMap<usize, Vec<(Span, usize)>>,
@@ -160,7 +160,7 @@ impl<'a> Cues<'a> {
         Self { act: stage.act, of_robot }
     }
 
-    /// Returns the cue that a robot plays at this time or has played last; `None` before its first cue.
+    /// Returns the cue that a robot plays at the time `at` or, between cues, has played last; `None` before its first cue.
     fn at(&self, robot: usize, at: Span) -> Option<usize> {
         let cues = self.of_robot.get(&robot)?;
         cues[..cues.partition_point(|(begin, _)| *begin <= at)].last().map(|(_, cue)| *cue)
@@ -170,7 +170,7 @@ impl<'a> Cues<'a> {
         cue.map_or_else(|| self.act.place.clone(), |cue| self.act.cues[cue].robots_place.clone())
     }
 
-    /// Returns a place in the file, and the action of a robot there.
+    /// Returns the place of a cue in the file, and a description of what the robot does there.
     fn line(&self, robot: &str, cue: Option<usize>) -> (Place, String) {
         let what = match cue {
             Some(cue) => format!("`{robot}` in the cue `{}`", self.act.cues[cue].name),
@@ -180,7 +180,7 @@ impl<'a> Cues<'a> {
     }
 }
 
-/// Rounds to the millisecond for display.
+/// Converts seconds to a time that is rounded to the millisecond for display.
 fn span(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 1_000.0).round())
 }
@@ -219,7 +219,7 @@ fn rates(
     BodyUse { robot: stage.cast.id(robot).clone(), speed, acceleration }
 }
 
-/// Reports one warning for all robots that become known at the same time.
+/// Reports robots whose bodies have an unknown position, in one warning for all that become known at the same time.
 fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Option<f64>)]) {
     let is_driven =
         |robot: usize| stage.cast.fleet.robots[robot].body.as_ref().is_some_and(|body| body.drive.is_some());
@@ -299,7 +299,7 @@ fn volumes(
     }
 }
 
-/// Two bodies at their closest.
+/// Two bodies at their closest approach.
 #[derive(Clone, Copy)]
 struct Pair {
     distance: f64,
@@ -307,14 +307,14 @@ struct Pair {
     at: Span,
 }
 
-/// Pairs that come too close in the same cues.
+/// Pairs of bodies that come too close in the same two cues.
 struct TooClose {
     cues: [Option<usize>; 2],
     worst: Pair,
     pairs: usize,
 }
 
-/// Returns the closest pair. Pairs that come too close are reported once for each pair of cues.
+/// Returns the closest pair of bodies. Reports pairs that come too close once for each pair of cues.
 fn pairs(
     findings: &mut Reader,
     stage: &Stage<'_>,
@@ -334,7 +334,7 @@ fn pairs(
                 best = Some(pair);
             }
             let of = pair.robots.map(|robot| cues.at(robot, pair.at));
-            // Bodies that rest too close were already reported when they came there.
+            // Bodies that rest too close to each other were already reported when they came there.
             let told_before = of == [None, None] && !stage.positions.is_first();
             let rounding = ROUNDING + stage.by_grids(of, pair.robots);
             if pair.distance >= required - rounding || told_before {

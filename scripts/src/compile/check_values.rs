@@ -1,4 +1,4 @@
-//! Checks values against the limits and the grid of the device.
+//! Checks values against the limits and the grid of their device.
 
 use std::collections::HashSet;
 
@@ -12,17 +12,17 @@ use crate::motion::{Curve, Knot, Shape};
 use crate::scenario::{Change, Changed, Track, Vectors};
 use crate::shown::shortened;
 
-/// Number of samples between two knots.
+/// Number of samples in a section between two knots.
 const SAMPLES: u32 = 128;
-/// Share of the granularity below which a difference is ignored if both values are printed alike.
+/// Share of the granularity. Smaller differences are ignored if both values are printed alike.
 const DUST: f64 = 1e-3;
 
-/// Returns the place of an item in a track's list, or of the list if the item has none.
+/// Returns the place of an item in a track's list; if the item has no place of its own, that of the list.
 pub(super) fn item_place(track: &Track, item: u32) -> Place {
     track.item(item).2
 }
 
-/// Returns the place of the section that leads to an item, or of the argument on which it depends.
+/// Returns the place of the section that leads to an item or, if the section depends on an argument, the place of the argument.
 pub(super) fn way_place(track: &Track, item: u32) -> Place {
     track.given(item).cloned().unwrap_or_else(|| item_place(track, item))
 }
@@ -35,14 +35,14 @@ fn value_place(track: &Track, item: u32) -> Place {
     }
 }
 
-/// Removes the rounding errors of a multiplication, and the sign of zero.
+/// Returns a value without the rounding errors of a multiplication and without the sign of zero.
 pub(super) fn tidy(value: f64) -> f64 {
     let rounded = (value * 1e9).round() / 1e9 + 0.0;
     if rounded.is_finite() { rounded } else { value }
 }
 
-/// Checks every value, and moves values to the grid if the cue requires it. Returns the device value at each knot; empty if all are as
-/// written.
+/// Checks every value of a curve, and moves values to the grid if the cue requires it. Returns the device value at each knot; empty if
+/// all values remain as written.
 pub(super) fn check(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -141,12 +141,12 @@ fn out_of_range(
     on.add(findings, control_type, fault);
 }
 
-/// Returns the distance of a value from the limits.
+/// Returns by how much a value exceeds the limits; negative within them.
 fn beyond(limits: &Limits, value: f64) -> f64 {
     (value - limits.max_value).max(limits.min_value - value)
 }
 
-/// Returns the name of the parameter at the place of its argument.
+/// Returns the name of the parameter if `place` is that of a parameter's argument.
 fn parameter(place: &Place) -> Option<&str> {
     match place.path.last()? {
         Part::Key(name, _) => Some(name),
@@ -158,13 +158,13 @@ fn between(limits: &Limits) -> String {
     format!("{} to {}", limits.min_value, limits.max_value)
 }
 
-/// Returns the change by the cue without which the value would be within the limits.
+/// Returns the change that the cue makes to the track, if the value would be within the limits without it.
 fn blamed<'t>(track: &'t Track, value: f64, limits: &Limits) -> Option<&'t Changed> {
     let sound = |changed: &&Changed| limits.contains(limits.nearest(changed.undone(value)));
     track.changed.as_ref().filter(sound)
 }
 
-/// Suggests a change that keeps the whole movement within the limits.
+/// Suggests another factor, or value for mirroring, that keeps the whole movement within the limits.
 fn room_for(curve: &Curve, changed: &Changed, on: &OnDevice<'_>, limits: &Limits) -> Option<String> {
     let values = || curve.knots.iter().map(|knot| changed.undone(knot.to));
     match changed.change {
@@ -196,7 +196,7 @@ fn rounded_down(value: f64) -> f64 {
     if rounded.is_finite() { tidy(rounded) } else { value }
 }
 
-/// Returns a hint if degrees are given for a device in radians.
+/// Returns a hint if the value seems to be in degrees, but the device uses radians.
 fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> {
     let unit = on.device.unit.as_ref()?.to_string();
     let radians = limits.nearest(value.to_radians());
@@ -204,14 +204,14 @@ fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> 
     fits.then(|| format!("the unit of `{}` is rad: {value} degrees are {}", on.device.id, tidy(radians)))
 }
 
-/// A value with its nearest value on the grid.
+/// A value, with the nearest value on the device's grid.
 #[derive(Clone, Copy)]
 struct Moved {
     item: u32,
     from: f64,
     to: f64,
     granularity: f64,
-    /// The largest error that the device itself permits.
+    /// The largest deviation that the device itself permits.
     allowed: f64,
 }
 
@@ -230,7 +230,8 @@ impl Moved {
         (self.to - self.from).abs()
     }
 
-    /// Whether both are printed alike: computed doubles are rarely exactly the decimal numbers that they represent.
+    /// Whether the value and the grid value are printed alike: computed doubles are rarely exactly the decimal numbers that they
+    /// represent.
     fn is_dust(&self) -> bool {
         tidy(self.from) == tidy(self.to) && self.off() <= DUST * self.granularity
     }
@@ -253,7 +254,7 @@ impl Moved {
     }
 }
 
-/// Reports a value whose distance from the grid exceeds `max_error`. Returns whether it does.
+/// Reports a value whose distance from the grid exceeds `max_error`. Returns whether it exceeds it.
 fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) -> bool {
     let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
     if moved.off() <= allowed {
@@ -268,7 +269,7 @@ fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlTyp
     true
 }
 
-/// The values of a track that are off the grid. They are reported in one finding.
+/// All values of a track that are off the grid, for a single finding.
 #[derive(Default)]
 struct OffGrid {
     furthest: Option<Moved>,
@@ -283,7 +284,7 @@ impl OffGrid {
         }
     }
 
-    /// Warns that the values are moved to the grid.
+    /// Warns that the values were moved to the grid.
     fn report(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType) {
         let Some(furthest) = self.furthest else { return };
         let others = match self.count {
@@ -293,7 +294,7 @@ impl OffGrid {
         on.add(findings, control_type, furthest.fault(on, Code::Snapped, &others));
     }
 
-    /// Reports the values as an error.
+    /// Reports the off-grid values as an error.
     fn refuse(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, limits: &[&Limits]) {
         let Some(furthest) = self.furthest else { return };
         let Moved { item, from, granularity, .. } = furthest;
@@ -324,7 +325,7 @@ impl OffGrid {
     }
 }
 
-/// `keyframe 3: `, counted from 1; empty if the file has no items.
+/// Returns a prefix such as `keyframe 3: `, counted from 1; empty if the file has no items.
 pub(super) fn named(track: &Track, item: u32) -> String {
     match track.item(item) {
         (_, None, _) => String::new(),
@@ -337,7 +338,7 @@ pub(super) fn named(track: &Track, item: u32) -> String {
     }
 }
 
-/// Checks the values between two knots: a function may exceed the values at its ends.
+/// Checks the values within a section between two knots, where a function may exceed the values at its ends.
 fn reaches(
     findings: &mut Reader,
     on: &OnDevice<'_>,
@@ -361,7 +362,7 @@ fn reaches(
     }
     let Some((by, value, s, limits)) = worst else { return };
     let (before, knot) = (&curve.knots[index - 1], &curve.knots[index]);
-    // A section that does not exceed its ends has the same fault as they do.
+    // A section that stays within the values at its ends has the same fault as they do.
     if by <= beyond(limits, before.to).max(beyond(limits, knot.to)) * (1.0 + 1e-9) {
         return;
     }
@@ -382,7 +383,7 @@ fn reaches(
     on.add(findings, control_type, fault);
 }
 
-/// Suggests how to move or scale a movement without items into the limits.
+/// Suggests how to shift or scale a movement without items so that it stays within the limits.
 fn fitting(curve: &Curve, limits: &Limits) -> String {
     let samples = (1..curve.knots.len()).flat_map(|index| {
         (0..=SAMPLES).map(move |sample| curve.value(index, f64::from(sample) / f64::from(SAMPLES)))
@@ -410,7 +411,7 @@ fn figure(value: f64) -> f64 {
     (value * 1e4).round() / 1e4 + 0.0
 }
 
-/// Values of custom_N are bounded only by the limits that the script inherits, if any.
+/// Checks values of custom_N against the limits that the script inherits, if any. No other limits apply to them.
 pub(super) fn check_inherited(findings: &mut Reader, on: &OnDevice<'_>, vectors: &Vectors) {
     let Some(script) = on.device.available_control_types.script() else { return };
     for vector in vectors.iter() {

@@ -1,4 +1,4 @@
-//! Reports contradictory times with the lines of the file: the chain of bounds, and possible corrections.
+//! Reports contradictory times with the lines of the file: the chain of bounds that contradict each other, and possible corrections.
 
 use std::collections::HashMap;
 
@@ -12,14 +12,14 @@ use crate::scenario::{Act, Anchor, Bounds, Relation};
 /// Maximum number of reported links of a chain.
 const LINKS_MAX: usize = 24;
 
-/// The origin of a constraint.
+/// The origin of a timing constraint in the scenario.
 #[derive(Clone, Debug)]
 pub(super) enum Origin {
     Relation {
         cue: usize,
         relation: Relation,
     },
-    /// The last robot begins after this delay, which prolongs the cue.
+    /// The duration of a cue. Its last robot begins after `delay`, which prolongs the cue.
     Length {
         cue: usize,
         delay: Span,
@@ -75,7 +75,7 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
     }
 }
 
-/// Whether cues wait for each other: each link makes one cue follow another, and no link is a fixed time or a deadline.
+/// Whether cues wait for each other in a circle: each link makes one cue follow another, and no link is a fixed time or a deadline.
 fn is_circle(links: &[(&Link, Option<&Origin>)]) -> bool {
     links.iter().all(|(link, origin)| match origin {
         Some(Origin::Length { .. } | Origin::Limit { .. }) => link.bound == Bound::Min,
@@ -91,7 +91,7 @@ fn is_circle(links: &[(&Link, Option<&Origin>)]) -> bool {
     })
 }
 
-/// Reports cues that each wait for the previous one.
+/// Reports cues that wait for each other in a circle.
 fn circle(
     teller: &Teller<'_>,
     links: &[(&Link, Option<&Origin>)],
@@ -154,7 +154,7 @@ impl Teller<'_> {
         }
     }
 
-    /// `` `spin` starts ``, `` `raise` ends ``.
+    /// Describes an instant, for example `` `spin` starts `` or `` `raise` ends ``.
     fn anchor(&self, anchor: &Anchor, cue: usize) -> String {
         match anchor {
             Anchor::Origin => "the act starts".to_owned(),
@@ -211,7 +211,7 @@ impl Teller<'_> {
         }
     }
 
-    /// Describes the correction of a bound, as an edit if one suffices; `None` if the bound would disappear.
+    /// Describes how to correct a bound, as an edit if one suffices; `None` if the bound would disappear.
     fn fixes(&self, origin: &Origin, link: &Link, by: Span) -> Option<String> {
         Some(match origin {
             Origin::Length { cue, delay, .. } => return self.fixes_length(*cue, *delay, link, by),
@@ -228,7 +228,7 @@ impl Teller<'_> {
                     None => format!("allow {first} and {second} to overlap by {by}"),
                 }
             }
-            // The containment of cues in their sequence has no line of its own.
+            // The relation that keeps a sequence's cues within the sequence has no line of its own.
             Origin::Relation { relation, .. } if !is_written(relation) => return None,
             Origin::Relation { cue, relation } => self.fixes_relation(*cue, relation, link, by),
         })
@@ -252,7 +252,7 @@ impl Teller<'_> {
         (length > Span::ZERO).then(|| format!("{verb} {name} by {}: `duration: {duration}`", written(by)))
     }
 
-    /// Replaces the names of cues by their names within the sequence.
+    /// Replaces the names of cues by their names within the sequence's own file.
     fn in_its_file(&self, cue: usize, relation: &Relation) -> Relation {
         let mut relation = relation.clone();
         if relation.place.used.is_some() {
@@ -301,14 +301,14 @@ impl Teller<'_> {
     }
 }
 
-/// Whether a relation is written under its own key.
+/// Whether a relation is written in the file, under one of the keys for relations.
 fn is_written(relation: &Relation) -> bool {
     let keys = ["at", "after", "with", "before", "end_by"];
     let is_key = |part: &Part| matches!(part, Part::Key(key, _) if keys.contains(&key.as_str()));
     relation.place.path.iter().rev().take(2).any(is_key)
 }
 
-/// Returns the key of a relation with other bounds, as written.
+/// Returns the key and value of a relation with other bounds, as written in a file.
 fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String {
     let of_key = |part: &Part| match part {
         Part::Key(key, _) => Some(key.clone()),
@@ -338,13 +338,13 @@ fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String
     }
 }
 
-/// The default end of a cue for a key.
+/// The instant of a cue, start or end, that a key refers to by default.
 enum End {
     Start,
     End,
 }
 
-/// Formats a time for display; exactly, if rounding would hide something.
+/// Formats a time for display; with its exact value if rounding would change it.
 pub(super) fn told(span: Span) -> String {
     let unit = match span.abs().as_nanos() {
         1_000_000_000.. => 1_000_000,
@@ -354,7 +354,7 @@ pub(super) fn told(span: Span) -> String {
     if span.as_nanos() % unit == 0 { span.to_string() } else { written(span) }
 }
 
-/// `` `spin` does not start `` for `` `spin` starts ``.
+/// Negates a description of an instant: `` `spin` starts `` becomes `` `spin` does not start ``.
 fn negated(anchor: &str) -> String {
     let (who, verb) = anchor.rsplit_once(' ').unwrap_or(("", anchor));
     format!("{who} does not {}", verb.trim_end_matches('s'))

@@ -1,4 +1,4 @@
-//! Computes the movement of each body in an act: from the scripts of its coordinates, or from the speeds that drive it.
+//! Computes the movement of each body in an act: from the scripts of its coordinate devices, or from the speeds that drive it.
 
 use std::collections::HashMap;
 
@@ -10,32 +10,32 @@ use crate::space::{Axis, Body, Coordinate, Drive, Peak, Played, Pose, Solid, Ste
 
 /// The movement of a body in an act.
 pub(super) struct Course {
-    /// x, y, z, yaw and its joints.
+    /// Movements of x, y, z and yaw, then of the body's joints.
     pub(super) axes: Vec<Axis>,
-    /// Possible deviation of its points, in metres.
+    /// Possible deviation of the body's points from this movement, in metres.
     pub(super) margin: f64,
-    /// The largest speed and acceleration of its middle.
+    /// The largest speed and the largest acceleration of the body's middle.
     pub(super) peaks: [Option<Peak>; 2],
-    /// Its final pose, if it is driven by speeds and stationary at the end.
+    /// Final pose of a body that is driven by speeds and stationary at the end; `None` for other bodies.
     pub(super) end: Option<Pose>,
 }
 
-/// Final poses of bodies that are driven by speeds, by robot. Unknown poses are not listed.
+/// Final poses of bodies that are driven by speeds. Keys are indices of robots; unknown poses are missing.
 pub(super) type Poses = HashMap<usize, Pose>;
 
-/// Poses of bodies that are driven by speeds at the beginning of an act.
+/// Poses at the start of an act, for bodies that are driven by speeds.
 pub(super) struct Standing<'a> {
     /// Final poses of the preceding acts; `None` for the first act.
     before: Option<Vec<&'a Poses>>,
 }
 
 impl<'a> Standing<'a> {
-    /// `before`: the preceding acts; `None` for the first act.
+    /// Creates the poses after the acts `before`, which precede this one; `None` for the first act.
     pub(super) fn after(before: Option<&[usize]>, poses: &'a HashMap<usize, Poses>) -> Self {
         Self { before: before.map(|before| before.iter().filter_map(|act| poses.get(act)).collect()) }
     }
 
-    /// Returns the pose if it is the same after every preceding act.
+    /// Returns the pose of a robot if it is the same after every preceding act.
     fn of(&self, robot: usize, drive: &Drive) -> Option<Pose> {
         let Some(before) = &self.before else { return Some(Pose::at(drive.start)) };
         let (first, others) = before.split_first()?;
@@ -48,7 +48,7 @@ impl<'a> Standing<'a> {
 pub(super) struct Scripts<'a> {
     of_robot: HashMap<&'a RobotId, &'a RobotPlan>,
     used: HashMap<(&'a RobotId, &'a DeviceId), &'a DeviceUse>,
-    /// End of the last script, in seconds.
+    /// End of the act's last script, in seconds.
     ends: f64,
 }
 
@@ -61,12 +61,12 @@ impl<'a> Scripts<'a> {
         Self { of_robot, used, ends: all.map(end).fold(0.0, f64::max) }
     }
 
-    /// Whether the robot plays. One that does not may be absent.
+    /// Whether the robot has scripts in the act. A robot without scripts may be absent.
     pub(super) fn plays(&self, robot: &RobotId) -> bool {
         self.of_robot.contains_key(robot)
     }
 
-    /// Returns the scripts of a device with their starts, and their largest deviation from the movement as written.
+    /// Returns a device's scripts with their starts, and their largest deviation from the movement as written.
     fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<(Millis, &'a Script)>, f64) {
         let scripts = self.of_robot.get(robot).into_iter().flat_map(|plan| &plan.scripts);
         let error = self.used.get(&(robot, device)).map_or(0.0, |used| used.worst_error);
@@ -76,7 +76,7 @@ impl<'a> Scripts<'a> {
 }
 
 impl Stage<'_> {
-    /// Returns `None` if a coordinate of the body is never known.
+    /// Returns the movement of a body; `None` if one of its coordinates is never known.
     pub(super) fn course(&self, scripts: &Scripts<'_>, robot: usize, body: &Body) -> Option<Course> {
         let position = |coordinate| self.axis(scripts, robot, coordinate, ControlType::Position);
         let joints: Option<Vec<Axis>> = body.joints.iter().map(|joint| position(&joint.value)).collect();

@@ -1,10 +1,10 @@
-//! Cuts a movement into scripts, and computes their starts.
+//! Cuts a device's movement into scripts, and computes when these start.
 
 use urrcp::{ControlType, Device, DeviceId, Millis, Script, Setpoint, Span, Step, StopCondition};
 
 use crate::plan::DeviceScript;
 
-/// The scripts of one device.
+/// What determines how the movement of one device is cut into scripts.
 pub(super) struct Cutting {
     pub(super) device: DeviceId,
     /// Whether the device moves linearly.
@@ -12,12 +12,12 @@ pub(super) struct Cutting {
     pub(super) stop_condition: StopCondition,
     /// Whether the starts of later scripts are corrected for the drift of the robot's clock.
     pub(super) corrected: bool,
-    /// End of its movement, since the act's start.
+    /// End of the device's movement, since the act's start.
     pub(super) end: Span,
 }
 
 impl Cutting {
-    /// Cuts steps into scripts. Each index in `cuts` is that of the first step after a script.
+    /// Cuts steps into scripts. `cuts` contains, for each script, the index of the first step after it.
     pub(super) fn split(&self, steps: &[Step], cuts: &[usize], start: Span) -> Option<Vec<DeviceScript>> {
         let mut scripts = Vec::with_capacity(cuts.len());
         let mut from = 0;
@@ -34,7 +34,7 @@ impl Cutting {
                 };
                 Step { offset: Millis::from_span(offset), ..step.clone() }
             };
-            // Times out of order have already been reported; in this case there is no plan.
+            // Steps whose times are out of order have already been reported; then there is no plan.
             let script = Script::new(steps[from..to].iter().map(relative).collect()).ok()?;
             scripts.push(DeviceScript {
                 device: self.device.clone(),
@@ -51,10 +51,10 @@ impl Cutting {
         Some(scripts)
     }
 
-    /// Returns the start of a script that continues after `last` with these steps, and a pause before it. If the value does not change
-    /// until the first step, the script begins with that step: this leaves room for correcting the start after a drift of the robot's
-    /// clock. Otherwise, it begins at the end of the previous script. If its start is to be corrected, a pause provides the room, and the
-    /// script catches up until its end.
+    /// Returns the start of a script that continues after the step `last` with `steps`, and the pause before these.
+    /// If the value does not change until the first step, the script begins with that step. This leaves room to correct the start after
+    /// a drift of the robot's clock. Otherwise, the script begins at the end of the previous one. If its start is to be corrected, the
+    /// pause leaves the room, and the script catches up until its end.
     fn begin_after(&self, last: &Step, steps: &[Step]) -> (Span, Span) {
         let (end, first) = (last.offset.span(), &steps[0]);
         // Two scripts of a device never begin at the same instant.
@@ -68,11 +68,11 @@ impl Cutting {
     }
 }
 
-/// Minimum time for sending the next script while the device plays the ones that it holds.
+/// Minimum time for sending the next script while the device plays scripts that it already holds.
 pub(super) const REFILL: Span = Span::from_millis(1_000);
 
-/// Whether every script that the device cannot hold from the start can be sent in time: there is room once a script has ended, and the
-/// remaining ones must play long enough.
+/// Whether every script that the device cannot hold from the start can be sent in time. The device has room for a script once an earlier
+/// one has ended, and the remaining ones must play for at least [`REFILL`].
 pub(super) fn can_be_refilled(scripts: &[DeviceScript], queue: usize) -> bool {
     let end = |script: &DeviceScript| script.start.span() + script.script.duration();
     scripts.len() <= queue
@@ -85,23 +85,23 @@ fn rests(last: &Step, next: &Step, moves: bool) -> bool {
     is_position(last) && is_position(next) && (!moves || last.setpoint == next.setpoint)
 }
 
-/// The share of a script's length by which it begins later if it continues a movement without a rest. Clocks drift apart more slowly than
-/// this, so the mission can start the script earlier by the drift of a slow clock.
+/// Pause before a script that continues a movement without a rest, as a share of the script's length. Clocks drift apart more slowly
+/// than this, so the mission can start the script earlier if the robot's clock is slow.
 const CATCH_UP: f64 = 100e-6;
 
-/// Maximum length of scripts for robots with measured clocks, and the least length to which they are cut for a small tolerance.
+/// Maximum length of scripts for robots with measured clocks; `CORRECTED_EVERY_LEAST` is the least such maximum, for small tolerances.
 pub(super) const CORRECTED_EVERY: Span = Span::from_millis(30_000);
 const CORRECTED_EVERY_LEAST: Span = Span::from_millis(1_000);
 
-/// Maximum length of consecutive scripts that are corrected for the drift of clocks: meanwhile, two clocks drift apart by at most a third
-/// of the tolerance.
+/// Maximum length of consecutive scripts whose starts are corrected for the drift of clocks. During one script, two clocks drift apart
+/// by at most a third of the tolerance.
 pub(super) fn longest_corrected(tolerance: Span) -> Span {
     let longest = Span::from_millis_f64(tolerance.as_millis_f64() / 3.0 / CATCH_UP);
     longest.clamp(CORRECTED_EVERY_LEAST, CORRECTED_EVERY)
 }
 
-/// Adds steps, so that no two steps between which a position changes linearly are further apart than `longest`. An added step has a value
-/// that the device can take, at the instant at which the movement passes it.
+/// Adds steps so that steps between which a position changes linearly are at most `longest` apart. Each added step has a value that the
+/// device can take, at the instant at which the movement passes this value.
 pub(super) fn divided(steps: Vec<Step>, device: &Device, longest: Span) -> Vec<Step> {
     let mut all: Vec<Step> = Vec::with_capacity(steps.len());
     for step in steps {
@@ -143,8 +143,8 @@ fn between(last: &Step, step: &Step, device: &Device, longest: Span) -> Vec<Step
     further
 }
 
-/// Returns where to cut steps into scripts of at most `most` steps and about this length: at the last rest in the second half of a
-/// script, if there is one.
+/// Returns where to cut steps into scripts of at most `most` steps and about the length `longest`. If the device rests in the second
+/// half of a script, the cut is at the last such rest.
 pub(super) fn cuts(steps: &[Step], most: usize, moves: bool, longest: Span) -> Vec<usize> {
     let mut cuts = Vec::with_capacity(steps.len().div_ceil(most));
     let mut from: usize = 0;
@@ -168,7 +168,7 @@ pub(super) fn cuts(steps: &[Step], most: usize, moves: bool, longest: Span) -> V
     }
 }
 
-/// Cuts after every `most` steps.
+/// Returns cuts after every `most` steps.
 pub(super) fn every(most: usize, steps: usize) -> Vec<usize> {
     (1..=steps.div_ceil(most).max(1)).map(|count| (count * most).min(steps)).collect()
 }
@@ -188,7 +188,7 @@ mod tests {
         of.iter().map(step).collect()
     }
 
-    /// A device that moves linearly from 0 to 600 with this granularity.
+    /// Creates a device that moves linearly from 0 to 600 with this granularity.
     fn rail(granularity: f64) -> Device {
         let limits = urrcp::Limits::new(0.0, 600.0, granularity).unwrap();
         let mut rail = Device::new("rail".parse().unwrap()).with_position(limits.clone());

@@ -1,4 +1,4 @@
-//! Joins the movements of one device in all cues into one chain of scripts.
+//! Joins one device's movements from all cues of an act into one chain of scripts.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -28,7 +28,7 @@ pub(super) struct Joined {
     pub(super) rest: Rest,
     /// Final positions of the moved devices.
     pub(super) places: Moved,
-    /// The first segment of each device.
+    /// The first segment of each device in the act.
     pub(super) first: Vec<First>,
 }
 
@@ -84,7 +84,8 @@ pub(super) fn join(
     joined
 }
 
-/// Whether there is room for the steps of an act. Steps beyond the capacity of a device are never created.
+/// Whether the budget has room for the steps of an act. Steps beyond the capacity of a device are not counted, because they are never
+/// created.
 fn taken(
     findings: &mut Reader,
     cast: &Cast<'_>,
@@ -113,16 +114,16 @@ struct Lane<'a> {
     scenario: &'a Scenario,
     robot: &'a urrcp::RobotId,
     device: &'a Device,
-    /// Its largest speed under position control.
+    /// The device's largest speed under position control; `None` if unlimited.
     speed: Option<f64>,
-    /// Whether its speed is limited by that or by its body.
+    /// Whether `speed` or the device's body limits the device.
     is_limited: bool,
-    /// Maximum length of scripts, if the next one can be sent while one plays.
+    /// Maximum length of scripts; `None` if the next script cannot be sent while one plays.
     longest: Option<Span>,
     segments: &'a [Segment],
 }
 
-/// Whether a device is a coordinate of a body whose speed has a limit.
+/// Whether a device is a coordinate of a body that has a speed limit.
 fn moves_limited_body(cast: &Cast<'_>, robot: usize, device: &Device) -> bool {
     let is_own = |coordinate: &Coordinate| matches!(coordinate, Coordinate::Device { device: own, .. } if *own == device.id);
     cast.fleet.robots[robot]
@@ -151,7 +152,7 @@ impl Lane<'_> {
         }
     }
 
-    /// Reports jumps between cues of the act. Returns the largest show speed factor for the movements between them.
+    /// Reports jumps of the device between cues of the act. Returns the largest show speed factor for the movements between cues.
     fn check_jumps(&self, findings: &mut Reader) -> f64 {
         let mover = Mover { robot: self.robot, device: self.device, speed: self.speed };
         let mut position: Option<Position> = None;
@@ -172,7 +173,7 @@ impl Lane<'_> {
         factor_max
     }
 
-    /// Reports a rate that nothing ends: neither a final step with the resting value nor a lease.
+    /// Reports a speed or acceleration that nothing ends: neither a final step with the resting value nor a lease.
     fn check_left_in_motion(&self, findings: &mut Reader) {
         let Some(last) = self.segments.last() else { return };
         let value = match &last.part.steps {
@@ -219,7 +220,7 @@ impl Lane<'_> {
         }
     }
 
-    /// Returns the final position. `None` after a rate, if the device usually takes positions.
+    /// Returns the device's final position. `None` if it ends with a rate, although the device usually takes positions.
     fn rest(&self) -> Option<f64> {
         let control_type = self.segments.last()?.part.control_type;
         self.last_value().filter(|_| self.device.primary_control_type() == Some(control_type))
@@ -230,12 +231,12 @@ impl Lane<'_> {
         self.last_value().filter(|_| by_position)
     }
 
-    /// Returns the end of its movements; the last step may be earlier.
+    /// Returns the end of the device's movements; its last step may be earlier.
     fn end(&self) -> Span {
         self.segments.iter().map(Segment::end).max().unwrap_or_default()
     }
 
-    /// Returns all steps, with times since the act's start.
+    /// Returns all steps of the device in the act, with times since the act's start.
     fn steps(&self) -> Vec<Step> {
         let count: usize = self.segments.iter().map(|segment| segment.part.steps.len() + 1).sum();
         let mut steps: Vec<Step> = Vec::with_capacity(count);
@@ -265,7 +266,7 @@ impl Lane<'_> {
         steps
     }
 
-    /// Represents too many steps by a single one, so that the act keeps its length.
+    /// Returns a single step in place of too many, so that the act keeps its length.
     fn last_step(&self) -> Vec<Step> {
         let last = self.segments.iter().max_by_key(|segment| segment.end());
         let step = last.and_then(|last| {
@@ -275,7 +276,8 @@ impl Lane<'_> {
         step.into_iter().collect()
     }
 
-    /// Whether an extra step is needed: without it, a linear device would creep through the gap between two cues instead of waiting.
+    /// Whether an extra step is needed that holds the value: without it, a linear device would creep through the gap between two cues
+    /// instead of waiting.
     fn is_held(&self, at: Span, last: &Setpoint, next: &Segment) -> bool {
         let value = match &next.part.steps {
             Steps::One(values) => values.first().map(|value| value.to),
@@ -287,7 +289,7 @@ impl Lane<'_> {
             && value.is_some_and(|value| next.part.moves_from_anywhere || value != last.value)
     }
 
-    /// Returns the number of steps in [`Self::steps`].
+    /// Returns the number of steps in [`Self::steps`] without creating them.
     fn count(&self) -> usize {
         let own: usize = self.segments.iter().map(|segment| segment.part.steps.len()).sum();
         let held = self.segments.windows(2).filter(|pair| {
@@ -297,7 +299,7 @@ impl Lane<'_> {
         own + held.count()
     }
 
-    /// Returns as many scripts as needed.
+    /// Divides the device's steps into as many scripts as needed.
     fn scripts(&self, findings: &mut Reader) -> Option<(Vec<DeviceScript>, DeviceUse)> {
         let start = self.segments.first()?.start();
         let script = self.device.available_control_types.script()?;

@@ -1,4 +1,4 @@
-//! Checks for jumps of devices: between cues, and after each transition into an act.
+//! Checks that devices do not jump between cues, or after a transition into an act.
 
 use std::collections::HashMap;
 
@@ -17,32 +17,32 @@ use crate::scenario::{self, Items};
 /// The position of a device when a cue begins.
 pub(super) struct Position {
     pub(super) value: f64,
-    /// Time from which the device is there.
+    /// Time since which the device is at this position.
     pub(super) since: Span,
     pub(super) whence: String,
-    /// Whether a movement has left it there. Otherwise, only its description states the position.
+    /// Whether a movement has left the device there. Otherwise, only its description states the position.
     pub(super) is_sure: bool,
 }
 
-/// A device that moves.
+/// A device that moves to a position.
 pub(super) struct Mover<'a> {
     pub(super) robot: &'a RobotId,
     pub(super) device: &'a Device,
-    /// Its largest speed under position control.
+    /// The device's largest speed under position control; `None` if unlimited.
     pub(super) speed: Option<f64>,
 }
 
 /// The first segment of a device in an act.
 pub(super) struct First {
     pub(super) robot: usize,
-    /// Index of the device among those of the robot.
+    /// Index of the device in the robot's list of devices.
     pub(super) index: usize,
     pub(super) segment: Segment,
 }
 
 impl Mover<'_> {
-    /// Checks the beginning of a movement against the position of the device. Returns the largest show speed factor: the speed of a
-    /// device that moves to its first keyframe is proportional to the show's.
+    /// Checks the first value of a movement against the position `from` of the device. Returns the largest show speed factor: the speed
+    /// at which a device moves to its first keyframe is proportional to the show's speed.
     pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) -> f64 {
         let unlimited = f64::INFINITY;
         let Steps::One(values) = &segment.part.steps else { return unlimited };
@@ -63,8 +63,8 @@ impl Mover<'_> {
         unlimited
     }
 
-    /// A jump of a device with limited speed is an error. It is only a warning if the position comes from the device's description alone,
-    /// as at the beginning of the mission.
+    /// Returns the code for a jump. A jump of a device with limited speed is an error. It is only a warning if the position comes from
+    /// the device's description alone, as at the beginning of the mission.
     fn code_of(&self, from: &Position) -> Code {
         if from.is_sure && self.speed.is_some() { Code::TooFast } else { Code::Jump }
     }
@@ -109,7 +109,8 @@ impl Mover<'_> {
         });
     }
 
-    /// Checks the movement from the position of the device to a first keyframe later than 0s. Returns the factor like `arrives`.
+    /// Checks the movement from the device's position to a first keyframe that is later than 0s. Returns the factor like
+    /// [`Self::arrives`].
     fn check_way_there(
         &self,
         findings: &mut Reader,
@@ -152,13 +153,14 @@ struct Passage {
 
 #[derive(Clone, Copy, PartialEq)]
 enum By {
-    /// The act has ended.
+    /// The previous act has ended.
     Next,
-    /// The wait of the act timed out, and the act moved nothing.
+    /// The wait of the previous act timed out, so that act moved nothing.
     Timeout,
-    /// The act failed, and all devices went to their default state.
+    /// The previous act failed, and all devices went to their default state.
     Home,
-    /// The act has ended without the robots that failed. `only`: the only robot that can be left out, which never takes this transition.
+    /// The previous act has ended without the robots that failed. `only`: the only robot that can be left out; it never takes this
+    /// transition.
     Without { only: Option<usize> },
 }
 
@@ -166,7 +168,7 @@ enum By {
 pub(super) struct Passages(Vec<Vec<Passage>>);
 
 impl Passages {
-    /// Returns the transitions between these acts.
+    /// Returns the transitions between all these acts.
     pub(super) fn of(acts: &[Act], cast: &Cast<'_>) -> Self {
         let robots = participants(acts, cast);
         let of = |act: &Act| {
@@ -184,7 +186,7 @@ impl Passages {
     }
 }
 
-/// Returns how a failure of one of these robots can leave the devices of other robots.
+/// Returns in which states a failure of one of these robots can leave the devices of other robots.
 fn after_failure(policy: &FailurePolicy, robots: &[usize], cast: &Cast<'_>) -> impl Iterator<Item = By> {
     let rules: HashMap<&RobotId, OnFailure> =
         policy.robots.iter().map(|(robot, rule)| (robot, *rule)).collect();
@@ -198,7 +200,7 @@ fn after_failure(policy: &FailurePolicy, robots: &[usize], cast: &Cast<'_>) -> i
     home.into_iter().chain(without)
 }
 
-/// Returns the robots that the acts move or read: only these take part in the mission.
+/// Returns the robots that the acts move or read, which are those that take part in the mission.
 fn participants(acts: &[Act], cast: &Cast<'_>) -> Vec<usize> {
     let moved = acts.iter().flat_map(|act| &act.plan.robots).map(|planned| &planned.robot);
     let read = acts.iter().flat_map(|act| &act.readings).map(|reading| &reading.robot);
@@ -212,10 +214,10 @@ fn participants(acts: &[Act], cast: &Cast<'_>) -> Vec<usize> {
     robots
 }
 
-/// Final positions of moved devices in an act; `None` for a device that is not left at a position.
+/// Final positions of the devices that an act moves, by (robot, device); `None` for a device that is not left at a position.
 pub(super) type Moved = HashMap<(usize, usize), Option<f64>>;
 
-/// A possible position of a device when an act begins, and its cause.
+/// A possible position of a device when an act begins, and what left the device there.
 #[derive(Clone, Copy, PartialEq)]
 struct Place {
     value: f64,
@@ -224,17 +226,17 @@ struct Place {
 
 #[derive(Clone, Copy, PartialEq)]
 enum LeftBy {
-    /// Nothing has moved it yet.
+    /// Nothing has moved the device yet.
     Beginning,
     Act(usize),
-    /// A failure of this act.
+    /// A failure of the act at this index.
     Failure(usize),
 }
 
-/// Largest show speed factors that keep devices within their speeds on the way to their first keyframe, by act, robot and device.
+/// Largest show speed factors at which devices reach their first keyframe within their speed limits, by (act, robot, device).
 pub(super) type Factors = HashMap<(usize, usize, usize), f64>;
 
-/// Checks the beginning of each act against each transition into it, including returns from a later act.
+/// Checks the first movements of each act against the positions after each transition into the act, including returns from a later act.
 pub(super) fn check_entries(
     findings: &mut Reader,
     cast: &Cast<'_>,
@@ -285,10 +287,10 @@ pub(super) fn check_entries(
     factors
 }
 
-/// Maximum number of distinct positions at the beginning of one act.
+/// Maximum number of distinct positions of a device at the start of one act.
 const PLACES_MAX: usize = 16;
 
-/// The possible positions of a device at the beginning of each act.
+/// Returns the possible positions of a device at the start of each act.
 fn places(
     device: &Device,
     Passages(passages): &Passages,
@@ -321,7 +323,8 @@ fn places(
     places
 }
 
-/// Adds a place; returns `false` if it is known. One finding per value is enough: the one about a movement, if there is one.
+/// Adds a place; returns `false` if its value is already known. One finding per value is enough; a finding about a movement is
+/// preferred.
 fn add(places: &mut Vec<Place>, place: Place) -> bool {
     let Some(known) = places.iter_mut().find(|known| known.value == place.value) else {
         let has_room = places.len() < PLACES_MAX;

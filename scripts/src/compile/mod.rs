@@ -1,8 +1,8 @@
-//! Compiles a scenario and a fleet to a choreography, and checks it against the declarations of each robot.
+//! Compiles a scenario for a fleet to a choreography, and checks the choreography against the declarations of each robot.
 //!
-//! The stages for an act: `cast` (the robots of a cue), `schedule` (its time), `perform` (the steps of each device for each cue), `join`
-//! (one chain of scripts per device). Then all acts: [`downbeat_plan::compensate`] (commands ahead of motions). `check_*` contain the
-//! rules, `acts` the graph of acts.
+//! The stages for an act are `cast` (the robots of a cue), `schedule` (the times of the cues), `perform` (the steps of each device for
+//! each cue) and `join` (one chain of scripts per device). Then follows a stage for all acts: [`downbeat_plan::compensate`] (commands
+//! ahead of motions). `check_*` contain the rules, `acts` the graph of acts.
 
 mod acts;
 mod ahead;
@@ -53,7 +53,7 @@ pub use outline::{Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation,
 /// Result of compiling a scenario.
 #[derive(Clone, Debug)]
 pub struct Compiled {
-    /// `None` if there are errors.
+    /// The compiled choreography; `None` if there are errors.
     pub choreography: Option<Choreography>,
     /// All errors and warnings, in the order of the files.
     pub findings: Vec<Finding>,
@@ -83,14 +83,14 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
     Compiled { choreography: choreography.filter(|_| sound), findings }
 }
 
-/// Raises the limit for devices that accept very long scripts.
+/// Returns the maximum number of knots; it is higher if a device accepts very long scripts.
 fn knots_max(fleet: &Fleet) -> usize {
     let devices = fleet.robots.iter().flat_map(devices_of);
     let longest = devices.map(perform::capacity).max().unwrap_or(0);
     longest.clamp(KNOTS_MAX, 2 * KNOTS_MAX)
 }
 
-/// Maximum number of robots in cues that are kept before the first act is created.
+/// Maximum number of robots in all cues whose times are computed and kept before the first act is created.
 const MEMBERS_AHEAD_MAX: usize = 1_000_000;
 
 struct Compiler {
@@ -99,7 +99,7 @@ struct Compiler {
 }
 
 impl Compiler {
-    /// `readable`: whether everything could be read, so that references can be checked.
+    /// Creates the choreography. `readable` is whether everything could be read, so that references can be checked.
     fn choreography(&mut self, fleet: &Fleet, readable: bool) -> Option<Choreography> {
         let scenario = std::mem::take(&mut self.scenario);
         let cast = Cast::new(fleet, &scenario.roles);
@@ -222,7 +222,7 @@ impl Compiler {
         known
     }
 
-    /// Returns the robots in the cues of an act, and their times.
+    /// Returns the robots in an act's cues, and the times of these cues.
     fn times(&mut self, act: &scenario::Act, cast: &Cast<'_>, horizon: Span) -> Times {
         let members: Vec<_> =
             act.cues.iter().map(|cue| cast.members(&mut self.findings, cue, horizon)).collect();
@@ -231,7 +231,7 @@ impl Compiler {
         if act.faults > 0 {
             self.findings.keep_from(before, |code| !matches!(code, Code::Conflict | Code::NoOrder));
         }
-        // The times of incompletely read cues are unknown.
+        // If a cue could be read only in part, its times are unknown.
         Times { members, times, consistent: consistent && act.faults == 0 }
     }
 }
@@ -248,15 +248,15 @@ fn limit_entries(acts: &mut [Act], cast: &Cast<'_>, factors: &jumps::Factors) {
     }
 }
 
-/// The timing of an act, before its movements are computed.
+/// The robots and times of an act's cues, before the movements are computed.
 struct Times {
     members: Vec<cast::Members>,
     times: Vec<schedule::CueTime>,
-    /// Whether the times satisfy all constraints.
+    /// Whether the times satisfy all constraints of the act.
     consistent: bool,
 }
 
-/// All cues of all acts.
+/// Returns all cues of all acts with their robots and times.
 fn timed<'a>(scenario: &'a Scenario, times: &'a [Times]) -> Vec<ahead::Timed<'a>> {
     let of_act = |(act, known): (&'a scenario::Act, &'a Times)| {
         let cues = act.cues.iter().zip(&known.members).zip(&known.times);

@@ -16,70 +16,70 @@ use crate::locate::lines_of;
 use crate::scenario::{self, Act, Anchor, Cue, Documents, Relation};
 use crate::source::Source;
 
-/// The cues of a scenario in its files.
+/// The cues of a scenario, with their locations in its files.
 #[derive(Clone, Debug, Default)]
 pub struct Outline {
-    /// The scenario, then its includes in the order of their reading.
+    /// The scenario, then its included files in the order in which they were read.
     pub sources: Vec<Source>,
-    /// In the order of the file.
+    /// Acts in the order of the file.
     pub acts: Vec<WrittenAct>,
 }
 
 /// The cues of an act as written.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WrittenAct {
-    /// Empty if the scenario has no acts of its own.
+    /// Name of the act; empty if the scenario has no acts of its own.
     pub name: String,
-    /// In the order of the file.
+    /// Cues of the act in the order of the file.
     pub cues: Vec<WrittenCue>,
 }
 
-/// A cue as written.
+/// A cue as written, with its lines in the file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WrittenCue {
-    /// Its robots, in its order.
+    /// Ids of the cue's robots, in the cue's order.
     pub robots: Vec<RobotId>,
-    /// Index into [`Outline::sources`].
+    /// Index of the file in [`Outline::sources`].
     pub source: usize,
-    /// Its first line, from 1.
+    /// First line of the cue, from 1.
     pub first_line: usize,
-    /// Its last line.
+    /// Last line of the cue, from 1.
     pub last_line: usize,
-    /// The constraints between it and other cues or the act.
+    /// Constraints between this cue and other cues or the act.
     pub relations: Vec<WrittenRelation>,
 }
 
 /// A relation of a cue, for display.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WrittenRelation {
-    /// `after the end of raise + 500 ms`.
+    /// Text of the relation, for example `after the end of raise + 500 ms`.
     pub text: String,
     /// Index of the other cue in its act; `None` for the act itself.
     pub cue: Option<usize>,
-    /// The relation as an inequality of two instants; `None` for the act itself.
+    /// The relation as an inequality of two instants; `None` if it refers to the act itself.
     #[serde(skip)]
     pub gap: Option<Gap>,
 }
 
-/// The time from `from` to `to` is at least `least` and, if `most` is set, at most `most`.
+/// An inequality: the time from `from` to `to` is at least `least` and, if `most` is set, at most `most`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gap {
     /// The reference instant.
     pub from: Moment,
     /// The constrained instant.
     pub to: Moment,
-    /// Negative if `to` may come first.
+    /// Least time from `from` to `to`; negative if `to` may come first.
     pub least: Span,
-    /// `None` if there is no upper bound.
+    /// Largest time from `from` to `to`; `None` if there is no upper bound.
     pub most: Option<Span>,
 }
 
-/// An instant of a cue; the cue is given by its index in the act.
+/// The start or the end of a cue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Moment {
-    /// Its start.
+    /// Start of the cue with this index in its act.
     StartOf(usize),
-    /// Its end.
+    /// End of the cue with this index in its act.
     EndOf(usize),
 }
 
@@ -93,7 +93,7 @@ impl Moment {
     }
 }
 
-/// Returns the outline of a scenario. If the scenario does not compile, it contains the readable parts.
+/// Returns the outline of a scenario. If the scenario does not compile, the outline contains the readable parts.
 #[must_use]
 pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
     let Ok(documents) = scenario::documents(source, files) else { return Outline::default() };
@@ -125,7 +125,7 @@ pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
 }
 
 impl Relation {
-    /// `own` is the index of the cue with this relation.
+    /// Describes this relation. `own` is the index of the cue that has the relation.
     fn written(&self, act: &Act, own: usize) -> WrittenRelation {
         let other = [&self.from, &self.to].into_iter().find_map(|anchor| match anchor {
             Anchor::StartOf(cue) | Anchor::EndOf(cue) => Some(cue),
@@ -169,7 +169,7 @@ impl Anchor {
     }
 }
 
-/// ` + 500 ms`, ` + 1 s to 2 s`; empty without a gap.
+/// Formats a gap, for example ` + 500 ms` or ` + 1 s to 2 s`; empty without a gap.
 fn gap(sign: char, least: Span, most: Option<Span>) -> String {
     match (least, most) {
         (Span::ZERO, None) => String::new(),

@@ -1,4 +1,4 @@
-//! Checks for two movements of a device at the same time.
+//! Checks that no two movements use a device at the same time.
 
 use urrcp::{Device, RobotId, Span};
 
@@ -44,7 +44,7 @@ pub(super) fn of_segments(
     })
 }
 
-/// Returns the fault of a cue that begins to move a device while another cue, or the same one, still moves it.
+/// Returns the fault of a cue that begins to move a device while another cue, or the cue itself, still moves the device.
 pub(super) fn overlap(
     device: &Device,
     robot: RobotId,

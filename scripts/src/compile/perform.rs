@@ -1,4 +1,4 @@
-//! Computes the movements of each robot in a cue: its tracks on its devices, as steps.
+//! Computes the movements of each robot in a cue: turns its tracks into steps on its devices.
 
 mod group;
 
@@ -24,12 +24,12 @@ use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 use crate::shown::shortened;
 
-/// Up to this number, the exact number of steps is reported even if it exceeds the capacity of the device.
+/// Number of steps up to which findings report the exact number, even if it exceeds the capacity of the device.
 const TOLD_MAX: usize = 1_000_000;
 
 pub(super) use group::Ground;
 
-/// Larger than any compiled movement that leaves its limits, in units of a device.
+/// A bound, in units of a device, that exceeds every value of a compiled movement.
 const FAR: f64 = 1e9;
 /// Maximum number of tolerances tried for a hint.
 const TOLERANCES_MAX: usize = 16;
@@ -39,26 +39,26 @@ pub(super) struct Performer<'c, 'a> {
     findings: &'c mut Reader,
     cast: &'c Cast<'a>,
     fits: &'c mut Fits,
-    /// Time by which everything must be over.
+    /// Time by which every cue must have ended.
     horizon: Span,
-    /// By robot and device, in the order of both.
+    /// Segments of each device, by (robot, device), in this order.
     pub(super) segments: std::collections::BTreeMap<(usize, usize), Vec<Segment>>,
     pub(super) readings: Vec<PlannedReading>,
-    /// Robots with a missing movement because of an error: their positions are unknown.
+    /// Robots for which a movement is missing because of an error, so that their positions are unknown.
     pub(super) incomplete: HashSet<usize>,
-    /// For all movements of the act, each counted once for all robots that share it.
+    /// Budget for the steps of all movements of the act. Robots that share a movement count once.
     steps: Budget,
-    /// For the contents of `segments`.
+    /// Budget for the segments in `segments`.
     uses: Budget,
 }
 
-/// Robots of one kind with the same movement.
+/// Robots of one kind that play the same movement in a cue.
 struct Alike {
     movement: usize,
     members: Vec<Member>,
 }
 
-/// Robots with the same device of a certain name.
+/// Robots that have the same device under a certain name.
 struct Class<'a> {
     index: usize,
     device: &'a Device,
@@ -66,7 +66,7 @@ struct Class<'a> {
     members: Vec<Member>,
 }
 
-/// A track on the device of some robots.
+/// A track on a device of one or more robots.
 pub(super) struct OnDevice<'p> {
     pub(super) cue: &'p Cue,
     pub(super) track: &'p Track,
@@ -80,9 +80,9 @@ pub(super) struct OnDevice<'p> {
 pub(super) struct Fault {
     pub(super) code: Code,
     pub(super) place: Place,
-    /// Among several faults with the same place and limit, only the largest is described.
+    /// Size of the fault. Among several faults with the same place and limit, only the largest is described.
     pub(super) size: f64,
-    /// The first part of the message, up to `position of `elbow` on `arm-1``.
+    /// The first part of the message, up to and including a phrase such as `position of `elbow` on `arm-1``.
     pub(super) said: String,
     pub(super) expected: String,
     pub(super) hint: Option<String>,
@@ -98,20 +98,20 @@ impl<'p> OnDevice<'p> {
         Self { cue, track, device, robots, cast, ids: OnceCell::new() }
     }
 
-    /// The ids of the robots, created once for all faults.
+    /// Returns the ids of the robots, created once for all faults.
     fn ids(&self) -> Arc<[RobotId]> {
         self.ids.get_or_init(|| self.cast.ids(self.robots)).clone()
     }
 
-    /// `position of `elbow` on `arm-1``.
+    /// Describes what moves, for example `position of `elbow` on `arm-1``.
     pub(super) fn who(&self, control_type: ControlType) -> String {
         format!("{control_type} of `{}` on {}", self.device.id, self.cast.names(self.robots))
     }
 
-    /// Adds a fault of these robots.
+    /// Reports a fault of the device on these robots.
     pub(super) fn add(&self, findings: &mut Reader, control_type: ControlType, fault: Fault) {
         let Fault { code, place, size, said, expected, hint } = fault;
-        // All coordinates of a group share one cause; so do all cues with the same formation.
+        // All coordinates of a group share one cause, and so do all cues with the same formation.
         let cause = match self.cue.group.as_ref().filter(|group| group.place == place) {
             Some(group) => group.formation().map_or_else(|| format!("{place:?}"), str::to_owned),
             None => format!("{place:?} {} {expected}", self.device.id),
@@ -143,7 +143,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         Self { findings, cast, fits, horizon, segments, readings, incomplete, steps, uses }
     }
 
-    /// Number of steps so far, counted as steps with one value.
+    /// Number of steps created so far, counted as steps with one value.
     pub(super) const fn steps_taken(&self) -> usize {
         self.steps.most() - self.steps.left()
     }
@@ -171,7 +171,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         self.readings(cue, members, time);
     }
 
-    /// Reports a missing device once for all kinds of robots that lack it.
+    /// Reports a device of the movement that robots lack, once for all kinds of these robots.
     fn missing_devices(&mut self, cue: &Cue, alike: &[Alike]) {
         let mut missing: Vec<(&Track, Vec<&Alike>)> = Vec::new();
         let mut index_of: HashMap<&Place, usize> = HashMap::new();
@@ -218,7 +218,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
     }
 
-    /// Compiles the tracks of one movement, each once for all robots with the same device.
+    /// Compiles the tracks of one movement. Each track is compiled once for all robots with the same device.
     fn movement(&mut self, cue: &Cue, name: &Arc<str>, groups: &[&Alike], time: &CueTime) {
         let first = &groups[0].members[0];
         for track in &cue.movement_of(first).tracks {
@@ -244,7 +244,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
     }
 
-    /// Whether there is room for one more movement of this many robots.
+    /// Whether the budget has room for one more movement of this many robots. Reports the first cue that exceeds it.
     fn used(&mut self, cue: &Cue, robots: usize) -> bool {
         let told = self.uses.is_overdrawn();
         let sound = self.uses.take(robots);
@@ -314,8 +314,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         Some(Part { factor_max, ..part })
     }
 
-    /// Returns the fewest steps within the tolerance or, if the track sets a number of steps, the least error with this number. Invalid
-    /// values do not cause further findings.
+    /// Fits the steps of a movement: the fewest within the tolerance or, if the track sets a number of steps, those with the least
+    /// error. Invalid values do not cause further findings.
     fn fitted(
         &mut self,
         on: &OnDevice<'_>,
@@ -361,7 +361,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
         Some(Part {
             control_type: actuator.control_type,
-            // A movement without a beginning is already reported.
+            // That a movement has no first value is already reported.
             moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
                 || actuator.lacks_beginning(played.curve),
             length: played.curve.length(),
@@ -377,7 +377,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         })
     }
 
-    /// Returns a tolerance that some steps meet: with a larger tolerance, the movement is sampled less densely, which may require more.
+    /// Returns a tolerance that some steps meet. With a larger tolerance, the movement is sampled less densely, which may require a
+    /// still larger one.
     fn enough(&mut self, actuator: &Actuator<'_>, played: &Played<'_>, thinned: bool, needed: f64) -> f64 {
         let mut tolerance = rounded_up(needed);
         for _ in 0..TOLERANCES_MAX {
@@ -387,7 +388,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         tolerance
     }
 
-    /// Whether there is room for a movement of `steps` steps, which take the memory of `size` steps with one value.
+    /// Whether the budget has room for a movement of `steps` steps that take the memory of `size` steps with one value.
     fn taken(&mut self, on: &OnDevice<'_>, steps: usize, size: usize) -> bool {
         let (place, capacity) = (on.track.place.clone(), capacity(on.device));
         if steps > capacity.max(TOLD_MAX) {
@@ -581,7 +582,7 @@ impl<'c, 'a> Performer<'c, 'a> {
     }
 }
 
-/// Reports a missing sensor, with the text before its name.
+/// Reports a sensor that robots lack. `sensor` is the text before the sensor's name, for suggestions, and the name.
 pub(super) fn unknown_sensor(
     findings: &mut Reader,
     cast: &Cast<'_>,
@@ -602,13 +603,13 @@ pub(super) fn unknown_sensor(
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
 }
 
-/// Maximum number of steps of a movement, with `left` remaining for the act: more than the device accepts, so that findings can state the
-/// number.
+/// Returns the maximum number of steps of a movement if `left` remain for the act. It exceeds what the device accepts, so that findings
+/// can report the actual number.
 fn room(device: &Device, left: usize) -> usize {
     capacity(device).max(TOLD_MAX).min(left)
 }
 
-/// Returns a movement as its cue plays it.
+/// Returns a movement with the length at which its cue plays it.
 fn stretched(curve: &Curve, stretch: Stretch, starts: Span) -> Cow<'_, Curve> {
     if stretch.from == stretch.to {
         return Cow::Borrowed(curve);
@@ -618,7 +619,7 @@ fn stretched(curve: &Curve, stretch: Stretch, starts: Span) -> Cow<'_, Curve> {
     Cow::Owned(curve)
 }
 
-/// Number of steps that a device can hold: `max_number_of_steps` for each script of its queue.
+/// Returns the number of steps that a device can hold: `max_number_of_steps` for each script of its queue.
 pub(super) fn capacity(device: &Device) -> usize {
     let script = device.available_control_types.script();
     let most = script.map_or(0, |script| script.max_number_of_steps.max(1) as usize);
@@ -632,7 +633,7 @@ fn rounded_up(value: f64) -> f64 {
     if rounded.is_finite() { rounded } else { value }
 }
 
-/// Whether the cue moves values to the grid.
+/// Whether the cue moves values to the device's grid.
 pub(super) fn snaps(cue: &Cue) -> bool {
     cue.off_grid == OffGrid::Snap
 }

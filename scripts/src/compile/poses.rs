@@ -1,4 +1,4 @@
-//! Generated acts that move devices from known positions to others.
+//! Generated acts that move devices from known positions to other positions.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ pub(crate) struct DeviceWay<'a> {
     pub(crate) to: f64,
 }
 
-/// Returns the nearest position to which scripts can set a device, which may have stopped between two of them.
+/// Returns the position nearest to `position` to which scripts can set the device, since it may have stopped between two such positions.
 pub(crate) fn settable(device: &Device, position: f64) -> f64 {
     let types = &device.available_control_types;
     let script = types.script().map(|script| &script.limits);
@@ -32,8 +32,8 @@ pub(crate) fn settable(device: &Device, position: f64) -> f64 {
         .fold(position, |position, limits| limits.nearest_settable(position))
 }
 
-/// Compiles the act from a generated scenario, which findings call `source`. The default values in `fleet` are the current positions. If
-/// a device accepts too few steps for a smooth movement, all devices move linearly.
+/// Compiles an act that makes the given movements. Findings refer to its generated scenario as `source`. The default values in `fleet`
+/// are the current positions. If a device accepts too few steps for a smooth movement, all devices move linearly.
 pub(crate) fn compiled(
     source: &str,
     ways: &[DeviceWay<'_>],
@@ -63,7 +63,7 @@ fn eased(
         let keyframes = json!([{"at": "0s", "to": from}, {"at": over, "to": to, "ease": ease}]);
         tracks.entry(robot).or_default().insert(device.to_string(), keyframes);
     }
-    // Robots in unison share one cue.
+    // Robots that move in unison share one cue.
     let mut alike: BTreeMap<String, (Vec<&RobotId>, serde_json::Map<String, Value>)> = BTreeMap::new();
     for (robot, tracks) in tracks {
         let text = Value::Object(tracks.clone()).to_string();
@@ -82,7 +82,7 @@ fn eased(
     acts.into_iter().next().ok_or_else(errors)
 }
 
-/// Returns the fleet with these positions as the default values of its devices.
+/// Returns the fleet with the given positions as the default values of its devices.
 pub(crate) fn standing(fleet: &Fleet, from: &Positions) -> Fleet {
     let mut fleet = fleet.clone();
     for robot in &mut fleet.robots {
@@ -96,7 +96,8 @@ pub(crate) fn standing(fleet: &Fleet, from: &Positions) -> Fleet {
     fleet
 }
 
-/// Names a generated act. Copies its settings of starts, leases and failures from another act, except for the act that follows a failure.
+/// Names a generated act. Copies the settings of starts, leases and failures from the act `other`, except for the act that follows a
+/// failure.
 pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, other: &Act) {
     act.plan.scenario = format!("{scenario}, {name}");
     act.name = name;
@@ -111,14 +112,14 @@ pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, other: &Act
     }
 }
 
-/// Returns this name, or the first unused one of `NAME-2`, `NAME-3` and so on.
+/// Returns `name`, or the first unused one of `NAME-2`, `NAME-3` and so on.
 pub(crate) fn unused_name(name: &str, acts: &[Act]) -> String {
     let names = std::iter::once(name.to_owned()).chain((2..).map(|n| format!("{name}-{n}")));
     let mut unused = names.filter(|name| !acts.iter().any(|act| act.name == *name));
     unused.next().unwrap_or_default()
 }
 
-/// An arm for the tests of such acts.
+/// Description of an arm for the tests of generated acts.
 #[cfg(test)]
 pub(crate) const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
   {"id": "joint", "name": "joint", "interpolation": "linear", "default_value": 0, "available_control_types": {
@@ -132,7 +133,8 @@ pub(crate) const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}}]}"#;
 
-/// Puts each robot of the fleet on a rail along x at the given y, in metres. Its joint moves it by a centimetre per degree.
+/// Puts the robots of the fleet on rails along x, each at its value of `y`, in metres. Each robot's joint moves it by a centimetre per
+/// degree.
 #[cfg(test)]
 pub(crate) fn on_rails(fleet: &mut Fleet, y: &[f64]) {
     use crate::space::{Body, Coordinate, Shape, Space};

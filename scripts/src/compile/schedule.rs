@@ -1,5 +1,5 @@
-//! Computes the times of an act's cues: their times and relations form a simple temporal network (Dechter, Meiri and Pearl, Artificial
-//! Intelligence 49, 1991), which is solved for the earliest schedule.
+//! Computes the times of an act's cues. The cues' times and relations form a simple temporal network (Dechter, Meiri and Pearl,
+//! Artificial Intelligence 49, 1991), which is solved for the earliest schedule.
 
 use std::collections::HashMap;
 
@@ -17,20 +17,20 @@ use crate::scenario::{Act, Anchor, Cue, Motion, Order, Relation};
 use crate::shown::shortened;
 use crate::slips;
 
-/// The time of a cue.
+/// The planned time of a cue.
 #[derive(Clone, Debug)]
 pub(super) struct CueTime {
     pub(super) start: Span,
     pub(super) end: Span,
-    /// The change of its movement's length.
+    /// How the cue's movement is stretched: from its own length to the planned one.
     pub(super) stretch: Stretch,
-    /// Largest delay of its start that does not delay the end of the act.
+    /// Largest delay of the cue's start that does not delay the end of the act.
     pub(super) slack: Span,
-    /// Whether it determines the end of the act.
+    /// Whether the cue determines the end of the act.
     pub(super) critical: bool,
 }
 
-/// Returns the times of each cue, and whether they satisfy all constraints.
+/// Returns the time of each cue, and whether the times satisfy all constraints.
 pub(super) fn schedule(
     findings: &mut Reader,
     act: &Act,
@@ -67,7 +67,7 @@ pub(super) fn schedule(
     }
 }
 
-/// Returns the times of each cue as if it were alone, for use when the times contradict each other.
+/// Returns the time of each cue as if no other cue existed, for use when the times contradict each other.
 fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
     let time = |(cue, members): (&Cue, &Members)| {
         let length = match &cue.duration {
@@ -87,7 +87,7 @@ fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
     act.cues.iter().zip(members).map(time).collect()
 }
 
-/// Returns the cues for display.
+/// Returns the cues of an act with their times, for display.
 pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
     let cue = |(cue, time): (&Cue, &CueTime)| PlannedCue {
         name: cue.name.clone(),
@@ -101,7 +101,7 @@ pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
     act.cues.iter().zip(times).map(cue).collect()
 }
 
-/// Returns the repetition of a cue at its stretched length; among several, the one that is played most often.
+/// Returns the repetition of a cue at its stretched length; if several movements of the cue are repeated, that of the most frequent one.
 fn repetition(cue: &Cue, stretch: Stretch) -> Option<Repetition> {
     let others = cue.overrides.iter().map(|(_, movement)| movement).chain(&cue.own);
     let all = std::iter::once(&cue.movement).chain(others).filter_map(|movement| movement.repetition);
@@ -109,20 +109,20 @@ fn repetition(cue: &Cue, stretch: Stretch) -> Option<Repetition> {
     Some(Repetition { times, length: stretch.of(length), every: stretch.of(every) })
 }
 
-/// Cues that need the same resource.
+/// Cues that need the same resource, so that they must not overlap.
 struct Shared {
-    /// Name of the zone; `None` for cues that are only kept apart.
+    /// Name of the zone; `None` for cues that only `apart` separates.
     zone: Option<String>,
     order: Order,
     cues: Vec<usize>,
 }
 
-/// Returns the prefix of a name in a sequence, such as `greet.`.
+/// Returns the prefix that a name has in a sequence, such as `greet.`; empty outside a sequence.
 fn sequence_of<'n>(name: &'n str, place: &Place) -> &'n str {
     &name[..name.rfind('.').filter(|_| place.used.is_some()).map_or(0, |dot| dot + 1)]
 }
 
-/// Returns a hint if the name is that of an act, or of a cue of another act.
+/// Returns a hint if `name` is the name of an act, or of a cue in another act.
 fn of_acts(findings: &Reader, name: &str) -> Option<String> {
     let order = "acts follow each other in the order of the file, or as set with `next`";
     let name_shown = shortened(name);
@@ -140,7 +140,7 @@ struct Timetable<'a> {
     act: &'a Act,
     network: Network,
     origins: HashMap<ConstraintId, Origin>,
-    /// Start and end of each cue.
+    /// Start and end event of each cue.
     events: Vec<(Event, Event)>,
     by_name: HashMap<&'a str, Option<usize>>,
 }
@@ -168,7 +168,7 @@ impl<'a> Timetable<'a> {
         self.origins.insert(id, origin);
     }
 
-    /// A cue lasts as long as its movement, or as long as its `duration` requires.
+    /// Adds the length of a cue: that of its movement, or the bounds of its `duration`.
     fn length(&mut self, index: usize, cue: &Cue, members: &Members) {
         let (start, end) = self.events[index];
         let (min, max, place) = match &cue.duration {
@@ -184,7 +184,7 @@ impl<'a> Timetable<'a> {
         );
     }
 
-    /// A stretchable cue is at least as long as the speeds and accelerations of its devices require.
+    /// Adds the least length of a stretchable cue: what the speed and acceleration limits of its devices require.
     fn limits(&mut self, index: usize, cue: &Cue, members: &Members, cast: &Cast<'_>) {
         let Some(bounds) = cue.duration.as_ref().filter(|bounds| bounds.max != Some(bounds.min)) else {
             return;
@@ -205,7 +205,7 @@ impl<'a> Timetable<'a> {
                     let rates = (1..curve.knots.len()).map(|knot| rate(curve.peak_rates(knot, &peaks)));
                     limit.map_or(0.0, |limit| rates.fold(0.0, f64::max) / limit)
                 };
-                // If a movement is stretched by f, speeds are divided by f and accelerations by its square.
+                // If a movement is stretched by a factor, speeds are divided by the factor and accelerations by its square.
                 let factor = worst(limits.speed, |rates| rates.0)
                     .max(worst(limits.acceleration, |rates| rates.1).sqrt());
                 let needed = Span::from_millis_f64(movement.length.as_millis_f64() * factor);
@@ -264,7 +264,7 @@ impl<'a> Timetable<'a> {
 
     fn cue(&self, findings: &mut Reader, name: &Name) -> Option<usize> {
         match self.by_name.get(name.text.as_str()) {
-            // `ambiguous` reports names of several cues.
+            // `ambiguous` reports names that several cues have.
             Some(index) => *index,
             None => {
                 let (prefix, text) = name.text.split_at(sequence_of(&name.text, &name.place).len());
@@ -287,7 +287,7 @@ impl<'a> Timetable<'a> {
         }
     }
 
-    /// Reports each name of several cues once, at the second of these cues.
+    /// Reports each name that several cues have once, at the second of these cues.
     fn ambiguous(&self, findings: &mut Reader) {
         let mut cues_of: HashMap<&str, Vec<&Cue>> = HashMap::new();
         for cue in &self.act.cues {
@@ -306,7 +306,7 @@ impl<'a> Timetable<'a> {
         }
     }
 
-    /// Returns the shared resources, in the order of their first use.
+    /// Returns the resources that cues share, in the order of their first use.
     fn zones(&self, findings: &mut Reader) -> Vec<Shared> {
         let mut shared: Vec<Shared> = Vec::new();
         let mut index_of: HashMap<&str, usize> = HashMap::new();
@@ -349,7 +349,7 @@ impl<'a> Timetable<'a> {
         shared
     }
 
-    /// Orders cues as in the file.
+    /// Constrains the cues of each zone with the order `given` to the order in the file.
     fn order_given(&mut self, shared: &[Shared]) {
         for zone in shared.iter().filter(|zone| zone.order == Order::Given) {
             for pair in zone.cues.windows(2) {
@@ -364,7 +364,7 @@ impl<'a> Timetable<'a> {
         self.constrain(from, to, (Some(Span::ZERO), None), origin);
     }
 
-    /// Whether all cues have ended by then; reports the first one that has not.
+    /// Whether all cues have ended at `horizon`; otherwise reports the first one that has not.
     fn in_time(&self, findings: &mut Reader, schedule: &Schedule, horizon: Span) -> bool {
         let ends = self.events.iter().map(|(_, end)| schedule.time(*end));
         let late = ends.enumerate().filter(|(_, end)| *end > horizon).min_by_key(|(_, end)| *end);
@@ -381,7 +381,7 @@ impl<'a> Timetable<'a> {
         false
     }
 
-    /// Orders cues for a short makespan.
+    /// Finds an order for the cues of each zone with the order `auto`, for a short makespan.
     fn order_auto(
         &mut self,
         findings: &mut Reader,
@@ -452,7 +452,7 @@ impl<'a> Timetable<'a> {
             let (start, end) = (schedule.time(*first), schedule.time(*last));
             let stretch = Stretch { from: members.length, to: end - start - members.delay };
             let slack = latest.as_ref().map_or(Span::ZERO, |latest| latest.time(*first) - start);
-            // If a cue can start later, its end is held by another cue.
+            // If a cue can start later although its end is critical, another cue holds its end.
             let critical = slack == Span::ZERO && (critical.contains(first) || critical.contains(last));
             CueTime { start, end, stretch, slack, critical }
         };
@@ -460,7 +460,7 @@ impl<'a> Timetable<'a> {
     }
 }
 
-/// Suggests the correct form of a relation: with spaces around its sign, and its end in words.
+/// Suggests the correct form of a relation: with spaces around its sign, and with its start or end in words.
 fn relation<'k>(text: &str, known: impl Iterator<Item = &'k str> + Clone) -> Option<String> {
     let is_known = |name: &str| known.clone().any(|known| known == name);
     let signed = ['+', '-'].iter().find_map(|sign| {

@@ -1,4 +1,4 @@
-//! The movement of a device in a cue, as steps: shared by all robots of a kind, with a start for each robot.
+//! The movement of a device in a cue, as steps: shared by all robots of a kind, with a separate start for each robot.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use crate::finding::Place;
 use crate::motion::{Easing, Shape, Value};
 use crate::scenario::{Items, Motion, Track, Vectors};
 
-/// A part of a device's time that a cue occupies.
+/// The time that a cue occupies on one device of one robot.
 #[derive(Clone, Debug)]
 pub(super) struct Segment {
     /// Start of the cue for this robot, since the act's start.
@@ -23,16 +23,16 @@ pub(super) struct Segment {
 pub(super) struct Part {
     pub(super) control_type: ControlType,
     pub(super) steps: Steps,
-    /// Duration of the movement; its last step may be earlier.
+    /// Duration of the movement; the last step may be earlier.
     pub(super) length: Span,
     pub(super) at_least: usize,
     pub(super) worst: f64,
     pub(super) worst_at: Span,
-    /// Whether the first step is reached by moving from any position.
+    /// Whether the device moves to the first step from any position.
     pub(super) moves_from_anywhere: bool,
-    /// The tolerance within which the steps were created.
+    /// The tolerance for which the steps were created, in the device's unit.
     pub(super) tolerance: f64,
-    /// The largest show speed factor within the limits of the device.
+    /// The largest show speed factor at which the movement stays within the limits of the device.
     pub(super) factor_max: f64,
     /// The quantity to reduce if there are too many steps.
     pub(super) excess: Excess,
@@ -41,7 +41,7 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Returns a setpoint with these values.
+    /// Returns a setpoint of the part's control type with these values.
     pub(super) fn setpoint(&self, values: &[f64]) -> Setpoint {
         let mut setpoint = Setpoint::new(self.control_type, values.first().copied().unwrap_or_default());
         setpoint.more = values.get(1..).unwrap_or_default().into();
@@ -49,16 +49,16 @@ impl Part {
     }
 }
 
-/// The cause of many steps.
+/// The cause of many steps in a movement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Excess {
     /// Single keyframes.
     Keyframes,
-    /// Repetitions.
+    /// Many repetitions of the movement.
     Turns,
     /// Curved transitions between keyframes.
     Eases,
-    /// A curve that is followed closely.
+    /// A curve that the steps follow closely.
     Curve,
 }
 
@@ -78,7 +78,7 @@ fn is_bent(motion: &Motion) -> bool {
     curve.knots.iter().any(|knot| matches!(knot.shape, Shape::Eased(Easing::Smooth | Easing::Cubic)))
 }
 
-/// Values at times from the cue's start.
+/// Setpoints at times since the cue's start.
 #[derive(Debug)]
 pub(super) enum Steps {
     One(Vec<Value>),
@@ -93,7 +93,7 @@ impl Steps {
         }
     }
 
-    /// Memory usage in a script, in steps with one value.
+    /// Memory usage of the steps in a script, counted in steps with one value.
     pub(super) fn size(&self) -> usize {
         match self {
             Self::One(values) => values.len(),

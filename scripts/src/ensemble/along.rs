@@ -1,4 +1,4 @@
-//! A group that moves along a path: carried as one body, or each robot behind the previous one.
+//! A group that moves along a path: as one body, or with each robot behind the previous one.
 
 use std::sync::Arc;
 
@@ -6,21 +6,21 @@ use super::{Course, Dancer, Fault, Ground};
 use crate::formation::{Point, SAME, metres_between};
 use crate::motion::{Along, Carried, Path};
 
-/// Maximum number of points: those of all laps plus the places of the following robots.
+/// Maximum number of points of the path: those of all laps plus the places of the following robots.
 pub(crate) const POINTS_MAX: usize = 10_000;
 
-/// A path with a position for each robot.
+/// A path, with the position on it at which each robot begins.
 pub(super) struct Carrier {
     path: Arc<Path>,
-    /// Distance that each robot travels, in metres.
+    /// Distance that each robot travels along the path, in metres.
     length: f64,
     turning: bool,
-    /// Start of each robot along the path, in metres.
+    /// Position along the path at which each robot begins, in metres.
     begins: Vec<f64>,
 }
 
 impl Carrier {
-    /// Returns x, y and z of a robot.
+    /// Returns the movements of a robot along x, y and z.
     pub(super) fn carried(&self, robot: usize) -> [Carried; 3] {
         [Along::X, Along::Y, Along::Z].map(|along| Carried {
             path: self.path.clone(),
@@ -36,13 +36,13 @@ impl Carrier {
         self.turning
     }
 
-    /// Whether it leads up or down anywhere.
+    /// Whether the path leads up or down anywhere.
     pub(super) fn climbs(&self) -> bool {
         self.path.bounds(Along::Z).0 > 0.0
     }
 }
 
-/// Returns the path of a group that moves along one.
+/// Returns the path along which `course` moves the group.
 pub(super) fn carrier(course: &Course, dancers: &[Dancer<'_>], ground: Ground<'_>) -> Result<Carrier, Fault> {
     let written = ground.paths.get(&course.path).ok_or(Fault::UnknownPath)?;
     let path = written.path.as_ref().ok_or(Fault::ToldElsewhere)?;
@@ -64,7 +64,7 @@ pub(super) fn carrier(course: &Course, dancers: &[Dancer<'_>], ground: Ground<'_
     Ok(Carrier { path: path.clone(), length, turning: course.turning, begins: vec![0.0; dancers.len()] })
 }
 
-/// Returns the path through the places of all robots, from the last to the first, and then along the given path.
+/// Returns a path that leads through the places of all robots, from the last to the first, and then along the given path.
 fn trail(path: &Path, laps: u32, dancers: &[Dancer<'_>]) -> Result<Carrier, Fault> {
     let own = path.points();
     let mut trail: Vec<Point> = dancers.iter().rev().map(|dancer| dancer.from).collect();

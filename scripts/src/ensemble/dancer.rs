@@ -1,4 +1,4 @@
-//! A robot of a group, with the devices that are the coordinates of its body.
+//! A robot of a group, with the devices that are coordinates of its body.
 
 use urrcp::{ControlType, Device, Limits, Span};
 
@@ -8,12 +8,12 @@ use crate::motion::nearest_on_grid;
 use crate::space::{Body, Coordinate};
 use crate::transit;
 
-/// A coordinate of a body.
+/// A coordinate of a body: fixed, or moved by a device.
 #[derive(Clone, Copy)]
 pub(crate) enum Axis<'a> {
     Fixed(f64),
     Moved {
-        /// Index of the robot in the fleet.
+        /// Index of the device in the robot's list of devices.
         index: usize,
         device: &'a Device,
         /// Metres per unit of the device.
@@ -30,7 +30,7 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// Returns the nearest position in metres to which the device can be set.
+    /// Returns the position nearest to `metres` to which the device can be set, in metres.
     pub(crate) fn nearest(&self, metres: f64) -> f64 {
         match *self {
             Self::Fixed(value) => value,
@@ -52,22 +52,22 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// Returns its metres per unit, its zero in metres, and its granularity.
+    /// Returns the device's metres per unit, its zero in metres, and its granularity; `None` for a fixed coordinate.
     pub(super) fn grid(&self) -> Option<[f64; 3]> {
         let Self::Moved { scale, offset, .. } = *self else { return None };
         let limits = self.limits().and_then(|mut limits| limits.next());
         Some([scale, offset, limits.map_or(0.0, |limits| limits.granularity)])
     }
 
-    /// Returns the permitted error of its steps, in metres.
+    /// Returns the permitted error of the device's steps, in metres: `tolerance` or, by default, the device's own.
     pub(crate) fn error(&self, tolerance: Option<f64>) -> f64 {
         let Self::Moved { scale, .. } = self else { return 0.0 };
         let own = |limits: &Limits| limits.max_error.unwrap_or(0.0).max(limits.granularity);
         scale.abs() * tolerance.unwrap_or_else(|| self.most(own))
     }
 
-    /// Returns the tolerance of its steps, in its units, that uses only this share of their permitted error, but at least as much as its
-    /// grid needs.
+    /// Returns the tolerance of the device's steps, in its unit, that uses only the share `error_share` of the permitted error. It is at
+    /// least what the device's grid needs.
     pub(crate) fn tolerance(&self, tolerance: Option<f64>, error_share: f64) -> Option<f64> {
         let Self::Moved { scale, .. } = self else { return tolerance };
         if error_share >= 1.0 {
@@ -81,7 +81,7 @@ impl<'a> Axis<'a> {
         self.limits().into_iter().flatten().map(value).fold(0.0, f64::max)
     }
 
-    /// Returns the smallest and the largest coordinate that the device reaches, in metres.
+    /// Returns the smallest and the largest coordinate that the device can reach, in metres.
     pub(super) fn ends(&self) -> Option<[f64; 2]> {
         let Self::Moved { scale, offset, .. } = *self else { return None };
         let all = self.limits()?;
@@ -93,40 +93,40 @@ impl<'a> Axis<'a> {
     }
 }
 
-/// A robot of a group.
+/// A robot of a group, with its place when it begins.
 pub(crate) struct Dancer<'a> {
     /// Index of the robot in the fleet.
     pub(crate) robot: usize,
-    /// Delay of its start after the cue's.
+    /// Delay of the robot's start after the start of the cue.
     pub(crate) delay: Span,
     pub(crate) body: &'a Body,
     pub(crate) axes: [Axis<'a>; 3],
-    /// Its position when it begins, in metres.
+    /// Position of the robot's body when it begins, in metres.
     pub(crate) from: Point,
 }
 
 impl Dancer<'_> {
-    /// Returns its delay after the cue in seconds.
+    /// Returns the delay of the robot's start after the start of the cue, in seconds.
     pub(super) fn delay_seconds(&self) -> f64 {
         self.delay.as_millis_f64() / 1_000.0
     }
 
-    /// Returns the index of the robot, and the time and place of its start.
+    /// Returns the index of the robot, the delay of its start in seconds, and its place then.
     pub(super) fn begin(&self) -> (usize, f64, Point) {
         (self.robot, self.delay_seconds(), self.from)
     }
 
-    /// Same as [`coarseness`].
+    /// Like [`coarseness`], for this robot.
     pub(super) fn coarseness(&self) -> f64 {
         coarseness_of(&self.axes)
     }
 
-    /// Whether its height is fixed.
+    /// Whether the robot's height is fixed.
     pub(super) const fn is_flat(&self) -> bool {
         matches!(self.axes[2], Axis::Fixed(_))
     }
 
-    /// Returns the limits of speed and acceleration along each axis and in total.
+    /// Returns the robot's limits of speed and acceleration along each axis and in total.
     pub(super) fn limits(&self, fleet: &Fleet) -> transit::Limits {
         let of_axis = |axis: &Axis<'_>| {
             let Axis::Moved { device, scale, .. } = axis else { return [f64::INFINITY; 2] };
@@ -140,7 +140,7 @@ impl Dancer<'_> {
     }
 }
 
-/// Largest distance of a body from a place because of the grids of its devices, in metres.
+/// Returns the largest distance of a body from a place that the grids of its devices cause, in metres.
 pub(crate) fn coarseness(body: &Body, devices: &[Device]) -> f64 {
     axes(body, devices).map_or(0.0, |axes| coarseness_of(&axes))
 }
@@ -150,7 +150,7 @@ fn coarseness_of(axes: &[Axis<'_>; 3]) -> f64 {
     grids.map(|[scale, _, granularity]| scale * granularity).fold(0.0, f64::hypot)
 }
 
-/// Returns x, y and z of a body; `None` if x or y is not a device, or if the body is driven by speeds.
+/// Returns the coordinates x, y and z of a body; `None` if x or y is not a device, or if the body is driven by speeds.
 pub(crate) fn axes<'a>(body: &Body, devices: &'a [Device]) -> Option<[Axis<'a>; 3]> {
     if body.drive.is_some() {
         return None;

@@ -44,7 +44,8 @@ pub(super) fn formed(
     Ok(ways.map(|((way, share), dancer)| Moved::of_way(way, dancer, share)).collect())
 }
 
-/// Returns the places of a formation; empty for home. Fewer places than robots require `spare`, and more places require `thin`.
+/// Returns the places of a formation; empty for home. If there are fewer places than robots, the cue must set `spare`; if there are
+/// more, `thin`.
 pub(super) fn places(form: &Form, robots: usize, ground: Ground<'_>) -> Result<Vec<Point>, Fault> {
     let Target::Formation(name) = &form.to else { return Ok(Vec::new()) };
     let written = ground.formations.get(name).ok_or(Fault::UnknownFormation)?;
@@ -66,7 +67,7 @@ pub(super) fn places(form: &Form, robots: usize, ground: Ground<'_>) -> Result<V
 fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), Fault> {
     let differ = |height: f64| places.iter().any(|place| (place[2] - height).abs() > LEVEL);
     let all_flat = dancers.iter().all(Dancer::is_flat);
-    // If all robots are flat, a level formation is moved to their height.
+    // If all robots have a fixed height, a level formation is moved to that height.
     let cannot = |dancer: &Dancer<'_>| {
         let height = if all_flat { places[0][2] } else { dancer.from[2] };
         dancer.is_flat() && differ(height)
@@ -80,7 +81,7 @@ fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), F
     Err(Fault::Flat { dancer, why })
 }
 
-/// Checks that any two of these bodies could stand at the two places that are nearest to each other.
+/// Checks that the bodies of any two of these robots could be at the two places that are nearest to each other.
 fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Result<(), Fault> {
     // If there are more places than robots, only some are used.
     let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return Ok(()) };
@@ -92,7 +93,7 @@ fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Re
     }
 }
 
-/// Returns the default position of each robot.
+/// Returns the default position of each robot, or the robots that have none as a fault.
 fn homes(dancers: &[Dancer<'_>]) -> Result<Vec<Point>, Fault> {
     let home = |dancer: &Dancer<'_>| match dancer.axes.each_ref().map(Axis::home) {
         [Some(x), Some(y), Some(z)] => Some([x, y, z]),
@@ -125,7 +126,7 @@ fn bodies(
             from: dancer.from,
             keep: apart + radius,
             error: x.hypot(y).hypot(z),
-            // Half a unit of each grid.
+            // Half a unit of each device's grid.
             rounding: dancer.coarseness() / 2.0,
             begin: dancer.delay_seconds(),
             limits: dancer.limits(ground.fleet),
@@ -135,7 +136,7 @@ fn bodies(
     dancers.iter().map(body).collect()
 }
 
-/// Moves the places to the height of the robots if none of these can change it.
+/// Moves the places to the height of the robots if none of the robots can change its height.
 fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     if let Some(first) = dancers.first()
         && dancers.iter().all(|dancer| dancer.is_flat())
@@ -145,8 +146,8 @@ fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     places
 }
 
-/// Rounds the places to those that the devices can reach, if these are the same for all robots: movements are checked up to their actual
-/// ends.
+/// Rounds the places to positions that the devices can reach, if these positions are the same for all robots. Movements are then checked
+/// up to their actual ends.
 fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
     let grids = |dancer: &Dancer<'_>| dancer.axes.each_ref().map(Axis::grid);
     let Some(first) = dancers.first() else { return places };

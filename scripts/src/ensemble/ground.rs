@@ -1,4 +1,4 @@
-//! The context of groups beyond their cues: the fleet, and the formations and paths of the scenario.
+//! What the movements of groups depend on apart from their cues: the fleet, and the formations and paths of the scenario.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use crate::fleet::Fleet;
 use crate::formation::Formation;
 use crate::motion::Path;
 
-/// The context of groups beyond their cues.
+/// The fleet, and the formations and paths of the scenario.
 #[derive(Clone, Copy)]
 pub(crate) struct Ground<'a> {
     pub(crate) fleet: &'a Fleet,
@@ -16,20 +16,20 @@ pub(crate) struct Ground<'a> {
     pub(crate) paths: &'a HashMap<String, WrittenPath>,
 }
 
-/// A formation as written.
+/// A formation as written in the scenario.
 #[derive(Clone, Debug)]
 pub(crate) struct WrittenFormation {
-    /// `None` if it has a fault, which has been reported.
+    /// The formation; `None` if it has a fault, which has been reported.
     pub(crate) formation: Option<Formation>,
-    /// Place of its name.
+    /// Place of the formation's name in the file.
     pub(crate) place: Place,
-    /// The key that defines its size, with its value; the distances between the places are proportional to it.
+    /// Key that defines the formation's size, and its value. Distances between the places are proportional to the value.
     pub(crate) size: (&'static str, f64),
 }
 
-/// A path as written.
+/// A path as written in the scenario.
 #[derive(Clone, Debug)]
 pub(crate) struct WrittenPath {
-    /// `None` if it has a fault, which has been reported.
+    /// The path; `None` if it has a fault, which has been reported.
     pub(crate) path: Option<Arc<Path>>,
 }

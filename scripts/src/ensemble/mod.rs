@@ -1,9 +1,9 @@
-//! Movements of a group of robots in space: into a formation, or turning, growing, shifting or following a path as one.
+//! Movements of a group of robots in space: into a formation, or as one body that turns, grows, shifts or follows a path.
 //!
 //! `ways` computes the movement of each robot from its current place, or returns the fault that prevents it. `dancer` contains a robot
-//! with the devices of its coordinates; `formed`, `swept` and `along` compute the movements; `together` contains the task of a group, and
-//! `ground` its context. The reader of scenarios asks for the future places of a group; the compiler turns the results into movements and
-//! reports the faults.
+//! with the devices of its coordinates; `formed`, `swept` and `along` compute the movements. `together` contains the task of a group,
+//! and `ground` the data that all groups use. The reader of scenarios asks for the places of a group after its movement. The compiler
+//! turns the results into movements of devices and reports the faults.
 
 mod along;
 mod dancer;
@@ -23,84 +23,84 @@ use crate::formation::{PLACES_MAX, Point};
 use crate::motion::{Function, Swept};
 use crate::transit::Blocked;
 
-/// Maximum number of robots in a group: each may have a place of one formation.
+/// Maximum number of robots in a group: a formation can have a place for each of them.
 pub(crate) const GROUP_MAX: usize = PLACES_MAX;
-/// Places whose heights differ by less than this, in metres, are at the same height.
+/// Places have the same height if their heights differ by less than this, in metres.
 const LEVEL: f64 = 1e-9;
 
-/// The task of a cue for its robots.
+/// What a cue requires of its group.
 #[derive(Clone, Copy)]
 pub(crate) struct Asked<'a> {
     pub(crate) together: &'a Together,
-    /// Permitted error of steps, in units of the devices, if the cue sets one.
+    /// Permitted error of steps, in units of the devices; `None` if the cue does not set one.
     pub(crate) tolerance: Option<f64>,
 }
 
 impl Asked<'_> {
-    /// Returns the time for each robot, in seconds.
+    /// Returns the duration of each robot's movement, in seconds.
     fn seconds(&self) -> f64 {
         self.together.over.as_millis_f64() / 1_000.0
     }
 }
 
-/// The movement of one robot.
+/// The movement of one robot of a group.
 #[derive(Clone, Debug)]
 pub(crate) struct Moved {
-    /// In seconds since the cue's start.
+    /// Start of the movement since the cue's start, in seconds.
     pub(crate) begin: f64,
     pub(crate) length: f64,
-    /// x, y and z in metres.
+    /// Movements along x, y and z, in metres.
     pub(crate) axes: [Swept; 3],
-    /// Share of the permitted error (of its devices or the cue) that its steps may use: less than 1 if other robots are close.
+    /// Share of the permitted error (of the robot's devices or the cue) that its steps may use: less than 1 if other robots are close.
     pub(crate) error_share: f64,
 }
 
 impl Moved {
-    /// Returns the end of the movement, in metres.
+    /// Returns the robot's place at the end of the movement, in metres.
     pub(crate) fn end(&self) -> Point {
         self.axes.each_ref().map(|swept| Function::Swept(Box::new(swept.clone())).at(1.0))
     }
 }
 
-/// A reason why a group cannot do its task. Robots are identified by their index among the dancers.
+/// A reason why a group cannot make its movement. Robots are identified by their index in the list of dancers.
 #[derive(Clone, Debug)]
 pub(crate) enum Fault {
-    /// A fault of a formation or a path, which is reported at its own place.
+    /// A formation or a path has a fault, which is reported at its own place.
     ToldElsewhere,
-    /// More robots than [`GROUP_MAX`].
+    /// The group has more robots than [`GROUP_MAX`].
     TooMany,
     UnknownFormation,
-    /// The numbers of robots and places differ, and the cue does not resolve this.
+    /// The numbers of robots and places differ, and the cue does not set how to handle this.
     Count {
         places: usize,
     },
-    /// A robot that cannot change its height.
+    /// A robot cannot change its height.
     Flat {
         dancer: usize,
         why: String,
     },
-    /// Robots that lack a default value for a coordinate.
+    /// Robots have no default value for a coordinate. Contains these robots.
     Homeless(Vec<usize>),
-    /// The two places are closer than two of the bodies may be, in metres.
+    /// Two places of the formation are closer than two of the bodies may be, in metres.
     Crowded {
         places: [usize; 2],
         distance: f64,
         required: f64,
     },
-    /// `seconds` is the shortest sufficient time.
+    /// A robot has too little time; `seconds` is the shortest sufficient time.
     TooShort {
         dancer: usize,
         seconds: f64,
     },
     Blocked(Blocked),
-    /// All robots are in the middle.
+    /// All robots are in the middle of the group, so nothing moves them.
     Unmoved,
     UnknownPath,
-    /// Laps along a path that does not end where it begins.
+    /// The cue sets this number of laps for a path that does not end where it begins.
     OpenLaps(u32),
-    /// The group would turn with a path that is vertical somewhere.
+    /// The group would turn with a path that has no heading, because it is vertical somewhere.
     NoHeading,
-    /// Number of points of a path; it exceeds the limit.
+    /// The path has too many points; contains their number.
     TooManyPoints(usize),
     SamePlace {
         behind: usize,
@@ -111,10 +111,10 @@ pub(crate) enum Fault {
     },
 }
 
-/// Returns the movement of each robot.
+/// Returns the movement of each robot in the group.
 ///
 /// # Errors
-/// The fault that prevents the movements.
+/// Returns the fault that prevents the movements.
 pub(crate) fn ways(
     asked: Asked<'_>,
     dancers: &[Dancer<'_>],
@@ -129,10 +129,10 @@ pub(crate) fn ways(
     }
 }
 
-/// Checks the places into which this many robots move, if the target is a formation.
+/// Checks the places into which this many robots move, if the target of the movement is a formation.
 ///
 /// # Errors
-/// A fault in their number or in the name.
+/// Returns a fault in the number of places or in the name of the formation.
 pub(crate) fn places(together: &Together, robots: usize, ground: Ground<'_>) -> Result<(), Fault> {
     match &together.action {
         Action::Form(form) => formed::places(form, robots, ground).map(drop),
@@ -140,7 +140,7 @@ pub(crate) fn places(together: &Together, robots: usize, ground: Ground<'_>) -> 
     }
 }
 
-/// The movements of a group, computed when its cue was read. They are kept because a large group takes long to compute.
+/// The movements of a group, computed when its cue was read. They are kept because computing them takes long for a large group.
 #[derive(Clone, Debug)]
 pub(crate) struct Rehearsed {
     from: Vec<(usize, f64, Point)>,
@@ -152,7 +152,7 @@ impl Rehearsed {
         Self { from: dancers.iter().map(Dancer::begin).collect(), ways: Arc::new(ways) }
     }
 
-    /// Returns the same movements if these robots begin at the same places and times.
+    /// Returns the computed movements if `dancers` begin at the same places and times as then; `None` otherwise.
     pub(crate) fn of(&self, dancers: &[Dancer<'_>]) -> Option<Result<Vec<Moved>, Fault>> {
         let same = self.from.iter().copied().eq(dancers.iter().map(Dancer::begin));
         same.then(|| (*self.ways).clone())

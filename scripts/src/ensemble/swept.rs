@@ -1,11 +1,11 @@
-//! A group that turns, grows, shifts and is carried as one body.
+//! A group that turns, grows, shifts and follows a path as one body.
 
 use super::along::{Carrier, carrier};
 use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved, Sweep};
 use crate::formation::{Point, SAME};
 use crate::motion::Swept;
 
-/// Returns the movement of each robot with the group.
+/// Returns the movement of each robot when the group moves as one body.
 pub(super) fn swept(
     asked: Asked<'_>,
     sweep: &Sweep,
@@ -57,9 +57,9 @@ pub(super) fn swept(
     }
 }
 
-/// Largest speed and acceleration of a movement, relative to its share of time. Equal for robots side by side.
+/// Largest speed and acceleration of a movement, relative to its share of time. They are equal for robots side by side.
 struct Rates {
-    /// The coordinates relative to their start.
+    /// Movements of the coordinates, relative to the robot's start.
     axes: [Swept; 3],
     body: (f64, f64),
     own: [(f64, f64); 3],
@@ -78,10 +78,10 @@ impl Rates {
     }
 }
 
-/// The time that a robot needs, in seconds.
+/// The time that a robot needs for its movement, in seconds.
 struct Needed {
     shortest: f64,
-    /// Time that suffices for its steps as well.
+    /// Time that is also sufficient for the robot's steps.
     sure: f64,
 }
 
@@ -92,9 +92,9 @@ impl Needed {
         let own = rates.own.iter().zip(limits.axes);
         let own = own.map(|(rates, limits)| time(*rates, limits)).fold(0.0, f64::max);
         let error = dancer.axes.iter().map(|axis| axis.error(asked.tolerance)).fold(0.0, f64::max);
-        // The axes of a body have their steps at different times. Where its route bends, the combined mean speed of two overlapping
-        // steps exceeds the speed at any moment by about the square root in `stepped`.
-        // Steps also end on the grid. With half of it, the remaining error allows steps so short that their speed is off by `off`.
+        // The axes of a body have their steps at different times. Where the body's route bends, the combined mean speed of two
+        // overlapping steps exceeds the speed at any moment by about the square root in `stepped`.
+        // Steps also end on the grid. With half of the grid, the remaining error allows steps so short that their speed is off by `off`.
         let grid =
             |axis: &Axis<'_>| axis.grid().map_or(0.0, |[scale, _, granularity]| scale.abs() * granularity);
         let moving = || dancer.axes.iter().zip(&rates.axes).filter(|(_, swept)| !swept.is_still());
@@ -106,7 +106,7 @@ impl Needed {
     }
 }
 
-/// Whether turning and growing do not move it because it is in the middle.
+/// Whether turning and growing do not move the robot, because it is at the centre.
 fn is_center(dancer: &Dancer<'_>, center: Point, sweep: &Sweep) -> bool {
     let axes = if sweep.grow == 1.0 || dancer.is_flat() { 2 } else { 3 };
     (0..axes).all(|axis| (dancer.from[axis] - center[axis]).abs() < SAME)
@@ -131,19 +131,20 @@ fn left_behind(
     Some((off, "the group also grows in height"))
 }
 
-/// Shortest time for a movement with these largest derivatives, relative to its share of time.
+/// Returns the shortest time for a movement within the limits. The largest slope and curvature are relative to the movement's share of
+/// time.
 fn time((slope, curvature): (f64, f64), [speed, acceleration]: [f64; 2]) -> f64 {
     (slope / speed).max((curvature / acceleration).sqrt())
 }
 
-/// Mean of all places.
+/// Returns the mean of the places of all robots.
 #[expect(clippy::cast_precision_loss, reason = "groups are small")]
 fn middle(dancers: &[Dancer<'_>]) -> Point {
     let count = dancers.len().max(1) as f64;
     std::array::from_fn(|axis| dancers.iter().map(|dancer| dancer.from[axis]).sum::<f64>() / count)
 }
 
-/// Returns x, y and z of a body from its place at the group's start.
+/// Returns the movements of a body along x, y and z, from its place at the group's start.
 fn axes(dancer: &Dancer<'_>, center: Point, sweep: &Sweep, turning: bool) -> [Swept; 3] {
     let from = dancer.from;
     let [x, y, mut z]: Point = std::array::from_fn(|axis| from[axis] - center[axis]);

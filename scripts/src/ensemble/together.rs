@@ -1,4 +1,4 @@
-//! The joint task of a group of bodies in a cue: to move into a formation, or to turn, grow and shift as one.
+//! The joint movement of a group of bodies in a cue: into a formation, or as one body that turns, grows and shifts.
 
 use urrcp::Span;
 
@@ -6,19 +6,19 @@ use crate::finding::Place;
 use crate::formation::Point;
 use crate::transit::Least;
 
-/// The joint task of a group of bodies.
+/// The joint movement of a group of bodies.
 #[derive(Clone, Debug)]
 pub(crate) struct Together {
     pub(crate) action: Action,
-    /// Time for each of them.
+    /// Duration of each robot's movement.
     pub(crate) over: Span,
     pub(crate) over_place: Place,
-    /// Its place in the file.
+    /// Place of the movement in the file.
     pub(crate) place: Place,
 }
 
 impl Together {
-    /// Returns the name of the formation into which they move.
+    /// Returns the name of the formation into which the group moves; `None` for other movements.
     pub(crate) fn formation(&self) -> Option<&str> {
         match &self.action {
             Action::Form(Form { to: Target::Formation(name), .. }) => Some(name),
@@ -42,7 +42,7 @@ pub(crate) struct Form {
     pub(crate) thin: Option<Thin>,
 }
 
-/// The target of the bodies.
+/// The target of a movement into a formation.
 #[derive(Clone, Debug)]
 pub(crate) enum Target {
     /// Each body moves to the default values of its devices.
@@ -50,32 +50,32 @@ pub(crate) enum Target {
     Formation(String),
 }
 
-/// Behaviour of robots without a place.
+/// What robots do if the formation has no place for them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Spare {
     Stay,
     Home,
 }
 
-/// The places that stay empty if there are fewer robots.
+/// Which places stay empty if the formation has more places than robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Thin {
-    /// The places between those at even steps through the list.
+    /// The robots take places at even steps through the list; the places between stay empty.
     Evenly,
-    /// The places whose omission gives the shortest movements.
+    /// The places whose omission makes the movements shortest stay empty.
     Nearest,
 }
 
-/// A movement of a group as one body whose size may change.
+/// A movement of a group as one body that may turn, grow, shift or follow a path.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sweep {
-    /// Turns about the vertical, from x to y.
+    /// Number of turns about the vertical, from x to y.
     pub(crate) turns: f64,
-    /// x and y of the centre of turning and growing; `None` for the middle of the group.
+    /// x and y of the centre of turning and growing, in metres; `None` for the middle of the group.
     pub(crate) about: Option<[f64; 2]>,
     pub(crate) grow: f64,
     pub(crate) shift: Point,
-    /// The path along which it is carried.
+    /// The path along which the group is carried, if any.
     pub(crate) along: Option<Course>,
 }
 
@@ -83,12 +83,12 @@ pub(crate) struct Sweep {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Course {
     pub(crate) path: String,
-    /// Number of laps, if the scenario sets it.
+    /// Number of laps; `None` if the scenario does not set it.
     pub(crate) laps: Option<u32>,
-    /// Whether it turns with the path, about its middle.
+    /// Whether the group turns with the heading of the path, about the group's middle.
     pub(crate) turning: bool,
-    /// Whether each robot follows the previous one in the cue, through its place.
+    /// Whether each robot follows the previous robot of the cue, through the place of that robot.
     pub(crate) follow: bool,
-    /// Its place in the file.
+    /// Place of the path's use in the file.
     pub(crate) place: Place,
 }

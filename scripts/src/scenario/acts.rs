@@ -1,4 +1,4 @@
-//! Acts: their cues, the condition for their beginning, the next act, and the reaction to a failure.
+//! Acts as written: their cues, the condition before they begin, the next act, and the reaction to a failure.
 
 use std::sync::Arc;
 
@@ -74,11 +74,11 @@ keys! {
 
 type Condition = fn() -> Wait;
 
-/// The conditions that are a single word.
+/// Wait conditions that are a single word.
 pub(super) const WAIT_WORDS: [(&str, Condition); 2] =
     [("done", || Wait::Done), ("operator", || Wait::Operator)];
 
-/// Settings for acts and cues that do not override them.
+/// Settings of the scenario, for acts and cues that do not override them.
 pub(super) struct Defaults<'a> {
     pub(super) lease: StopCondition,
     pub(super) off_grid: OffGrid,
@@ -88,25 +88,25 @@ pub(super) struct Defaults<'a> {
     pub(super) on_doubt: OnDoubt,
 }
 
-/// Settings that all acts share.
+/// Settings of the scenario that all acts share.
 struct Shared {
     zones: Arc<[(String, Order)]>,
     rules: Arc<[(Name, OnFailure)]>,
-    /// The number of faults in the zones.
+    /// Number of faults in the scenario's zones.
     faults: usize,
 }
 
-/// The reaction to a failure, as written.
+/// The reaction of an act to a failure, as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OnFailureRule {
     pub(crate) default: Option<OnFailure>,
     pub(crate) robots: Vec<(Name, OnFailure)>,
-    /// The scenario's rules for robots; one list for all acts.
+    /// The scenario's rules for single robots; all acts share this list.
     pub(crate) inherited: Arc<[(Name, OnFailure)]>,
     pub(crate) then: Option<Name>,
 }
 
-/// The wait of an act, as written.
+/// The condition for which an act waits, as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct WrittenWait {
     pub(crate) wait: Wait,
@@ -246,7 +246,7 @@ fn act(
     })
 }
 
-/// Reports the keys of a cue in one finding, and returns the map without them. `None` if it contains none of `moves`.
+/// Reports the cue's keys within a map in one finding, and returns the map without them. `None` if the map contains none of `moves`.
 pub(super) fn without_cue(
     reader: &mut Reader,
     at: &At<'_>,
@@ -274,7 +274,7 @@ pub(super) fn without_cue(
     Some(Node::Map(own.into_iter().cloned().collect()))
 }
 
-/// A single value as in the file; `...` for a list or a map.
+/// Returns a single value as in the file; `...` for a list or a map.
 fn briefly(node: &Node) -> String {
     match node {
         Node::Text(text) => shortened(text),
@@ -283,7 +283,7 @@ fn briefly(node: &Node) -> String {
     }
 }
 
-/// `[table, lift]`, or `{table: auto, lift: given}`.
+/// Reads `[table, lift]`, or `{table: auto, lift: given}`.
 fn zones(reader: &mut Reader, at: &At<'_>, order: Order) -> Vec<(String, Order)> {
     let expected = "a list of zones, or a map from zone to its order";
     match at.node {
@@ -306,7 +306,7 @@ pub(super) const ON_FAILURE: [(&str, OnFailure); 3] =
 pub(super) const ON_DOUBT: [(&str, OnDoubt); 2] =
     [("start", OnDoubt::Start), ("withdraw", OnDoubt::Withdraw)];
 
-/// One word for all, or a map with `default`, `then` and words for robots or groups.
+/// Reads one word for all robots, or a map with `default`, `then` and words for robots or groups.
 pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
     let Node::Map(_) = at.node else {
         return OnFailureRule { default: reader.word(at, &ON_FAILURE), ..OnFailureRule::default() };
@@ -328,7 +328,7 @@ pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
     rule
 }
 
-/// A hint for an unknown condition of an act.
+/// Returns a hint for an unknown wait condition of an act.
 fn wait_hint(text: &str) -> Option<String> {
     if parse_duration(text).is_some() {
         return Some(format!("to begin later, add `at: {text}` to the first cue of the act"));
@@ -406,7 +406,7 @@ fn time_of_day(reader: &mut Reader, at: &At<'_>) -> Option<Wait> {
     parsed
 }
 
-/// The time of day of `30 19 * * *` or of `7:30 pm`.
+/// Returns the time of day that `30 19 * * *` or `7:30 pm` means.
 fn meant_time(text: &str) -> Option<String> {
     let words: Vec<&str> = text.split_whitespace().collect();
     let (hour, minute) = match words.as_slice() {
@@ -426,7 +426,7 @@ fn meant_time(text: &str) -> Option<String> {
     parse_time(&written).map(|_| written)
 }
 
-/// Parses a time that an act can wait for: a time of day, `19:30` or `19:30:00.5`, or an instant as in RFC 3339.
+/// Parses a time for which an act can wait: a time of day, `19:30` or `19:30:00.5`, or an instant as in RFC 3339.
 #[must_use]
 pub fn parse_time(text: &str) -> Option<Wait> {
     parse_instant(text).map(Wait::Instant).or_else(|| parse_time_of_day(text).map(Wait::TimeOfDay))

@@ -1,4 +1,4 @@
-//! Delays of the robots of a cue: by their order, by their place, at random, or by their `at`.
+//! Delays of the robots of a cue: by the robots' order, by their places, at random, or by their `at`.
 
 use super::kinds;
 use crate::exact::{Beginning, Exact, Fraction, Laps, fraction};
@@ -27,12 +27,12 @@ keys! {
 const SPEED_MIN: f64 = 1e-3;
 const SPEED_MAX: f64 = 1e6;
 
-/// Delay of each robot of a cue relative to the cue.
+/// Delay of each robot's start after the start of the cue.
 #[derive(Clone, Debug)]
 pub(crate) enum Canon {
     /// The same delay from each robot to the next.
     Even(Laps),
-    /// One time per robot, in their order.
+    /// One delay per robot, in the order of the robots.
     Each { delays: Vec<Exact>, from: Beginning, place: Place },
 }
 
@@ -43,7 +43,7 @@ impl Default for Canon {
 }
 
 impl Canon {
-    /// Returns the delay of the robot at this index.
+    /// Returns the delay of the robot at `index`.
     pub(crate) fn delay(&self, index: usize) -> urrcp::Span {
         match self {
             Self::Even(laps) => laps.begin(u32::try_from(index).unwrap_or(u32::MAX)),
@@ -53,7 +53,7 @@ impl Canon {
         }
     }
 
-    /// Adds the delays that `at` gives each robot.
+    /// Adds the delays that the key `at` gives each robot.
     pub(super) fn delayed(self, late: Option<Late>) -> Self {
         let Some(Late { by, from, place }) = late else { return self };
         let delays = by.iter().enumerate().map(|(index, late)| match &self {
@@ -64,14 +64,14 @@ impl Canon {
     }
 }
 
-/// The delays of robots whose `at` differs.
+/// Delays of robots for which `at` has different values.
 pub(super) struct Late {
     pub(super) by: Vec<Exact>,
     pub(super) from: Beginning,
     pub(super) place: Place,
 }
 
-/// `400ms`, or `{step: 400ms, by: x, direction: outward}`.
+/// Reads `400ms`, or `{step: 400ms, by: x, direction: outward}`.
 pub(super) fn read(reader: &mut Reader, at: Option<&At<'_>>) -> Canon {
     let Some(at) = at else { return Canon::default() };
     let found = match at.node {
@@ -88,11 +88,11 @@ fn each(reader: &Reader, at: &At<'_>, delays: Vec<Exact>) -> Canon {
     Canon::Each { delays, from: reader.music.start, place: at.place() }
 }
 
-/// Start times of the places of the order.
+/// Start times of the places in the order of robots.
 enum Steps {
     /// The same delay from each place to the next.
     Even(Exact),
-    /// One time per place.
+    /// One start time per place.
     Each(Vec<Exact>),
 }
 
@@ -105,11 +105,11 @@ impl Steps {
     }
 }
 
-/// Reads the delay from each place of the order to the next; `$index` is the number of the place.
+/// Reads the delay from each place in the order of robots to the next; `$index` is the number of the place.
 fn steps(reader: &mut Reader, at: &At<'_>) -> Option<Steps> {
     let count = reader.group.count();
     let mut begins = vec![Exact::ZERO];
-    // The step of a group of one is also read, because it may contain errors.
+    // The step of a group with a single robot is also read, because it may contain errors.
     for index in 1..count.max(2) {
         let robot = Robot { index, count: count.max(2) };
         let (step, differs) = reader.as_robot(robot, |reader| reader.exact(at));
@@ -162,7 +162,7 @@ fn scaled(unit: Exact, by: &[Fraction]) -> Vec<Exact> {
     by.iter().map(|share| unit.times(*share)).collect()
 }
 
-/// Returns the time per metre.
+/// Reads the speed of a wave over the robots, and returns its time per metre.
 fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     let expected = "a speed from 0.001 to 1000000 metres per second";
     let speed = reader.positive(at, expected)?;

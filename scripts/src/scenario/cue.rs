@@ -1,4 +1,4 @@
-//! A cue: its robots, their movement and its time, and the changes that apply to the movement first.
+//! A cue: its robots, their movement and its time, and the changes that apply to the movement.
 
 use urrcp::{Millis, Span, StopCondition};
 
@@ -224,7 +224,7 @@ pub(super) fn read(
     Some(cue)
 }
 
-/// `4s`, or `2s..4s`.
+/// Reads a duration `4s`, or bounds `2s..4s`.
 fn bounds(reader: &mut Reader, at: &At<'_>) -> Option<Bounds> {
     let (min, max) = match reader.scalar(at)?.as_ref() {
         Node::Text(text) => match range(reader, at, text)? {
@@ -262,7 +262,7 @@ pub(super) fn name_list(reader: &mut Reader, at: &At<'_>, expected: &str) -> Vec
     items.iter().filter_map(name).collect()
 }
 
-/// `2s` for both, or a map of `pending` and `running`, each a time or `none`.
+/// Reads a lease: `2s` for both parts, or a map of `pending` and `running`, each a time or `none`.
 pub(super) fn lease(reader: &mut Reader, at: &At<'_>, default: StopCondition) -> Option<StopCondition> {
     let Node::Map(_) = at.node else {
         return reader.duration(at).map(|span| StopCondition::both(Millis::from_span(span)));
@@ -291,7 +291,7 @@ fn read_readings(reader: &mut Reader, at: &At<'_>) -> Vec<Reading> {
     readings
 }
 
-/// Differences for some robots of a cue.
+/// An override of a cue: other values for some of its robots.
 pub(super) struct Overriding<'a> {
     pub(super) name: Name,
     pub(super) shaping: Shaping<'a>,

@@ -14,7 +14,7 @@ use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
 use downbeat_reader::{keys, words};
 
-/// Milliseconds per time unit.
+/// Time units with their length in milliseconds.
 const UNITS: [(&str, f64); 3] = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];
 const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];
 
@@ -39,10 +39,10 @@ keys! {
     }
 }
 
-/// Maximum number of listed faults per file; the last one contains the number of the others.
+/// Maximum number of faults listed per file; the last entry contains the number of further ones.
 const FAULTS_MAX: usize = 20;
 
-/// `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1, ease: step}`
+/// Reads `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1, ease: step}`.
 pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Curve> {
     let SamplesKeys { file, time, value, time_unit: unit, scale, ease } = reader.keys(at, "`samples`")?;
     let name =
@@ -85,7 +85,7 @@ struct Table<'r, 'a> {
 }
 
 impl Table<'_, '_> {
-    /// Returns a column by its name in the header or by its number from 1, and whether there is a header.
+    /// Returns the index of a column, given by its name in the header or by its number from 1, and whether there is a header.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small whole number")]
     fn column(&mut self, at: &At<'_>, header: &[&str]) -> Option<(usize, bool)> {
         if let Node::Number(number) = at.node {

@@ -1,4 +1,4 @@
-//! The movements of a cue: one for all of its robots, or one for each if it uses `$index` or `$count`.
+//! The movements of a cue: one that all of its robots share, or one for each robot if the movement uses `$index` or `$count`.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -15,7 +15,7 @@ use crate::finding::Code;
 use crate::fleet::Fleet;
 use crate::shown::shortened;
 
-/// Resolves names to robots before they are checked.
+/// Resolves names to robots before cues are checked.
 pub(super) struct Roster<'a> {
     pub(super) fleet: &'a Fleet,
     /// Index of each robot, by its composed name.
@@ -29,7 +29,7 @@ impl<'a> Roster<'a> {
         Self { fleet, index_of }
     }
 
-    /// Returns each robot once, in the order of the names. Unknown names are skipped.
+    /// Returns the robots that the names refer to, each once, in the order of the names. Unknown names are skipped.
     pub(super) fn robots(&self, roles: &HashMap<String, Vec<Name>>, names: &[Name]) -> Vec<usize> {
         let mut seen = std::collections::HashSet::new();
         let of_role = |name: &Name| roles.get(&name.text).cloned().unwrap_or_else(|| vec![name.clone()]);
@@ -37,7 +37,7 @@ impl<'a> Roster<'a> {
         all.filter(|robot| seen.insert(*robot)).collect()
     }
 
-    /// Reports a role that hides a robot or a group of the fleet.
+    /// Reports a role whose name is that of a robot or a group of the fleet.
     pub(super) fn check_role(&self, reader: &mut Reader, at: &At<'_>, name: &str) {
         let whose = match self.index_of.contains_key(composed(name).as_ref()) {
             true => "robot",
@@ -63,13 +63,13 @@ impl<'a> Roster<'a> {
 pub(super) struct Movements {
     pub(super) shared: Movement,
     pub(super) overrides: Vec<(Name, Movement)>,
-    /// Movements of single robots; `own_of` maps each robot of the cue to its movement.
+    /// Movements of single robots; for each robot of the cue, `own_of` contains the index of its movement here.
     pub(super) own: Vec<Movement>,
     pub(super) own_of: Vec<Option<usize>>,
 }
 
 impl Movements {
-    /// A group movement may take longer than the tracks.
+    /// Makes the movements last at least `length`, since a group movement may take longer than the tracks.
     pub(super) fn last_at_least(&mut self, length: Span) {
         let overrides = self.overrides.iter_mut().map(|(_, movement)| movement);
         for movement in std::iter::once(&mut self.shared).chain(overrides).chain(&mut self.own) {
@@ -111,7 +111,7 @@ pub(super) fn movements(
             Some(index) => (&overriding[index].shaping, differ[index]),
             None => (base, differs),
         };
-        // A fault for one robot is likely to be a fault for all.
+        // If one robot has a fault, the others are likely to have the same fault.
         if !differs || reader.found.len() > faults {
             read.own_of.push(None);
             continue;
@@ -127,7 +127,8 @@ pub(super) fn movements(
     read
 }
 
-/// Reads a movement as that of the only robot. Also returns whether it differs for other robots; in that case, nothing of it is kept.
+/// Reads a movement as for a group of one robot. Also returns whether the movement differs between robots; if it does, the result is
+/// discarded.
 fn probe(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> (Movement, bool) {
     let before = (reader.mark(), reader.knots);
     let movement = of_robot(reader, library, shaping, Robot { index: 0, count: 1 });

@@ -13,19 +13,19 @@ use crate::transit::Least;
 use downbeat_reader::keys::Kind;
 use downbeat_reader::{keys, words};
 
-/// Maximum turn: more would take more steps than any device holds.
+/// Maximum turn in degrees: a larger one would take more steps than any device holds.
 const DEGREES_MAX: f64 = 360_000.0;
-/// Largest factor.
+/// Maximum factor of `grow`.
 const GROW_MAX: f64 = 1_000.0;
 /// Maximum number of laps along a path.
 const LAPS_MAX: u32 = 100;
-/// Maximum shift, in metres.
+/// Maximum shift along an axis, in metres.
 const METRES_MAX: f64 = 1e6;
 
 const LEAST: [(&str, Least); 2] = [("total", Least::Total), ("longest", Least::Longest)];
 const SPARE: [(&str, Spare); 2] = [("stay", Spare::Stay), ("home", Spare::Home)];
 const THIN: [(&str, Thin); 2] = [("evenly", Thin::Evenly), ("nearest", Thin::Nearest)];
-/// The keys of a cue for the movement of its robots as a group, and its duration.
+/// Keys of a cue for the movement of its robots as a group, and for the duration of that movement.
 const GROUP: [&str; 6] = ["form", "turn", "grow", "shift", "along", "over"];
 
 keys! {
@@ -72,7 +72,7 @@ keys! {
     }
 }
 
-/// Reads the group movement of a cue.
+/// Reads the group movement of a cue, if it has one.
 pub(super) fn read(reader: &mut Reader, cue: &At<'_>, keys: &CueKeys<'_>) -> Option<Together> {
     let sweeps = [keys.turn, keys.grow, keys.shift, keys.along];
     let first = keys.form.or_else(|| sweeps.into_iter().flatten().next());
@@ -97,7 +97,7 @@ pub(super) fn read(reader: &mut Reader, cue: &At<'_>, keys: &CueKeys<'_>) -> Opt
         let expected = "only `over`, which sets the duration of the cue";
         reader.add(Code::UnknownKey, at.key_place(), message, expected, Some(hint.to_owned()));
     }
-    // Changes of a movement do not apply to groups.
+    // Keys that change a movement do not apply to groups.
     let shaping = [keys.scale, keys.mirror, keys.reverse, keys.repeat, keys.devices, keys.overrides];
     for at in shaping.into_iter().flatten() {
         let message = "this key is not supported for the movement of a group";
@@ -165,7 +165,7 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
     Some(Form { to: target, least, spare, thin })
 }
 
-/// Returns the shape in a place where the name of a formation is expected.
+/// Returns the key of a shape that is written where the name of a formation is expected.
 fn shape_within(node: &Node) -> Option<&'static str> {
     let Node::Map(entries) = node else { return None };
     SHAPES.into_iter().find(|shape| entries.iter().any(|(key, _)| key == shape))
@@ -255,7 +255,7 @@ fn degrees(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     in_bounds(reader, at, value, expected, DEGREES_MAX)
 }
 
-/// Returns the angle of a quarter turn in words.
+/// Returns the angle in degrees of a quarter turn that is written as a word.
 fn turn_of(word: &str) -> Option<i16> {
     match word {
         "left" | "counterclockwise" => Some(90),
@@ -286,7 +286,7 @@ fn numbers<const N: usize>(reader: &mut Reader, at: &At<'_>, expected: &str, mos
         }
         return None;
     }
-    // One finding is enough: all three items are likely to have the same fault.
+    // One finding is enough: all three numbers are likely to have the same fault.
     let read: Option<Vec<f64>> = items.iter().map(|at| bounded(reader, at, expected, most)).collect();
     read?.try_into().ok()
 }

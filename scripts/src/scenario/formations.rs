@@ -20,14 +20,14 @@ use crate::shown::shortened;
 use downbeat_reader::keys;
 use downbeat_reader::keys::Kind;
 
-/// Maximum length and coordinate, in metres: far more than robots need, and small enough to prevent overflow.
+/// Maximum length or coordinate in metres: far more than robots need, and small enough to prevent overflow.
 const METRES_MAX: f64 = 1e6;
-/// Maximum number of columns and of rows of a grid.
+/// Maximum number of columns, and of rows, in a grid.
 const SIDE_MAX: u32 = 10_000;
 
-/// Maximum number of characters of a text.
+/// Maximum number of characters in a `text` formation.
 const TEXT_MAX: usize = 200;
-/// Default angle between the arms of a V, in degrees: neighbours on the two arms are as far apart as those on one.
+/// Default angle between the arms of a V, in degrees. Neighbours on different arms are then as far apart as neighbours on the same arm.
 const VEE_ANGLE: f64 = 60.0;
 
 const LENGTH: &str = "a length above 0, in metres, up to 1000000";
@@ -35,7 +35,7 @@ const LENGTHS: &str = "lengths above 0 in metres, such as [1, 1, 2]";
 const POINT: &str = "a place in metres, such as [1, 0, 2.5]";
 const ROTATION: &str = "degrees about the vertical, or [roll, pitch, yaw] in degrees, such as [90, 0, 0]";
 
-/// The keys that are shapes.
+/// Keys of a formation that are shapes.
 pub(super) const SHAPES: [&str; 9] =
     ["points", "line", "circle", "grid", "v", "sphere", "text", "svg", "cloud"];
 
@@ -123,20 +123,20 @@ keys! {
     }
 }
 
-/// A shape with its default placing.
+/// A shape with its default position, rotation and scale.
 struct Shaped {
     shape: Shape,
     placing: Placing,
-    /// The longest side of its bounding box, if it does not depend on the number of robots.
+    /// The longest side of the shape's bounding box; `None` if it depends on the number of robots.
     longest: Option<f64>,
     /// Metres per unit of the shape; `None` if the scenario must set it.
     unit: Option<f64>,
-    /// The key that defines the size of the shape, if a single number does.
+    /// The key and the number that define the size of the shape; `None` if no single number does.
     size: Option<(&'static str, f64)>,
 }
 
 impl Shaped {
-    /// Creates a shape whose middle is at 0.
+    /// Creates a shape whose middle is at the origin.
     fn around_0(shape: Shape) -> Self {
         Self { shape, placing: Placing::default(), longest: None, unit: Some(1.0), size: None }
     }
@@ -146,7 +146,7 @@ impl Shaped {
     }
 }
 
-/// Reads one formation.
+/// Reads a formation, and reports its faults.
 pub(super) fn read(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'_>) -> WrittenFormation {
     let before = reader.found.len();
     let read = formation(reader, files, name, at).filter(|_| reader.found.len() == before);
@@ -154,7 +154,7 @@ pub(super) fn read(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'
     WrittenFormation { formation, place: at.key_place(), size: size.unwrap_or(("scale", 1.0)) }
 }
 
-/// Reads a formation and the key that defines its size.
+/// Reads a formation, and the key that defines its size.
 fn formation(
     reader: &mut Reader,
     files: &dyn Files,
@@ -188,7 +188,7 @@ fn formation(
     Some((Formation { shape, placing }, size))
 }
 
-/// Reads the single shape of a formation.
+/// Reads the shape of a formation, which must have exactly one.
 fn shape(
     reader: &mut Reader,
     files: &dyn Files,
@@ -244,7 +244,7 @@ fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped { placing: Placing::about(middle), longest, ..Shaped::around_0(Shape::Points(points)) })
 }
 
-/// `{spacing: 1}` or `{length: 6}`
+/// Reads `{spacing: 1}` or `{length: 6}`.
 fn read_line(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let LineKeys { spacing, length: whole } = reader.keys(at, "`line`")?;
     let (line, key, size) = match (spacing, whole) {
@@ -261,7 +261,7 @@ fn read_line(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped::around_0(Shape::Line(line)).of_size(key, size))
 }
 
-/// `{radius: 2}` or `{spacing: 1}`
+/// Reads `{radius: 2}` or `{spacing: 1}`.
 fn read_circle(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let CircleKeys { radius, spacing } = reader.keys(at, "`circle`")?;
     let (ring, key, size) = match (radius, spacing) {
@@ -278,7 +278,7 @@ fn read_circle(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped::around_0(Shape::Circle(ring)).of_size(key, size))
 }
 
-/// `{spacing: 1, columns: 4, rows: 3}`
+/// Reads `{spacing: 1, columns: 4, rows: 3}`.
 fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let GridKeys { spacing, columns, rows } = reader.keys(at, "`grid`")?;
     let side = |reader: &mut Reader, at: Option<At<'_>>| match at {
@@ -296,7 +296,7 @@ fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(if x == y && y == z { shaped.of_size("spacing", x) } else { shaped })
 }
 
-/// `{spacing: 1, angle: 60}`
+/// Reads `{spacing: 1, angle: 60}`.
 fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let VeeKeys { spacing, angle } = reader.keys(at, "`v`")?;
     let expected = "an angle between the arms above 0 and below 180 degrees";
@@ -320,14 +320,14 @@ fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     Some(Shaped::around_0(Shape::Vee(vee)).of_size("spacing", spacing))
 }
 
-/// `{radius: 2}`
+/// Reads `{radius: 2}`.
 fn read_sphere(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let SphereKeys { radius } = reader.keys(at, "`sphere`")?;
     let radius = radius.and_then(|at| length(reader, &at))?;
     Some(Shaped::around_0(Shape::Sphere(Ball { radius })).of_size("radius", radius))
 }
 
-/// `GO`, upright
+/// Reads a text such as `GO` as an upright shape.
 fn read_text(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let expected = "a text of 1 to 200 characters";
     let written = reader.name(at, expected)?;
@@ -349,7 +349,7 @@ fn read_text(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     }
 }
 
-/// `logo.svg`, upright
+/// Reads the path of an SVG file, such as `logo.svg`, as an upright shape.
 fn read_svg(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Shaped> {
     let (name, bytes) = bytes_of(reader, files, at, "the path of an SVG file")?;
     match svg::read(&bytes) {
@@ -358,7 +358,7 @@ fn read_svg(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Shape
     }
 }
 
-/// `statue.stl`
+/// Reads the path of a point file, such as `statue.stl`.
 fn read_cloud(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Shaped> {
     let (name, bytes) = bytes_of(reader, files, at, "the path of a PLY, STL or CSV file")?;
     let cloud = match cloud::read(&name, &bytes) {
@@ -379,7 +379,7 @@ fn read_cloud(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Sha
     Some(Shaped { placing: Placing::about(middle), longest, ..Shaped::around_0(shape) })
 }
 
-/// Turns strokes into an upright shape with its middle at 0.
+/// Turns strokes into an upright shape whose middle is at the origin.
 fn upright(strokes: &[text::FlatStroke], unit: Option<f64>) -> Shaped {
     let lines: Vec<Vec<Point>> =
         strokes.iter().map(|line| line.iter().map(|[x, y]| [*x, 0.0, *y]).collect()).collect();
@@ -418,7 +418,7 @@ fn unfit_file(reader: &mut Reader, at: &At<'_>, name: &str, unfit: Unfit) -> Opt
     None
 }
 
-/// Returns the factor that gives the longest side this length.
+/// Reads `size`, and returns the factor that gives the longest side of the shape this length.
 fn sized(reader: &mut Reader, shaped: &Shaped, at: &At<'_>, scale: Option<At<'_>>) -> Option<f64> {
     let size = length(reader, at)?;
     if scale.is_some() {
@@ -510,7 +510,7 @@ fn within(reader: &mut Reader, at: &At<'_>, value: f64, expected: &str) -> Optio
     None
 }
 
-/// Reads a place in metres.
+/// Reads a position: three coordinates in metres.
 pub(super) fn point(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     each_axis(reader, at, POINT, |reader, at| {
         let value = reader.number(at, POINT)?;
@@ -518,7 +518,7 @@ pub(super) fn point(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     })
 }
 
-/// Reads a rotation. A single number is a turn about the vertical.
+/// Reads a rotation in degrees. A single number is a rotation about the vertical.
 pub(super) fn rotation(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     match at.node {
         Node::List(_) => each_axis(reader, at, ROTATION, |reader, at| reader.degrees(at, ROTATION)),
@@ -526,7 +526,7 @@ pub(super) fn rotation(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     }
 }
 
-/// Reads a list of three values, one per axis.
+/// Reads a list of three values, one for each axis.
 fn each_axis(
     reader: &mut Reader,
     at: &At<'_>,
@@ -549,7 +549,7 @@ fn each_axis(
         reader.add(Code::WrongType, at.place(), message, expected, hint);
         return None;
     }
-    // One finding is enough: all three parts are likely to have the same fault.
+    // One finding is enough: all three values are likely to have the same fault.
     let numbers: Option<Vec<f64>> = parts.iter().map(|part| read(reader, part)).collect();
     Point::try_from(numbers?).ok()
 }

@@ -8,14 +8,14 @@ use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::motion::{Between, Curve, FormulaPart, Function, Knot, Shape};
 
-/// An item that has no number in the file.
+/// The item of a knot that has no number in the file.
 const NO_ITEM: u32 = u32::MAX;
-/// Assumed number of evaluations of a formula, for the budget of all expressions.
+/// Assumed number of evaluations of one formula, for the budget of all expressions.
 const LOOKS: usize = 64;
-/// Values that differ by less than this share of the largest one are equal.
+/// Share of the largest value. Values that differ by less are equal.
 const GAP: f64 = 1e-6;
 
-/// Reads the formula of a track, at `formula_at`, and its duration.
+/// Reads the formula of a track at `formula_at`, and the track's duration.
 pub(super) fn moved(
     reader: &mut Reader,
     at: &At<'_>,
@@ -61,7 +61,7 @@ pub(super) fn moved(
     }
 }
 
-/// Turns smooth pieces into functions, and jumps into two knots.
+/// Turns each smooth piece of a formula into a function, and each jump into two knots.
 fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
     let at = |time: Span| formula.at(seconds_of(time));
     let largest =
@@ -78,7 +78,7 @@ fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
             let jumps = (to - before).abs() > moved + GAP * largest;
             match jumps {
                 false => {}
-                // At the very beginning, the value of a formula is the one after the jump; at the very end, the one before it.
+                // At the very beginning, the value of a formula is the value after the jump; at the very end, the value before it.
                 true if index == 0 => knots[0].to = to,
                 true if index + 1 == pieces.len() => {}
                 true => {

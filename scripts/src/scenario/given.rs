@@ -1,4 +1,4 @@
-//! Origin of a value of a movement, if it is not its own place: a parameter that a cue passes to a move, or a change by the cue.
+//! Where a value of a movement comes from if not from its own place: a parameter that a cue passes to a move, or a change by the cue.
 
 use std::sync::Arc;
 
@@ -22,24 +22,24 @@ pub(crate) enum Change {
 }
 
 impl Changed {
-    /// Returns the value before the change.
+    /// Returns the value that this change turns into `value`.
     pub(crate) fn undone(&self, value: f64) -> f64 {
         self.about + (value - self.about) / self.factor
     }
 }
 
-/// Items that depend on a parameter, each with the place of its argument.
+/// Items whose values depend on a parameter, each with the place of its argument.
 pub(crate) type Givens = Vec<(u32, Given)>;
 
-/// The place of an argument.
+/// The place of a parameter's argument, on which a value depends.
 #[derive(Clone, Debug)]
 pub(crate) struct Given {
     pub(crate) place: Arc<Place>,
-    /// Whether the parameter is the whole value, not a part of an expression.
+    /// Whether the parameter is the whole value, not only a part of an expression.
     pub(crate) is_alone: bool,
 }
 
-/// Returns the place of the argument for the first parameter on which a value depends.
+/// Returns the place of the argument for the first parameter on which the value at `at` depends.
 pub(super) fn given(reader: &Reader, at: &At<'_>) -> Option<Given> {
     let Node::Text(text) = at.node else { return None };
     let is_part = |c: char| c.is_alphanumeric() || c == '_';

@@ -1,4 +1,4 @@
-//! Included files: plain, or under a name and with parameters, so that one file can be included several times.
+//! Included files: plain includes, and includes under a name or with parameters, by which one file can be included several times.
 
 use std::sync::Arc;
 
@@ -25,15 +25,15 @@ keys! {
     }
 }
 
-/// A file under `include`.
+/// An entry under `include`.
 pub(super) struct Included {
     pub(super) file: String,
     pub(super) place: Place,
-    /// Whether it has neither a name nor parameters, so that its names are shared by all files.
+    /// Whether the include is plain: without a name and parameters, so that all files share the included names.
     pub(super) is_plain: bool,
 }
 
-/// Returns the files under `include`; errors there are reported by [`check`].
+/// Returns the files under `include`. [`check`] reports errors there.
 pub(super) fn named(root: &Node, file: usize) -> Vec<Included> {
     let at = At::document(root, u16::try_from(file).unwrap_or(u16::MAX));
     let mut all = Vec::new();
@@ -63,7 +63,7 @@ fn each(root: &At<'_>, mut take: impl FnMut(&At<'_>)) {
     }
 }
 
-/// Reports errors under `include`.
+/// Reports errors in the entries under `include`.
 pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
     let items = match at.node {
         Node::List(_) => reader.list(at, EXPECTED),
@@ -99,15 +99,15 @@ fn of_file<'a>(name: &str, (file, node): (u16, &'a Node), place: Place) -> Used<
     Used { kind: "file", name: name.to_owned(), part: Shared { file, name: "", node, copy: 0 }, place }
 }
 
-/// The context in which copies are made.
+/// The copy of a file whose includes are being copied.
 struct Within<'n> {
     copy: usize,
-    /// The chain of files that include each other.
+    /// The files that include each other, from the scenario to this one.
     files: Vec<u16>,
     used: Option<&'n Arc<Use>>,
 }
 
-/// Adds every file that is included under a name or with parameters, once per include.
+/// Adds a copy for each include that has a name or parameters.
 pub(super) fn copies<'a>(reader: &mut Reader, library: &mut Library<'a>, documents: &'a Documents<'_>) {
     for (file, plain) in (0u16..).zip(&documents.plain) {
         if plain.is_some() {
@@ -173,7 +173,7 @@ fn refused(
     (library.copies.len() > INCLUDES_MAX).then_some((Code::TooMuch, message, hint))
 }
 
-/// One include under a name or with parameters.
+/// An include that has a name or parameters.
 struct Wanted<'n> {
     item: &'n At<'n>,
     name: &'n str,

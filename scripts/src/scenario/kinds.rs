@@ -1,4 +1,4 @@
-//! Kinds of values that several keys of a scenario accept.
+//! The kinds of values that several keys of a scenario share.
 
 use super::acts::{
     ON_DOUBT as ON_DOUBT_WORDS, ON_FAILURE as ON_FAILURE_WORDS, OnFailureKeys, WAIT_WORDS, WaitKeys,
@@ -164,9 +164,9 @@ named! {
     pub(super) static CANON = Kind::AnyOf(&[&TIME, &CanonKeys::KIND]);
 }
 
-/// A file, plain or under its own name.
+/// An entry under `include`: a file, plain or under its own name.
 static ONE_INCLUDE: Kind = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND]);
 /// Number of times that a movement is played.
 pub(super) static TURNS: Kind = schema!({"type": "integer", "minimum": 1, "maximum": 10000000});
-/// Two bounds separated by two dots.
+/// A range: two bounds separated by two dots.
 static RANGE: Kind = schema!({"type": "string", "pattern": "^.+\\.\\..+$"});

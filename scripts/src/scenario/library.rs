@@ -1,4 +1,4 @@
-//! The parts that cues share: included files, variables, moves, roles, formations, paths, the tempo.
+//! The parts that cues share: included files, variables, moves, sequences, roles, formations, paths, and the tempo.
 
 use std::borrow::Cow;
 use std::cell::{OnceCell, RefCell};
@@ -49,7 +49,7 @@ keys! {
     }
 }
 
-/// The keys for shared entries, which occur in scenarios and included files.
+/// The keys for shared parts, which both scenarios and included files may have.
 pub(super) struct Parts<'a> {
     pub(super) variables: Option<At<'a>>,
     pub(super) moves: Option<At<'a>>,
@@ -66,18 +66,18 @@ impl<'a> IncludedKeys<'a> {
     }
 }
 
-/// The scenario and its included files, as trees.
+/// The texts and trees of the scenario and its included files.
 #[derive(Debug, Default)]
 pub(crate) struct Documents<'a> {
     pub(crate) sources: Vec<Cow<'a, Source>>,
     pub(crate) nodes: Vec<Node>,
-    /// The name by which each file is included; empty for the scenario.
+    /// The name by which each file is included; empty for the scenario itself.
     pub(super) names: Vec<String>,
-    /// For each file, the place of its plain include, without a name and parameters.
+    /// For each file, the place of its plain include, which has no name and parameters; `None` if there is no such include.
     pub(super) plain: Vec<Option<Place>>,
 }
 
-/// Reads a scenario and everything that it includes, each file once.
+/// Reads a scenario and everything that it includes, each file only once.
 pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     let parse = |source: &Source| {
         let mut node = node::parse(source)?;
@@ -149,25 +149,25 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
 #[derive(Clone, Copy)]
 pub(crate) struct Shared<'a> {
     pub(crate) file: u16,
-    /// Its name in its file.
+    /// Name of the part in its own file.
     pub(crate) name: &'a str,
     pub(crate) node: &'a Node,
-    /// Index into [`Library::copies`].
+    /// Index in [`Library::copies`] of the copy to which the part belongs.
     pub(super) copy: usize,
 }
 
-/// A file that is included under a name or with parameters. The first one is the scenario with all its plain includes.
+/// A file that is included under a name or with parameters. The first copy is the scenario with all its plain includes.
 #[derive(Default)]
 pub(super) struct Copy {
-    /// Prefix of its names, such as `left.`.
+    /// Prefix of the names in this copy, such as `left.`.
     pub(super) prefix: String,
-    /// Its parameters and variables.
+    /// Parameters and variables of this copy.
     pub(super) values: Vec<Variable>,
-    /// The place of the include.
+    /// Place of the include that created this copy.
     pub(super) used: Option<Arc<Use>>,
 }
 
-/// Moves, sequences, roles, formations and paths by name, with access to data files.
+/// The moves, sequences, roles, formations and paths of all files, by name, with access to data files.
 pub(crate) struct Library<'a> {
     pub(super) moves: HashMap<String, Shared<'a>>,
     pub(super) sequences: HashMap<String, Shared<'a>>,
@@ -180,12 +180,12 @@ pub(crate) struct Library<'a> {
     pub(super) globals: usize,
     roster: Roster<'a>,
     used: RefCell<HashSet<(&'static str, String)>>,
-    /// Sorted names of all moves; created for the first finding that lists them.
+    /// Sorted names of all moves; created for the first finding that lists these names.
     names: OnceCell<Vec<String>>,
 }
 
 impl<'a> Library<'a> {
-    /// Registers the moves and sequences of all plain includes. Their errors are reported by [`Self::include`] and [`Self::add`].
+    /// Registers the moves and sequences of all plain includes. [`Self::include`] and [`Self::add`] report their errors.
     pub(super) fn new(documents: &'a Documents<'_>, files: &'a dyn Files, fleet: &'a Fleet) -> Self {
         let mut library = Self {
             moves: HashMap::new(),
@@ -208,7 +208,7 @@ impl<'a> Library<'a> {
         library
     }
 
-    /// Registers the moves and sequences of a file under their names in this copy.
+    /// Registers the moves and sequences of a file under the names that they have in the copy.
     pub(super) fn register(&mut self, node: &'a Node, file: u16, copy: usize) {
         let Node::Map(entries) = node else { return };
         let prefix = self.copies[copy].prefix.clone();
@@ -223,7 +223,7 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Replaces role names of the current copy by their global names.
+    /// Replaces names of roles in the current copy by their global names.
     pub(super) fn cast(&self, reader: &Reader, mut names: Vec<Name>) -> Vec<Name> {
         names.iter_mut().for_each(|name| self.cast_name(reader, name));
         names
@@ -236,7 +236,7 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Replaces the name of a formation or a path of the current copy by its global name.
+    /// Replaces the name of a formation or a path in the current copy by its global name.
     pub(super) fn form_name(&self, reader: &Reader, group: &mut Together) {
         let own = |name: &str| format!("{}{name}", self.copies[reader.nesting.copy].prefix);
         let named = match &mut group.action {
@@ -253,17 +253,17 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Returns the robots that the names refer to, as far as they are known.
+    /// Returns the robots that the names refer to. Unknown names are skipped.
     pub(super) fn robots(&self, names: &[Name]) -> Vec<usize> {
         self.roster.robots(&self.roles, names)
     }
 
-    /// Returns the context of groups.
+    /// Returns the fleet, formations and paths, on which group movements depend.
     pub(super) fn ground(&self) -> Ground<'_> {
         Ground { fleet: self.roster.fleet, formations: &self.formations, paths: &self.paths }
     }
 
-    /// Adds a plain included file.
+    /// Adds the contents of a plain included file.
     pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, named: (&str, &Place)) {
         let at = At::document(node, file);
         let Some(keys) = reader.keys::<IncludedKeys<'_>>(&at, "an included file") else { return };
@@ -338,10 +338,10 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// Returns the move with this name.
+    /// Returns the move with this name, and reports a name that no move has.
     pub(super) fn get(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("move", reader, name);
-        // An error in `moves` as a whole is already reported.
+        // A wrong value of `moves` as a whole is already reported.
         if found.is_none() && !reader.is_wrong("moves") {
             let known = || self.names.get_or_init(|| sorted(&self.moves)).iter().map(String::as_str);
             let none = || known().next().is_none().then(|| "define it under `moves`".to_owned());
@@ -363,7 +363,7 @@ impl<'a> Library<'a> {
         found.map(|(name, part)| Used { kind: "move", name, part, place: at.place() })
     }
 
-    /// Returns the sequence with this name.
+    /// Returns the sequence with this name, and reports a name that no sequence has.
     pub(super) fn sequence(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("sequence", reader, name);
         if found.is_none() && !reader.is_wrong("sequences") {
@@ -376,7 +376,7 @@ impl<'a> Library<'a> {
         found.map(|(name, part)| Used { kind: "sequence", name, part, place: at.place() })
     }
 
-    /// Searches the names of the current copy first, then all names.
+    /// Searches for the name in the current copy first, then among all names.
     fn find(&self, kind: &'static str, reader: &Reader, name: &str) -> Option<(String, Shared<'a>)> {
         let parts = self.parts(kind);
         let own = format!("{}{name}", self.copies[reader.nesting.copy].prefix);
@@ -386,7 +386,7 @@ impl<'a> Library<'a> {
         Some((name, part))
     }
 
-    /// Returns everything that cues can use, with its kind, name and definition.
+    /// Returns all moves and sequences that cues can use, each with its kind, name and definition.
     pub(crate) fn offered(&self) -> impl Iterator<Item = (&'static str, String, Shared<'a>)> {
         let of =
             |kind: &'static str| self.parts(kind).iter().map(move |(name, part)| (kind, name.clone(), *part));
@@ -405,7 +405,7 @@ fn sorted(parts: &HashMap<String, Shared<'_>>) -> Vec<String> {
 }
 
 impl Library<'_> {
-    /// Returns moves or sequences that nothing uses, so that their errors are reported as well.
+    /// Returns the names of moves or sequences that nothing uses, so that their errors are reported as well.
     pub(super) fn unused(&self, kind: &'static str) -> Vec<String> {
         let used = self.used.borrow();
         let names = self.parts(kind).keys().cloned();
@@ -421,7 +421,7 @@ fn twice(reader: &mut Reader, at: &At<'_>, what: &str, name: &str) {
     reader.add(Code::NameTwice, at.key_place(), message, format!("each {what} once"), hint);
 }
 
-/// Returns the name of a variable or a parameter in its definition, without the `$` of its uses.
+/// Returns the name of a variable or a parameter that is being defined, without a `$`. Reports a `$`, which belongs only to uses.
 pub(super) fn plain_name<'n>(reader: &mut Reader, at: &At<'_>, name: &'n str, what: &str) -> &'n str {
     let Some(plain) = name.strip_prefix('$') else { return name };
     let message = format!("unexpected `$` in the definition of the {what} `{}`", shortened(name));
@@ -431,7 +431,7 @@ pub(super) fn plain_name<'n>(reader: &mut Reader, at: &At<'_>, name: &'n str, wh
     plain
 }
 
-/// Reads a number, a text or a boolean.
+/// Reads a number, a text or a truth value.
 pub(super) fn scalar(reader: &mut Reader, at: &At<'_>) -> Option<Node> {
     if is_spread(at.node) {
         return reader.spread(at).map(Node::Text);
@@ -445,7 +445,7 @@ pub(super) fn scalar(reader: &mut Reader, at: &At<'_>) -> Option<Node> {
     }
 }
 
-/// Sets the tempo for everything that is read afterwards.
+/// Reads the tempo and the time signature, which apply to everything that is read afterwards.
 pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Option<At<'_>>) {
     let beats_a_bar = signature.and_then(|at| read_signature(reader, &at)).unwrap_or(4);
     let Some(at) = tempo else { return };
@@ -523,7 +523,7 @@ fn bpm(reader: &mut Reader, at: &At<'_>) -> Option<Fraction> {
     None
 }
 
-/// Reads the beats per bar of a signature such as `3/4`.
+/// Reads a time signature such as `3/4`, and returns its beats per bar.
 fn read_signature(reader: &mut Reader, at: &At<'_>) -> Option<u8> {
     let expected = "a time signature such as 3/4";
     let text = reader.text(at, expected)?;

@@ -1,7 +1,7 @@
-//! The scenario as written, with variables and moves expanded. `compile` resolves names of robots against the fleet.
+//! A scenario as written, with variables and moves expanded. `compile` resolves the names of robots against the fleet.
 //!
-//! `library` reads the shared parts of cues, `formations` places, `paths` paths, `cue` a cue, `when` its times, `track` the movement of
-//! one device, `acts` the graph.
+//! `library` reads the parts that cues share, `formations` places, and `paths` paths. `cue` reads a cue, `when` the times of a cue, and
+//! `track` the movement of one device. `acts` reads the graph of acts.
 
 mod acts;
 mod canon;
@@ -59,12 +59,12 @@ pub(crate) use library::{Documents, Shared};
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 
-/// Default of the largest permitted spread of starts.
+/// Default value of the largest permitted spread of starts.
 const START_TOLERANCE: Span = Span::from_millis(10);
-/// Default running lease: two seconds of silence.
+/// Default running lease in milliseconds: two seconds of silence.
 const RUNNING_LEASE_MS: f64 = 2_000.0;
 
-/// A choreography as written.
+/// A scenario as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scenario {
     pub(crate) name: String,
@@ -73,7 +73,7 @@ pub(crate) struct Scenario {
     pub(crate) stop_condition: StopCondition,
     pub(crate) lease_place: Option<Place>,
     pub(crate) requirements: Requirements,
-    /// Place of the required least distance between bodies.
+    /// Place in the file of the required least distance between bodies; `None` if it is not required.
     pub(crate) closest_place: Option<Place>,
     pub(crate) roles: HashMap<String, Vec<Name>>,
     pub(crate) formations: HashMap<String, WrittenFormation>,
@@ -82,10 +82,10 @@ pub(crate) struct Scenario {
     pub(crate) at_end: Option<AtEnd>,
 }
 
-/// After a successful mission, devices move to their default values.
+/// What the scenario requires under `at_end`: devices move to their default values after a successful mission.
 #[derive(Clone, Debug)]
 pub(crate) struct AtEnd {
-    /// Duration of the movement; if `None`, it follows from the limits of the devices.
+    /// Duration of this movement; `None` if it follows from the limits of the devices.
     pub(crate) over: Option<Span>,
     pub(crate) place: Place,
 }
@@ -96,11 +96,11 @@ pub(crate) struct Act {
     pub(crate) name: String,
     pub(crate) place: Place,
     pub(crate) cues: Vec<Cue>,
-    /// Number of faults found in its cues; their times may therefore be incomplete.
+    /// Number of faults found in the act's cues, whose times may therefore be incomplete.
     pub(crate) faults: usize,
-    /// Zones with the order of their cues; the act's own zones are last. Acts without own zones share a list.
+    /// Zones with the order of their cues; the act's own zones are last. Acts without their own zones share a list.
     pub(crate) zones: Arc<[(String, Order)]>,
-    /// Order of cues that are kept apart.
+    /// Order of cues that `apart` separates.
     pub(crate) order: Order,
     pub(crate) wait: WrittenWait,
     pub(crate) next: Option<Name>,
@@ -111,55 +111,55 @@ pub(crate) struct Act {
 /// Order of cues that need the same zone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Order {
-    /// As in the file.
+    /// Cues occupy the zone in the order of the file.
     #[default]
     Given,
-    /// The best order found.
+    /// Cues occupy the zone in the best order that a search finds.
     Auto,
 }
 
-/// Some robots move some devices.
+/// A cue: some robots move some devices.
 #[derive(Clone, Debug)]
 pub(crate) struct Cue {
     pub(crate) name: String,
     pub(crate) place: Place,
     pub(crate) relations: Vec<Relation>,
-    /// Fixed or bounded length, to which its movement is stretched.
+    /// Fixed or bounded length to which the cue's movement is stretched; `None` if it keeps its length.
     pub(crate) duration: Option<Bounds>,
     pub(crate) robots: Vec<Name>,
     pub(crate) robots_place: Place,
-    /// The movement of robots without an override.
+    /// The movement of robots that have neither an override nor a movement of their own.
     pub(crate) movement: Movement,
     pub(crate) overrides: Vec<(Name, Movement)>,
-    /// Movements of single robots, which depend on the robot's index.
+    /// Movements of single robots, if the movement depends on the robot's index.
     pub(crate) own: Vec<Movement>,
-    /// Index into `own` for each robot of the cue, in order; empty if there are none.
+    /// For each robot of the cue, in order, the index of its movement in `own`; empty if there are none.
     pub(crate) own_of: Vec<Option<usize>>,
-    /// Delay of each robot relative to the cue.
+    /// Delay of each robot's start after the start of the cue.
     pub(crate) canon: Canon,
     pub(crate) uses: Vec<Name>,
     pub(crate) apart: Vec<Name>,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) off_grid: OffGrid,
     pub(crate) readings: Vec<Reading>,
-    /// The movement of the robots as a group in space.
+    /// The movement of the robots as a group in space; `None` if the cue has none.
     pub(crate) group: Option<Together>,
-    /// The group's movements, if its places were known when the cue was read.
+    /// The group's movements; `None` if the robots' places were unknown when the cue was read.
     pub(crate) rehearsed: Option<Rehearsed>,
-    /// Default for its tracks.
+    /// Default tolerance of the cue's tracks.
     pub(crate) tolerance: Option<f64>,
     pub(crate) text: CueText,
 }
 
-/// The tracks of a cue for some robots.
+/// The tracks that some robots of a cue play.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Movement {
     pub(crate) tracks: Vec<Track>,
-    /// Delay relative to the cue.
+    /// Delay of the movement after the start of the cue.
     pub(crate) delay: Span,
     pub(crate) length: Span,
     pub(crate) repetition: Option<Repetition>,
-    /// Parameters without a value, which are faults only if a robot plays the movement.
+    /// Parameters that have no value. They are faults only if a robot plays the movement.
     pub(crate) unset: Vec<Unset>,
 }
 
@@ -177,37 +177,37 @@ pub(crate) struct Track {
     pub(crate) device: String,
     pub(crate) control: Option<ControlType>,
     pub(crate) motion: Motion,
-    /// Exact length, before rounding to the clock.
+    /// Exact length of the track, before rounding to the clock.
     pub(crate) length: Exact,
-    /// Exact delay relative to the movement, before rounding to the clock.
+    /// Exact delay of the track after the start of the movement, before rounding to the clock.
     pub(crate) begin: Exact,
-    /// The same delay, rounded to the clock.
+    /// Like `begin`, rounded to the clock.
     pub(crate) starts: Span,
-    /// The component movements, if a move plays several.
+    /// If a move plays several movements on the device, these movements; otherwise empty.
     pub(crate) pieces: Vec<Piece>,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
-    /// Place of the track's key.
+    /// Place of the track's key in the file.
     pub(crate) place: Place,
-    /// Total number of times that it is played.
+    /// Total number of times that the track is played.
     pub(crate) turns: u32,
-    /// Kind of its items: keyframes, points, pieces, rows.
+    /// Kind of the track's items: keyframes, points, pieces or rows.
     pub(crate) items: Items,
-    /// Place of the list of its keyframes.
+    /// Place of the list of the track's items in the file.
     pub(crate) list: Place,
-    /// Items that depend on a parameter, with the place of the argument.
+    /// Items that depend on a parameter, each with the place of the argument.
     pub(crate) given: Givens,
-    /// The last change of all its values.
+    /// The last change that the cue makes to all values of the track; `None` without such a change.
     pub(crate) changed: Option<Changed>,
 }
 
-/// A separate movement within a track.
+/// One of several movements in a track.
 #[derive(Clone, Debug)]
 pub(crate) struct Piece {
-    /// Index of its first item among those of the track.
+    /// Index of the piece's first item among all items of the track.
     pub(crate) first: u32,
     pub(crate) items: Items,
-    /// Place of the list of its items.
+    /// Place of the list of the piece's items in the file.
     pub(crate) list: Place,
 }
 
@@ -218,12 +218,12 @@ pub(crate) enum Items {
     Points,
     Pieces,
     Rows,
-    /// It has no items.
+    /// The movement has no items.
     Whole,
 }
 
 impl Items {
-    /// Returns the singular, for messages.
+    /// Returns the singular word for an item, for messages.
     pub(crate) const fn one(self) -> &'static str {
         match self {
             Self::Keyframes => "keyframe",
@@ -235,24 +235,24 @@ impl Items {
     }
 }
 
-/// One value over time, or several values at certain times.
+/// The values of a track: one value over time, or several values at certain times.
 #[derive(Clone, Debug)]
 pub(crate) enum Motion {
     Curve(Curve),
     Vectors(Vectors),
 }
 
-/// Treatment of values off a device's grid.
+/// How values off a device's grid are handled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum OffGrid {
-    /// A finding.
+    /// The value is reported as an error.
     #[default]
     Refuse,
-    /// The nearest value on the grid, with a warning.
+    /// The device takes the nearest value on its grid, with a warning.
     Snap,
 }
 
-/// A sensor reading at a time of a cue.
+/// A sensor reading at a time after the start of a cue.
 #[derive(Clone, Debug)]
 pub(crate) struct Reading {
     pub(crate) sensor: String,
@@ -261,7 +261,7 @@ pub(crate) struct Reading {
 }
 
 impl Reading {
-    /// The place of the sensor's name.
+    /// Returns the place of the sensor's name in the file.
     pub(crate) fn key_place(&self) -> Place {
         let is_sensor = |part: &Part| matches!(part, Part::Key(key, _) if *key == self.sensor);
         let path = &self.place.path;
@@ -271,19 +271,20 @@ impl Reading {
 }
 
 impl Scenario {
-    /// Returns the latest end of its acts: a script is sent with the sum of its start and the lead.
+    /// Returns the latest time at which an act may end. It depends on the lead, because a script is sent with the sum of its start and
+    /// the lead.
     pub(crate) fn horizon(&self) -> Span {
         longest() - self.lead.unwrap_or_default().max(LEADS.1)
     }
 
-    /// Returns the context of its groups.
+    /// Returns the fleet, formations and paths, on which group movements depend.
     pub(crate) fn ground<'a>(&'a self, fleet: &'a Fleet) -> Ground<'a> {
         Ground { fleet, formations: &self.formations, paths: &self.paths }
     }
 }
 
 impl Track {
-    /// Returns the kind of the item at this index, its own index from 0 (`None` for a whole movement), and its place.
+    /// Returns the kind of the item at this index, its index in its own list from 0 (`None` for a whole movement), and its place.
     pub(crate) fn item(&self, item: u32) -> (Items, Option<u32>, Place) {
         let (items, own, list) = match self.pieces.iter().rfind(|piece| piece.first <= item) {
             Some(piece) if item != u32::MAX => (piece.items, item - piece.first, &piece.list),
@@ -296,7 +297,7 @@ impl Track {
         }
     }
 
-    /// Returns the place of the argument on which an item depends.
+    /// Returns the place of the argument on which an item depends; `None` if it depends on none.
     pub(crate) fn given(&self, item: u32) -> Option<&Place> {
         self.given_as(item).map(|given| given.place.as_ref())
     }
@@ -305,14 +306,14 @@ impl Track {
         self.given.iter().find(|(known, _)| *known == item).map(|(_, given)| given)
     }
 
-    /// Exact end, before rounding to the clock.
+    /// Exact end of the track, before rounding to the clock.
     pub(crate) fn end(&self) -> Exact {
         self.begin.plus(self.length)
     }
 }
 
 impl Motion {
-    /// Memory usage, in knots.
+    /// Memory usage of the motion, in knots.
     pub(crate) fn size(&self) -> usize {
         match self {
             Self::Curve(curve) => curve.size(),
@@ -328,10 +329,10 @@ impl Motion {
     }
 }
 
-/// Returns the path of the fleet file in a scenario, relative to the scenario's folder.
+/// Returns the path of the fleet file that a scenario names, relative to the scenario's folder.
 #[must_use]
 pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
-    // Cheap check before parsing the text.
+    // This check is cheap compared with parsing the text.
     if !source.text.contains("fleet") {
         return None;
     }
@@ -342,7 +343,7 @@ pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
     })
 }
 
-/// Moves a finding about the fleet file to the place where the scenario refers to that file.
+/// Moves a finding about the fleet file to the place in the scenario that names the fleet file.
 #[must_use]
 pub fn place_at_fleet(source: &Source, about: Finding) -> Finding {
     let mut reader = Reader::default();
@@ -441,17 +442,17 @@ keys! {
     }
 }
 
-/// The keys of scenarios.
+/// Returns the declaration of the keys of a scenario.
 pub(crate) fn scenario_keys() -> &'static Declaration {
     ScenarioKeys::declaration()
 }
 
-/// The keys of files that scenarios include.
+/// Returns the declaration of the keys of a file that scenarios include.
 pub(crate) fn included_keys() -> &'static Declaration {
     library::IncludedKeys::declaration()
 }
 
-/// Reads the trees of a scenario and its includes. Invalid parts are reported and skipped.
+/// Reads the trees of a scenario and its included files. Reports and skips invalid parts.
 pub(crate) fn read(
     reader: &mut Reader,
     documents: &Documents<'_>,
@@ -503,7 +504,7 @@ pub(crate) fn read(
     Some(scenario)
 }
 
-/// `home`, or `home` with a duration.
+/// Reads `home`, or a map of `home` with a duration.
 fn read_at_end(reader: &mut Reader, at: &At<'_>) -> Option<AtEnd> {
     let place = at.place();
     let Node::Map(_) = at.node else {
@@ -514,7 +515,7 @@ fn read_at_end(reader: &mut Reader, at: &At<'_>) -> Option<AtEnd> {
     Some(AtEnd { over, place })
 }
 
-/// Reads the parts that cues share, from all files.
+/// Reads the parts that cues share, such as moves and formations, from all files.
 fn shared<'a>(
     reader: &mut Reader,
     documents: &'a Documents<'_>,
@@ -535,7 +536,7 @@ fn shared<'a>(
     library
 }
 
-/// Returns the shared parts of a scenario's cues, without the cues.
+/// Returns the parts that a scenario's cues share, without reading the cues.
 pub(crate) fn library_of<'a>(
     reader: &mut Reader,
     documents: &'a Documents<'_>,
@@ -547,7 +548,7 @@ pub(crate) fn library_of<'a>(
     Some(shared(reader, documents, files, fleet, &keys))
 }
 
-/// Reads how early scripts are sent; the rest of the horizon remains for the act.
+/// Reads the lead: how early scripts are sent. The rest of the horizon remains for the act.
 fn read_lead(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
     let (lead, (most, _)) = (reader.duration(at)?, LEADS);
     if lead > most {
@@ -560,7 +561,7 @@ fn read_lead(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
 /// Reads a scenario and everything that it includes.
 ///
 /// # Errors
-/// The findings if a file cannot be read or is not YAML.
+/// Returns the findings if a file cannot be read or is not YAML.
 pub(crate) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     library::documents(source, files)
 }

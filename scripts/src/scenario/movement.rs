@@ -1,4 +1,4 @@
-//! The movement of a cue: a move with its parameters, tracks, and the changes that apply to them.
+//! The movement of a cue: a move with its parameters, or tracks, and the changes that apply to them.
 
 use urrcp::Span;
 
@@ -75,7 +75,7 @@ keys! {
     also {"maxProperties": 2, "minProperties": 1}
 }
 
-/// The keys that define a movement.
+/// The keys of a cue or a played move that define a movement.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Shaping<'a> {
     pub(super) named: Option<At<'a>>,
@@ -114,13 +114,13 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     Movement { tracks, delay, length, repetition, unset: std::mem::take(&mut reader.unset) }
 }
 
-/// Tracks after all changes, with their repetition.
+/// The tracks of a movement after all changes, with their repetition.
 pub(super) struct Shaped {
     pub(super) tracks: Vec<Track>,
     repetition: Option<Repetition>,
 }
 
-/// Reads the tracks of a move and those next to it, then maps, scales, mirrors, reverses and repeats them.
+/// Reads the tracks of a move and the tracks written next to it, then maps, scales, mirrors, reverses and repeats them.
 pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Option<Shaped> {
     if reader.knots.is_overdrawn() || reader.is_full() {
         return None;
@@ -164,18 +164,18 @@ pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shapi
     Some(Shaped { tracks, repetition })
 }
 
-/// Exact length, before rounding to the clock.
+/// Returns the exact end of the last track, before rounding to the clock.
 pub(super) fn length(tracks: &[Track]) -> Exact {
     tracks.iter().map(Track::end).max().unwrap_or_default()
 }
 
-/// Reverses the tracks within the length of the longest one.
+/// Reverses each track within the length of the longest one.
 fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     let exact = length(tracks);
     let starts = |track: &Track| reader.music.start.lay(track.begin);
     let longest = tracks.iter().map(|track| starts(track) + track.motion.length()).max().unwrap_or_default();
     for track in tracks {
-        // A played movement keeps its place: nothing moves the device before or after it.
+        // The movement of a played move keeps its time: nothing moves the device before or after it.
         let is_played = !track.pieces.is_empty();
         let within = if is_played { track.motion.length() } else { longest };
         curves(std::slice::from_mut(track), at, reader, |curve| curve.reverse(within));
@@ -188,7 +188,7 @@ fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     }
 }
 
-/// Whether there is room for the tracks: every cue has its own copy of a move.
+/// Whether the budget has room for the tracks: every cue has its own copy of a move. Reports the first cue that exceeds it.
 fn taken(reader: &mut Reader, shaping: &Shaping<'_>, tracks: &[Track]) -> bool {
     // Played movements were already counted when they were read.
     let own = tracks.iter().filter(|track| track.pieces.is_empty());
@@ -237,7 +237,7 @@ fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Optio
     within(reader, library, &used, [parameters, given], read).unwrap_or_default()
 }
 
-/// Checks a move that no cue uses, as far as its parameters have values.
+/// Checks a move that no cue uses, except for parts that depend on parameters without a value.
 pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &str) {
     let Some(part) = library.moves.get(name) else { return };
     let root = At::document(&Node::Null, part.file);
@@ -283,7 +283,7 @@ fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     }
 }
 
-/// The target of a transformation: some devices, and the reference value.
+/// What a transformation applies to: the devices (`None` for all), and the reference value.
 struct Aim {
     about: f64,
     devices: Option<Vec<Name>>,
@@ -353,7 +353,7 @@ fn affine(
     }
 }
 
-/// Transforms the tracks that support it.
+/// Transforms the tracks whose kind of motion supports it.
 fn curves(
     tracks: &mut [Track],
     at: &At<'_>,
@@ -407,13 +407,13 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) -> Option<Repe
     (times > 1).then_some(Repetition { times, length: longest_track, every: cycle })
 }
 
-/// Number of times that a movement is played, and the interval between the starts.
+/// Number of times that a movement is played, and the interval between the starts of its repetitions.
 struct Turns {
     times: u32,
     cycle: Exact,
 }
 
-/// Reads a number of times, or computes how many whole repetitions fit.
+/// Reads how often a movement is played, or computes how many whole repetitions fit into a given time.
 fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
     if is_spread(at.node) || !matches!(at.node, Node::Map(_)) {
         return reader.count(at, 1, REPEATS_MAX).map(|times| Turns { times, cycle: once });
@@ -454,7 +454,7 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
     None
 }
 
-/// Reads the interval between repetitions: each begins when the previous one has ended, or later.
+/// Reads the interval between the starts of repetitions. It is at least the length of the movement.
 fn cycle(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Exact> {
     let cycle = reader.exact(at)?;
     if cycle >= once {

@@ -1,5 +1,5 @@
-//! Reading of nested parts: moves within moves, cues of sequences, files with parameters. Handles their parameters, the names visible to
-//! them, and the bounds that prevent following cycles or repeated doubling.
+//! Reading of nested parts: moves within moves, cues of sequences, files with parameters. Handles their parameters and the names visible
+//! to them. Limits prevent that reading follows a cycle, or a part that doubles at each level.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,24 +13,24 @@ use crate::finding::{Code, Place, Use, did_you_mean_this, one_of};
 use crate::node::Node;
 use crate::shown::shortened;
 
-/// A move or a sequence at the place where it is used.
+/// A move or a sequence, and the place where it is used.
 pub(super) struct Used<'a> {
-    /// `move` or `sequence`.
+    /// Kind of the part: `move` or `sequence`.
     pub(super) kind: &'static str,
     pub(super) name: String,
     pub(super) part: Shared<'a>,
-    /// Place of its name there.
+    /// Place of the name that refers to the part.
     pub(super) place: Place,
 }
 
 impl Used<'_> {
-    /// `the move `wave``.
+    /// Describes the part, for example `the move `wave``.
     pub(super) fn what(&self) -> String {
         format!("the {} `{}`", self.kind, shortened(&self.name))
     }
 
-    /// Returns the use that findings refer to. Omits a move used directly by a cue of the scenario, because its findings are the same for
-    /// all cues.
+    /// Returns the use to which findings in the part refer. This omits a direct use of a move by a cue of the scenario, because findings
+    /// in the move are the same for all cues.
     pub(super) fn told(&self, reader: &Reader, library: &Library<'_>) -> Option<Arc<Use>> {
         if self.kind == "move" && self.place.used.is_none() && reader.nesting.inside.is_empty() {
             return library.copies[self.part.copy].used.clone();
@@ -40,8 +40,8 @@ impl Used<'_> {
     }
 }
 
-/// Reads a used part with its parameters and the names that its own file can use. Reports a cycle or too deep nesting, and returns
-/// `None`.
+/// Reads a used part with its parameters and the names that are visible in its own file. `None` if the part uses itself or is nested too
+/// deeply, which is reported.
 pub(super) fn within<R>(
     reader: &mut Reader,
     library: &Library<'_>,
@@ -73,7 +73,7 @@ pub(super) fn within<R>(
     Some(result)
 }
 
-/// Returns the place of each parameter's value. For a parameter that is passed on, this is the place where it was first given.
+/// Returns the place of each parameter's value. For a value that is passed on, this is the place where it was first given.
 fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
     let Node::Map(entries) = given.node else { return Vec::new() };
     let place = |(name, node): &(String, Node)| {
@@ -83,7 +83,7 @@ fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
     entries.iter().map(place).collect()
 }
 
-/// Whether the part is already being read, or the nesting is too deep.
+/// Whether the part is already being read, or is nested too deeply. Reports either.
 fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
     let inside = &reader.nesting.inside;
     let (place, depth) = (used.place.clone(), inside.len());
@@ -99,7 +99,7 @@ fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
     }
     if depth >= DEPTH_MAX {
         let message = format!("{what} is nested in {depth} others");
-        // Repeated doubling at this depth is not followed any further.
+        // Stops the reading of parts that double at each level.
         (reader.nesting.plays, reader.nesting.cues) =
             (Budget::overdrawn(PLAYS_MAX), Budget::overdrawn(SEQUENCE_CUES_MAX));
         let hint = Some("replace some of them with their contents".to_owned());
@@ -109,7 +109,7 @@ fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
     false
 }
 
-/// Describes a cycle, identically for every entry point.
+/// Describes a cycle of parts, with the same text for every part at which it is entered.
 fn around(inside: &[String]) -> String {
     let least = (0..inside.len()).min_by_key(|index| &inside[*index]).unwrap_or(0);
     let mut chain = inside.iter().cycle().skip(least).take(inside.len());
@@ -122,7 +122,7 @@ fn around(inside: &[String]) -> String {
     }
 }
 
-/// Whether one more move may be played; reports the first one that may not.
+/// Whether one more move may be played; reports the first move that may not.
 pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
     if reader.nesting.has_too_many_plays() {
         return false;
@@ -138,7 +138,7 @@ pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
     false
 }
 
-/// Returns the arguments for the parameters, as defined at the call.
+/// Returns the arguments for the part's parameters, with the values that variables have at the place of use.
 pub(super) fn arguments(
     reader: &mut Reader,
     used: &Used<'_>,
@@ -157,12 +157,12 @@ pub(super) fn arguments(
                 };
                 values.push(((*parameter).to_owned(), value));
             }
-            // The parameters as a whole already have a finding.
+            // A wrong value of `parameters` as a whole already has a finding.
             None if parameters.is_some_and(|at| !matches!(at.node, Node::Map(_))) => {}
             None => {
                 let known = || declared(parameters).map(|(known, _)| known.as_str());
                 let hint = reader.did_you_mean(parameter, known());
-                // A misspelt parameter is not reported as missing, too.
+                // A misspelt parameter is not reported as missing as well.
                 let is_meant = |name: &&str| hint.as_ref() == Some(&did_you_mean_this(name));
                 meant.extend(known().find(is_meant).map(|name| (name.to_owned(), None)));
                 let message = format!("{} has no parameter `{}`", used.what(), shortened(parameter));
@@ -174,7 +174,7 @@ pub(super) fn arguments(
     values
 }
 
-/// Returns the declared parameters with their defaults.
+/// Returns the parameters that a part declares, with their defaults.
 fn declared<'a>(parameters: Option<&'a At<'a>>) -> impl Iterator<Item = &'a (String, Node)> {
     let entries: &[(String, Node)] = match parameters.map(|at| at.node) {
         Some(Node::Map(entries)) => entries,
@@ -183,7 +183,7 @@ fn declared<'a>(parameters: Option<&'a At<'a>>) -> impl Iterator<Item = &'a (Str
     entries.iter()
 }
 
-/// The kind of a value, as far as its form shows.
+/// The kind of a value, as far as its written form shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Number,
@@ -198,7 +198,7 @@ impl Kind {
             Node::Number(_) => Some(Self::Number),
             Node::Bool(_) => Some(Self::Truth),
             Node::Text(text) if parse_duration(text).is_some() => Some(Self::Time),
-            // The kind of thing that a word names is known only where it is used.
+            // What a word names, such as a device or a move, is known only where it is used.
             Node::Text(text) if is_word(text) => Some(Self::Word),
             _ => None,
         }
@@ -214,19 +214,19 @@ impl Kind {
     }
 }
 
-/// Whether a text is neither an expression nor a length in the music.
+/// Whether a text is a word: neither an expression nor a length in the music.
 fn is_word(text: &str) -> bool {
     text.starts_with(char::is_alphabetic) && !expression::is_one(text)
 }
 
-/// Whether the ends of a spread value have the kind of the parameter's default. Reports each one that does not.
+/// Whether both ends of a spread value have the kind of the parameter's default. Reports each end that does not.
 fn ends_suit(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node) -> bool {
     let Node::Map(entries) = at.node else { return true };
     let ends = entries.iter().filter(|(key, _)| is_spread(at.node) && (key == "from" || key == "to"));
     ends.fold(true, |all, (key, end)| suits(reader, &at.entry(key, 0, end), parameter, default, end) && all)
 }
 
-/// Whether a value has the kind of the parameter's default, if both kinds are known by their form.
+/// Whether a value has the kind of the parameter's default; also true if the form of either does not show its kind. Reports a mismatch.
 fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, value: &Node) -> bool {
     let (Some(wanted), Some(found)) = (Kind::of(default), Kind::of(value)) else { return true };
     if wanted == found || wanted == Kind::Word {
@@ -255,7 +255,7 @@ fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, valu
     false
 }
 
-/// Returns the value of each parameter: its argument or its default.
+/// Returns the value of each parameter: its argument or, without one, its default.
 pub(super) fn with_defaults(
     reader: &mut Reader,
     used: &Used<'_>,
@@ -281,13 +281,13 @@ pub(super) fn with_defaults(
             }
             _ => scalar(reader, default),
         };
-        // One fault, one finding: uses of the parameter must not report it as missing again.
+        // One fault leads to one finding: uses of the parameter must not report it as missing again.
         values.push(((*parameter).to_owned(), value.unwrap_or(Node::Null)));
     }
     values
 }
 
-/// A missing parameter of a move is a fault only if a robot plays the move.
+/// Reports a missing parameter of a sequence. In a move, it is a fault only if a robot plays the move.
 fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
     let (place, parameter) = (used.place.clone(), parameter.to_owned());
     if used.kind == "move" {
@@ -299,7 +299,7 @@ fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
     reader.add(Code::Variable, place, message, "a value for every parameter without a default", hint);
 }
 
-/// Whether everything in a move or a sequence has a value without arguments.
+/// Whether a move or a sequence can be read without arguments, because all of its parameters have defaults.
 pub(super) fn is_complete(node: &Node) -> bool {
     let Node::Map(entries) = node else { return false };
     let parameters = entries.iter().find(|(key, _)| key == "parameters").map(|(_, node)| node);

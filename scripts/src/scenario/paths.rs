@@ -17,7 +17,7 @@ use downbeat_reader::keys::{Keys, Kind};
 
 /// Maximum number of points of a path.
 const POINTS_MAX: usize = 1_000;
-/// Number of points of a circle: the path deviates from it by less than a millionth of its radius.
+/// Number of points that represent a circle, so that the path deviates from it by less than a millionth of the radius.
 const CIRCLE: u32 = 64;
 
 keys! {
@@ -44,15 +44,15 @@ keys! {
     }
 }
 
-/// Points as written, and whether the path returns from the last to the first.
+/// The points of a path as written, and whether the path returns from the last to the first.
 struct Drawn {
     points: Vec<Point>,
     closed: bool,
-    /// Place of each point; empty if they are not a list.
+    /// Place of each point in the file; empty if the points are not a list.
     places: Vec<Place>,
 }
 
-/// Reads one path.
+/// Reads a path, and reports its faults.
 pub(super) fn read(reader: &mut Reader, name: &str, at: &At<'_>) -> WrittenPath {
     let before = reader.found.len();
     let path = path(reader, name, at).filter(|_| reader.found.len() == before);
@@ -103,7 +103,7 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
     }
 }
 
-/// Whether any neighbouring points coincide, which is reported.
+/// Whether two neighbouring points of a path coincide. Reports them.
 fn are_same(reader: &mut Reader, at: &At<'_>, drawn: &Drawn, placed: &[Point]) -> bool {
     let count = placed.len();
     let next = |index: usize| (index + 1) % count;
@@ -147,7 +147,7 @@ fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
     Some(Drawn { points, closed, places: all.iter().map(At::place).collect() })
 }
 
-/// `{radius: 2}`: counterclockwise from the x axis.
+/// Reads `{radius: 2}`: a circle, counterclockwise from the x axis.
 fn round(reader: &mut Reader, at: &At<'_>) -> Option<Drawn> {
     let RoundKeys { radius } = reader.keys(at, "`circle`")?;
     let radius = radius.and_then(|at| length(reader, &at))?;

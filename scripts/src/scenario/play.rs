@@ -1,4 +1,4 @@
-//! Moves that play others, one after another or at the same time: `play`.
+//! Moves that play other moves, one after another or at the same time: the key `play`.
 
 use super::kinds;
 use super::library::Library;
@@ -39,8 +39,8 @@ keys! {
     }
 }
 
-/// Reads the tracks of a move that plays others. Each entry begins when the previous one has ended, unless it has an `at`; entries of an
-/// inner list begin together.
+/// Reads the tracks of a move that plays other moves. Each entry begins when the previous one has ended, unless it has an `at`; entries
+/// of an inner list begin together.
 pub(super) fn read(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, whose: &str) -> Vec<Track> {
     let items = reader.list(at, EXPECTED);
     if items.is_empty() && matches!(at.node, Node::List(_)) {
@@ -73,7 +73,7 @@ pub(super) fn read(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, whos
     by_device(reader, played, whose)
 }
 
-/// Returns the tracks of an entry and its end, both relative to the beginning of the move.
+/// Returns the tracks of an entry and the time at which the entry ends, both relative to the start of the move.
 fn entry(
     reader: &mut Reader,
     library: &Library<'_>,
@@ -124,7 +124,7 @@ fn later(start: Beginning, by: Exact) -> Beginning {
     Beginning(start.0.map(|start| start.plus(by)))
 }
 
-/// Stretches the tracks from one length to another, with everything in them.
+/// Stretches the tracks, with everything in them, from the length `from` to the length `to`.
 fn stretch(reader: &Reader, tracks: &mut [Track], from: Exact, to: Exact) {
     let Some(factor) = to.divided_by(from) else { return };
     let start = reader.music.start;
@@ -142,7 +142,7 @@ fn stretch(reader: &Reader, tracks: &mut [Track], from: Exact, to: Exact) {
     }
 }
 
-/// Joins the movements of each device into one track.
+/// Joins the movements of each device into one track per device.
 fn by_device(reader: &mut Reader, played: Vec<Track>, whose: &str) -> Vec<Track> {
     let mut by_device: Vec<Vec<Track>> = Vec::new();
     let mut index_of = std::collections::HashMap::new();
@@ -201,7 +201,7 @@ fn joined(reader: &mut Reader, mut tracks: Vec<Track>, whose: &str) -> Option<Tr
     Some(Track { motion, length, pieces, tolerance, given, turns: 1, ..first })
 }
 
-/// Whether a movement can follow the previous ones on its device.
+/// Whether a movement can follow the previous ones on its device. Reports overlaps and other faults.
 fn follows(reader: &mut Reader, before: &[Track], track: &Track, whose: &str) -> bool {
     let Some(last) = before.iter().max_by_key(|track| track.end()) else { return true };
     let device = shortened(&track.device);
@@ -251,7 +251,7 @@ fn items_of(track: &Track) -> u32 {
     last.map_or(1, |last| last.saturating_add(1))
 }
 
-/// The pieces of a track, with item indices starting at `first` of a longer track.
+/// Returns the pieces of a track, with item indices that start at `first`, for a longer track that contains it.
 fn pieces_of(track: &Track, first: u32) -> Vec<Piece> {
     if track.pieces.is_empty() {
         return vec![Piece { first, items: track.items, list: track.list.clone() }];

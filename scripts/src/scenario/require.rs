@@ -1,4 +1,4 @@
-//! The requirements of a scenario for starts, ends and distances: bounds that are checked, but never enforced while it plays.
+//! The requirements of a scenario for starts, ends and distances: bounds that are checked, but not enforced while the scenario plays.
 
 use super::kinds;
 use crate::duration;
@@ -34,13 +34,13 @@ const SPREAD: &str = "a maximum time, such as `below 5ms` or `at most 5ms`";
 const SHARE: &str = "a minimum share of the trials, such as `above 99.9%` or `at least 100%`";
 const DISTANCE: &str = "a minimum distance with its unit, such as `above 0.3m` or `at least 30cm`";
 
-/// Metres per unit of distance.
+/// Distance units with their length in metres.
 const METRES: [(&str, f64); 3] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)];
 const STRICT: [(&str, AllOrNone); 1] = [("strict", AllOrNone::Strict)];
-/// Billionths per percent.
+/// Number of billionths in one percent.
 const OF_PERCENT: u32 = 10_000_000;
 
-/// Reads the bounds, and the place of `closest`.
+/// Reads the required bounds, and the place of the key `closest`.
 pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Place>) {
     let Some(keys) = reader.keys(at, "`require`") else { return Default::default() };
     let RequireKeys { spread_p50, spread_p99, spread_max, starts, finishes, closest, all_or_none } = keys;
@@ -57,7 +57,7 @@ pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Pl
     (requirements, place)
 }
 
-/// The words before a bound.
+/// The word before a bound, such as `below`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Word {
     Below,
@@ -69,7 +69,7 @@ enum Word {
 const WORDS: [(&str, Word); 4] =
     [("below", Word::Below), ("at most", Word::AtMost), ("above", Word::Above), ("at least", Word::AtLeast)];
 
-/// Splits a text into its words and the rest, which is not empty.
+/// Splits a text into the word of a bound and the rest; `None` without such a word or rest.
 fn cut(text: &str) -> Option<(Word, &str)> {
     let text = text.trim();
     let rest_of = |word: &str| {
@@ -81,12 +81,12 @@ fn cut(text: &str) -> Option<(Word, &str)> {
     WORDS.iter().find_map(|(word, bound)| Some((*bound, rest_of(word)?)))
 }
 
-/// Returns the word as written.
+/// Returns the written form of the word.
 fn word_of(word: Word) -> &'static str {
     WORDS.iter().find(|(_, of)| *of == word).map_or("", |(text, _)| *text)
 }
 
-/// Splits a text if its word is one of the fitting ones; reports everything else.
+/// Splits a text into the word of a bound and the rest. Reports a text without one of the `fitting` words.
 fn bound<'t>(
     reader: &mut Reader,
     at: &At<'_>,
@@ -96,7 +96,7 @@ fn bound<'t>(
     let wrong = match cut(text) {
         Some((word, rest)) if fitting.contains(&word) => return Some((word, rest)),
         Some((word, rest)) => {
-            // `below` and `above` come first in their pairs.
+            // In each pair of words, `below` or `above` comes first.
             let other = word_of(fitting[usize::from(matches!(word, Word::AtMost | Word::AtLeast))]);
             (
                 format!("`{}` is not supported here", word_of(word)),
@@ -106,7 +106,7 @@ fn bound<'t>(
         None => {
             let value = text.trim().trim_start_matches(['<', '>', '=', ' ']);
             let hint = value.starts_with(|c: char| c.is_ascii_digit());
-            // `below` and `above` come first in their pairs.
+            // In each pair of words, `below` or `above` comes first.
             let word = word_of(fitting[usize::from(text.contains('='))]);
             let hint = hint.then(|| format!("write `{word} {}`", shortened(value)));
             (format!("missing comparison before `{}`", shortened(text)), hint)
@@ -121,7 +121,7 @@ fn ceiling(reader: &mut Reader, at: &At<'_>) -> Option<Ceiling> {
     let (word, rest) = bound(reader, at, &text, ([Word::Below, Word::AtMost], SPREAD))?;
     let Some(span) = duration::parse_duration(rest) else {
         let with_unit = || format!("add the unit: `{} {rest}ms`", word_of(word));
-        // The place is that of the whole bound.
+        // The finding's place is that of the whole bound, so the hint contains the word as well.
         let whole = |hint: String| hint.replacen('`', &format!("`{} ", word_of(word)), 1);
         let hint = duration::hint(rest).map(whole).or_else(|| rest.parse::<f64>().is_ok().then(with_unit));
         let found = format!("invalid time `{}`", shortened(rest));
@@ -136,7 +136,7 @@ fn ceiling(reader: &mut Reader, at: &At<'_>) -> Option<Ceiling> {
     Some(if word == Word::Below { Ceiling::Below(span) } else { Ceiling::AtMost(span) })
 }
 
-/// The reason why a value cannot be a bound, and a hint.
+/// The reason why a value cannot be a bound, and an optional hint.
 type Unfit = (String, Option<String>);
 
 fn floor<T: Copy>(
@@ -146,7 +146,7 @@ fn floor<T: Copy>(
     value: fn(&str, Word) -> Result<T, Unfit>,
 ) -> Option<Floor<T>> {
     let text = match at.node {
-        // A plain number reads better in the message than its type.
+        // In the message, a plain number is clearer than its type.
         Node::Number(number) => number.to_string().into(),
         _ => reader.text(at, expected)?,
     };
@@ -160,7 +160,7 @@ fn floor<T: Copy>(
     }
 }
 
-/// Suggests a decimal point for a bound with a comma.
+/// Suggests a decimal point if a bound contains a comma.
 fn with_point(text: &str, word: Word) -> Option<String> {
     text.contains(',')
         .then(|| format!("write a decimal point: `{} {}`", word_of(word), text.replace(',', ".")))
@@ -184,7 +184,7 @@ fn share(text: &str, word: Word) -> Result<Share, Unfit> {
     Ok(Share::from_billionths(billionths))
 }
 
-/// Parses a percentage from 0 to 100 exactly, in billionths of the whole.
+/// Parses a percentage from 0 to 100 exactly, as billionths of the whole.
 fn billionths(number: &str) -> Option<u32> {
     let (whole, fraction) = number.split_once('.').unwrap_or((number, "0"));
     let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());

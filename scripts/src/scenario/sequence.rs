@@ -1,7 +1,7 @@
-//! Sequences: cues that are played repeatedly under other names, with other parameters, by other robots.
+//! Sequences: cues that can be played repeatedly, under other names, with other parameters, by other robots.
 //!
 //! A cue that plays a sequence becomes a separate cue without robots. It begins no later than the cues of the sequence and ends no
-//! earlier. Their names begin with its name and a dot.
+//! earlier. The names of the sequence's cues begin with the name of this cue and a dot.
 
 use urrcp::Span;
 
@@ -20,7 +20,7 @@ use crate::shown::shortened;
 use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema};
 
-/// The keys of a cue that plays a sequence.
+/// Keys that a cue that plays a sequence may have.
 const CALL_KEYS: [&str; 10] =
     ["cue", "at", "after", "with", "before", "end_by", "sequence", "parameters", "robots", "note"];
 
@@ -36,7 +36,7 @@ keys! {
     }
 }
 
-/// Reads a cue. If it plays a sequence, the result also contains the cues of the sequence.
+/// Reads a cue. If the cue plays a sequence, the result also contains the cues of the sequence.
 pub(super) fn cues(
     reader: &mut Reader,
     library: &Library<'_>,
@@ -69,7 +69,7 @@ pub(super) fn cues(
     std::iter::once(own).chain(inner).collect()
 }
 
-/// Whether a key belongs to the cue itself; reports keys that a cue with a sequence does not accept.
+/// Whether a key remains in the cue that plays a sequence. Reports keys that such a cue does not accept.
 fn is_own(reader: &mut Reader, at: &At<'_>, key: &str) -> bool {
     let is_of_call = CALL_KEYS.contains(&key);
     if !is_of_call && CueKeys::NAMES.contains(&key) {
@@ -83,10 +83,10 @@ fn is_own(reader: &mut Reader, at: &At<'_>, key: &str) -> bool {
     !is_of_call || !["sequence", "parameters", "robots"].contains(&key)
 }
 
-/// A cue of a sequence, or of a sequence nested in it.
+/// A cue of a sequence, or of a sequence that it plays.
 struct Inner {
     cue: Cue,
-    /// Whether it is already bound to the cue that plays its sequence.
+    /// Whether the cue already has a relation to the cue that plays its sequence.
     is_bound: bool,
 }
 
@@ -140,7 +140,7 @@ fn body(
     inner
 }
 
-/// Whether one more cue may be created; reports the first one that may not.
+/// Whether one more cue may be created; reports the first cue that may not.
 fn has_room(reader: &mut Reader, at: &At<'_>) -> bool {
     if reader.nesting.cues.is_overdrawn() {
         return false;
@@ -156,7 +156,7 @@ fn has_room(reader: &mut Reader, at: &At<'_>) -> bool {
 }
 
 impl Inner {
-    /// Turns the cue into one of the act. `whole` is the name of the cue that plays the sequence.
+    /// Turns a cue of a sequence into a cue of the act. `whole` is the name of the cue that plays the sequence.
     fn of(self, whole: &str, place: &Place) -> Cue {
         let Self { mut cue, is_bound } = self;
         let named = |name: &str| format!("{whole}.{name}");
@@ -181,7 +181,7 @@ impl Inner {
     }
 }
 
-/// Checks a sequence that no cue plays, as far as its parameters have values.
+/// Checks a sequence that no cue plays, except for parts that depend on parameters without a value.
 pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, defaults: &Defaults<'_>, name: &str) {
     let Some(part) = library.sequences.get(name).copied() else { return };
     let root = At::document(&Node::Null, part.file);

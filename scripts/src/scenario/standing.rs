@@ -1,4 +1,4 @@
-//! The places of the robots while cues are read in the order of the file.
+//! Where the robots are in space while cues are read, in the order of the file.
 
 use std::collections::HashMap;
 
@@ -12,13 +12,13 @@ use crate::fields::{Axis, Group, Standing, Whereabouts};
 use crate::fleet::{Fleet, FleetRobot, devices_of};
 use crate::space::Coordinate;
 
-/// Returns the robots before any cue.
+/// Returns all robots of the fleet at their places before the first cue.
 pub(super) fn at_first(fleet: &Fleet) -> Group {
     let standing = |robot: &FleetRobot| Standing { id: robot.id.clone(), axes: axes(robot) };
     Group::of(fleet.robots.iter().map(standing).collect())
 }
 
-/// Moves the robots to their places after this cue. Returns the movements of a group, if its starting places are known.
+/// Moves the robots to their places after a cue. Returns the movements of the cue's group, if all its starting places are known.
 pub(super) fn leave(group: &mut Group, library: &Library<'_>, cue: &Cue) -> Option<Rehearsed> {
     let rehearsed = cue.group.as_ref().and_then(|together| rehearse(group, library, cue, together));
     let mut overridden = HashMap::new();
@@ -39,7 +39,7 @@ pub(super) fn leave(group: &mut Group, library: &Library<'_>, cue: &Cue) -> Opti
     rehearsed
 }
 
-/// Moves each robot to the end of its movement. If the movement is unknown, so is the robot's place.
+/// Moves each robot of a group to the end of its movement. If the movement is unknown, so is the robot's place afterwards.
 fn rehearse(group: &mut Group, library: &Library<'_>, cue: &Cue, together: &Together) -> Option<Rehearsed> {
     let asked = Asked { together, tolerance: cue.tolerance };
     let dancers = dancers(group, library, cue);
@@ -60,7 +60,7 @@ fn rehearse(group: &mut Group, library: &Library<'_>, cue: &Cue, together: &Toge
     Some(Rehearsed::new(&dancers, ways))
 }
 
-/// Returns the robots of the cue as a group, if all their starting places are known.
+/// Returns the robots of a cue as a group; `None` if a starting place is unknown.
 fn dancers<'a>(group: &Group, library: &'a Library<'_>, cue: &Cue) -> Option<Vec<Dancer<'a>>> {
     let dancer = |(index, robot): (usize, &usize)| {
         let known = &library.ground().fleet.robots[*robot];
@@ -86,7 +86,7 @@ fn follow(axis: &mut Axis, track: &Track) {
     };
 }
 
-/// Returns the place of the body in its default state.
+/// Returns the place of a robot's body in its default state; `None` if it has no body in space.
 fn axes(robot: &FleetRobot) -> Option<[Axis; 3]> {
     let [x, y, z, _] = &robot.body.as_ref()?.coordinates;
     let axis = |coordinate: &Coordinate| {

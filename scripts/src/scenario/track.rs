@@ -1,4 +1,4 @@
-//! A track: the movement of one device, in any of its written forms.
+//! A track: the movement of one device, in any of the forms in which it can be written.
 
 use urrcp::{ControlType, Span};
 
@@ -133,9 +133,9 @@ keys! {
     }
 }
 
-/// Number of cycles between the knots of a wave.
+/// Number of cycles between two knots of a wave.
 const WAVE_CYCLES: f64 = 8.0;
-/// An item that has no number in the file.
+/// The item of a knot that has no number in the file.
 const NO_ITEM: u32 = u32::MAX;
 
 pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_>) -> Vec<Track> {
@@ -245,7 +245,7 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
     })
 }
 
-/// Whether this map contains the tracks of a robot instead of those of a device.
+/// Whether the map at `at` contains the tracks of several devices of a robot instead of the keys of one track.
 fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
     let Node::Map(entries) = at.node else { return false };
     entries.iter().any(|(key, node)| {
@@ -255,7 +255,7 @@ fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
     })
 }
 
-/// Whether this is a list of keyframes in another notation, which is reported as a single fault.
+/// Whether the list at `at` contains keyframes in another notation. Reports it as a single fault.
 fn told_as_keyframes(reader: &mut Reader, at: &At<'_>) -> bool {
     let Some(OtherForm { found, hints }) = as_keyframes(at) else { return false };
     reader.add_styled(at.place(), format!("found {found}"), KEYFRAMES, hints.map(Some));
@@ -318,7 +318,7 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
     Written::new(Curve::new(knots, Vec::new()), length).with(depends)
 }
 
-/// Reads a long run of keyframes, whose times are relative to the cue's start.
+/// Reads keyframes that are stored as rows. Their times are relative to the cue's start.
 fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
     let length = rows.iter().last().map_or(Exact::ZERO, |row| row.at.into());
     let mut before = None;
@@ -365,7 +365,7 @@ fn in_order(
     true
 }
 
-/// Returns the value of a keyframe or a point.
+/// Returns the place of the value `to` in a keyframe or a point.
 fn value_of<'a>(at: &'a At<'a>) -> Option<At<'a>> {
     let Node::Map(entries) = at.node else { return None };
     entries.iter().find(|(key, _)| key == "to").map(|(key, node)| at.entry(key, 0, node))
@@ -417,7 +417,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
     Written { motion: Motion::Vectors(vectors), length, given: Vec::new() }
 }
 
-/// Reads the points of a curve, in order of time, and the time of the last one.
+/// Reads the points of a curve, in order of time. Also returns the time of the last point, and the points that depend on parameters.
 fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact, Givens) {
     let mut length = Exact::ZERO;
     let mut depends = Vec::new();
@@ -455,7 +455,7 @@ fn splined(reader: &mut Reader, at: &At<'_>) -> Written {
     Written::new(Curve::new(knots, functions), length).with(depends)
 }
 
-/// Reads consecutive pieces. Their coefficients refer to seconds since the start of the piece.
+/// Reads consecutive polynomials. Their coefficients refer to seconds since the start of each piece.
 fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
     let expected = "a list of pieces such as {for: 2s, coefficients: [0, 10, -2]}";
     let pieces = match at.node {
@@ -488,7 +488,7 @@ fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
     Written::new(Curve::new(knots, functions), done)
 }
 
-/// Scales the coefficients to a time from 0 to 1 instead of from 0 to `seconds`.
+/// Scales coefficients so that time runs from 0 to 1 instead of from 0 to `seconds`.
 fn in_s(coefficients: &[f64], seconds: f64) -> Function {
     let mut power = 1.0;
     let scaled = coefficients.iter().map(|c| {
@@ -536,7 +536,7 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     None
 }
 
-/// center + amplitude * sin(2 pi (frequency t + phase / 360))
+/// Reads a wave: center + amplitude * sin(2 pi (frequency t + phase / 360))
 fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     let WaveKeys { amplitude, frequency, period, phase, center, r#for: length } =
         reader.keys(at, "a wave")?;
@@ -568,7 +568,7 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     Some(Written::new(wave(amplitude, center, phase / 360.0, cycles, length), exact).with(depends))
 }
 
-/// The rate of a wave.
+/// The rate of a wave, as written.
 enum Hertz {
     Frequency(f64),
     Period(Exact),
@@ -583,7 +583,8 @@ impl Hertz {
     }
 }
 
-/// Places equal knots after a fixed number of whole cycles, so that a long wave is fitted only once.
+/// Creates a wave with a knot after every [`WAVE_CYCLES`] cycles. The sections between these knots are equal, so that a long wave is
+/// fitted only once.
 fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> Curve {
     let shape = |index| Shape::Function { index, gain: amplitude, offset: center, reversed: false };
     let value = |function: &Function, s: f64| center + amplitude * function.at(s);
@@ -609,7 +610,7 @@ fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> C
     Curve::new(knots, functions)
 }
 
-/// from + speed t + acceleration t^2 / 2
+/// Reads a movement with constant acceleration: from + speed t + acceleration t^2 / 2
 fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     let TravelKeys { from, speed, acceleration, r#for: length } = reader.keys(at, "`travel`")?;
     if speed.is_none() && acceleration.is_none() {

@@ -1,4 +1,4 @@
-//! Several values at once over time, for custom_N. All values of a track are stored in one piece, because there may be a million.
+//! Several values at once over time, for custom_N. All values of a track are stored in one list, because there may be a million.
 
 use urrcp::Span;
 
@@ -6,7 +6,7 @@ use urrcp::Span;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Vectors {
     keys: Vec<Key>,
-    /// The values of all keyframes, one after another.
+    /// The values of all keyframes, one keyframe after another.
     values: Vec<f64>,
 }
 
@@ -14,16 +14,16 @@ pub(crate) struct Vectors {
 struct Key {
     at: Span,
     item: u32,
-    /// End index of its values.
+    /// Index in `values` after the last value of this keyframe.
     end: u32,
 }
 
-/// One keyframe.
+/// One keyframe with several values.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Vector<'a> {
     pub(crate) at: Span,
     pub(crate) values: &'a [f64],
-    /// Index of its item in the file.
+    /// Index of the keyframe in the file's list of items.
     pub(crate) item: u32,
 }
 
@@ -38,8 +38,8 @@ impl Vectors {
         self.keys.push(Key { at: vector.at, item: vector.item, end: self.values.len() as u32 });
     }
 
-    /// Joins several lists, each with the start of its times and the index of its first item. If two keyframes have the same time, the
-    /// later one applies.
+    /// Joins several lists of keyframes. Each has an offset for its times and the index of its first item. If two keyframes have the
+    /// same time, the later one applies.
     pub(crate) fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
         let mut joined = Self::default();
         for (vectors, begin, first) in parts {
@@ -84,12 +84,12 @@ impl Vectors {
         self.get(self.len().checked_sub(1)?)
     }
 
-    /// All values of all keyframes.
+    /// Returns the values of all keyframes, one keyframe after another.
     pub(crate) fn values(&self) -> &[f64] {
         &self.values
     }
 
-    /// Maps the times of all keyframes.
+    /// Replaces the time of each keyframe by `to` of this time.
     pub(crate) fn moved(mut self, to: impl Fn(Span) -> Span) -> Self {
         self.keys.iter_mut().for_each(|key| key.at = to(key.at));
         self

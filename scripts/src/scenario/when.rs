@@ -1,4 +1,4 @@
-//! The time of a cue: fixed, or relative to other cues.
+//! When a cue starts and ends: at fixed times, or relative to other cues.
 
 use urrcp::Span;
 
@@ -13,7 +13,7 @@ use crate::render::counted;
 use crate::shown::shortened;
 use crate::slips;
 
-/// A bound on the time between two anchors: min <= to - from <= max.
+/// Bounds on the time between two anchors: min <= to - from <= max.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Relation {
     pub(crate) from: Anchor,
@@ -23,20 +23,20 @@ pub(crate) struct Relation {
     pub(crate) place: Place,
 }
 
-/// An instant of an act.
+/// An instant to which a relation refers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Anchor {
     /// The act's start.
     Origin,
-    /// The start of this cue.
+    /// The start of the cue that has the relation.
     Start,
-    /// The end of this cue.
+    /// The end of the cue that has the relation.
     End,
     StartOf(String),
     EndOf(String),
 }
 
-/// The timing keys of a cue.
+/// The keys of a cue that determine its times.
 #[derive(Clone, Copy)]
 pub(super) struct When<'a> {
     pub(super) at: Option<At<'a>>,
@@ -46,12 +46,12 @@ pub(super) struct When<'a> {
     pub(super) end_by: Option<At<'a>>,
 }
 
-/// The timing of a cue.
+/// The relations and the start of a cue, as read from its keys.
 pub(super) struct Timing {
     pub(super) relations: Vec<Relation>,
-    /// The start, if it is a single fixed time.
+    /// The start of the cue, if it is a single fixed time.
     pub(super) start: Beginning,
-    /// Delay of each robot, if `at` sets it.
+    /// Delay of each robot, if `at` has different values for robots.
     pub(super) late: Option<Late>,
 }
 
@@ -92,7 +92,8 @@ impl When<'_> {
     }
 }
 
-/// Same as [`instants`]. If the times differ between robots, returns the earliest one, and the delay of each robot in `late`.
+/// Like [`instants`], for each robot of the cue. If the times differ between robots, returns the earliest one, and stores the delay of
+/// each robot in `late`.
 fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<(Exact, Option<Exact>)> {
     let count = reader.group.count();
     if count == 0 {
@@ -123,7 +124,7 @@ fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<
     Some((first, Some(first)))
 }
 
-/// Converts a time after `origin`, rounded to the nearest nanosecond of the act's time if `origin` is known.
+/// Rounds a time after `origin` to nanoseconds. If `origin` is known, the sum of both (a time of the act) is rounded instead.
 fn laid(origin: Beginning, time: Exact) -> Span {
     match origin.0 {
         Some(start) => start.plus(time).rounded() - start.rounded(),
@@ -131,7 +132,7 @@ fn laid(origin: Beginning, time: Exact) -> Span {
     }
 }
 
-/// A cue, with the referenced end if one is given.
+/// A referenced cue, and whether its end is meant; `None` if neither start nor end is written.
 struct Target {
     cue: String,
     end: Option<bool>,
@@ -170,7 +171,8 @@ fn each(
     }
 }
 
-/// `[start of|end of] CUE [+ GAP]`; the cue may have any name. With the other sign, the gap is negative.
+/// Parses `[start of|end of] CUE [+ GAP]`; the cue may have any name. `sign` precedes a positive gap; after the opposite sign, the gap
+/// is negative.
 fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(Target, Option<Gap>)> {
     let last = text.rmatch_indices([' ']).find_map(|(space, _)| {
         let (name, rest) = (&text[..space], &text[space + 1..]);
@@ -198,7 +200,7 @@ fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(T
     Some((Target { cue: name.to_owned(), end }, gap))
 }
 
-/// Parses `a + 1s`: the cue and the time before another time. A cue may be named `part - 1`.
+/// Splits `a + 1s`, which precedes another time, into the cue and the time. A cue may be named `part - 1`.
 fn gap_before(text: &str) -> Option<(&str, Span)> {
     let (name, gap) = text.rsplit_once(' ')?;
     let (name, sign) = name.rsplit_once(' ')?;
@@ -216,7 +218,7 @@ fn looks_like_time(text: &str) -> bool {
     text.starts_with(|c: char| c.is_ascii_digit() || c == '$' || c == '.')
 }
 
-/// Reads a gap that may be negative, `-2s` or `-2s..3s`; negated if the sign is the other one.
+/// Reads a gap that may be negative, such as `-2s` or `-2s..3s`. `negated` reverses its sign.
 fn lag(reader: &mut Reader, at: &At<'_>, text: &str, negated: bool) -> Option<Gap> {
     let turned = |span: Span| if negated { -span } else { span };
     let Some((least, largest)) = text.split_once("..") else {
@@ -266,7 +268,7 @@ fn bare_range(reader: &mut Reader, at: &At<'_>, text: &str) -> bool {
     true
 }
 
-/// Returns a hint for a start that only an act can have: a time of day, or a word for the operator.
+/// Returns a hint for a start that only an act can have: a time of day, or a word that means the operator.
 fn begin_of_act(text: &str) -> Option<String> {
     if ["operator", "go", "manual", "click", "trigger"].contains(&text) {
         return Some("only an act can wait: write `wait: operator` next to the `cues` of an act".to_owned());
@@ -286,7 +288,7 @@ fn begin_of_act(text: &str) -> Option<String> {
     }
 }
 
-/// Checks that two times are ordered bounds; each comes with its displayed form.
+/// Checks that the first time is not larger than the second; each comes with its form for display.
 fn in_order<T: PartialOrd>(
     reader: &mut Reader,
     at: &At<'_>,
@@ -301,7 +303,7 @@ fn in_order<T: PartialOrd>(
     None
 }
 
-/// Reads one time or a range of times; each is a length from the act's start or a position in the music.
+/// Reads a time or a range of times. Each is a duration since the act's start or a position in the music.
 fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> {
     let Some(text) = reader.scalar(at).and_then(|node| match node.as_ref() {
         Node::Text(text) => Some(text.clone()),
@@ -356,7 +358,7 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Ex
             None
         }
         None => {
-            // Relative to the act's start, regardless of the cue's start.
+            // The time is relative to the act's start, regardless of the cue's start.
             let start = std::mem::replace(&mut reader.music.start, reader.origin);
             let time = match (duration::parse_duration(text), begin_of_act(text)) {
                 (Some(span), _) => Some(span.into()),

@@ -1,5 +1,5 @@
-//! Files generated from the declarations of keys: the schemas, the tables of keys in the documentation, and a dictionary for the fuzzer.
-//! `DOWNBEAT_BLESS=1` rewrites the files.
+//! Checks the files that are generated from the declarations of keys: the schemas, the tables of keys in the documentation, and a
+//! dictionary for the fuzzer. `DOWNBEAT_BLESS=1` rewrites these files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -28,7 +28,7 @@ impl Json {
         Self::Array(texts.into_iter().map(Self::text).collect())
     }
 
-    /// Parses the part of a schema that a declaration contains.
+    /// Parses the part of a schema that a declaration contains as text.
     fn parse(text: &str) -> Self {
         let value = serde_json::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"));
         Self::of(value)
@@ -75,7 +75,7 @@ impl Json {
     }
 }
 
-/// Joins the lines of a comment up to the first empty one.
+/// Joins the lines of a doc comment up to the first empty line.
 fn summary(doc: &[&str]) -> String {
     let lines: Vec<&str> = doc.iter().map(|line| line.trim()).skip_while(|line| line.is_empty()).collect();
     let end = lines.iter().position(|line| line.is_empty()).unwrap_or(lines.len());
@@ -146,8 +146,8 @@ impl Definitions {
         }
     }
 
-    /// Describes a map. `values` is the kind of all its values, if they share one; `others` is the kind of the values of further keys, if
-    /// these are allowed.
+    /// Describes a map. `values` is the kind of all its values, if they share one. `others` is the kind of values of other keys, if such
+    /// keys are allowed.
     fn of_map(
         &mut self,
         map: &'static Declaration,
@@ -175,7 +175,7 @@ impl Definitions {
     }
 }
 
-/// Adds a description to an object, if there is one.
+/// Adds a description to the schema of an object, unless the description is empty.
 fn described(schema: Json, text: &str) -> Vec<(String, Json)> {
     let Json::Object(mut entries) = schema else { panic!("a schema is an object") };
     if !text.is_empty() {
@@ -198,7 +198,7 @@ fn schema_text(root: &'static Declaration, id: &str, title: &str) -> String {
     text
 }
 
-/// Collects the words of a kind.
+/// Collects the words that values of a kind may be.
 fn words_of(kind: &'static Kind, words: &mut BTreeSet<&'static str>) {
     match kind {
         Kind::Words(all) => words.extend(*all),
@@ -229,13 +229,13 @@ fn dictionary() -> String {
     keys.chain(words.iter().map(|word| format!("\"{word}\"\n"))).collect()
 }
 
-/// Joins all lines of a comment, with its paragraphs, into one line.
+/// Joins all lines of a doc comment, with all of its paragraphs, into one line.
 fn whole(doc: &[&str]) -> String {
     let lines: Vec<&str> = doc.iter().map(|line| line.trim()).filter(|line| !line.is_empty()).collect();
     lines.join(" ")
 }
 
-/// Writes the rows of a table of keys. Keys of maps within a value follow that value's key, as in `form.to`.
+/// Writes the rows of a table of keys. The keys of a map within a value follow the key of that value, as in `form.to`.
 fn rows(map: &Declaration, prefix: &str, table: &mut String) {
     for key in map.keys {
         let mut text = whole(key.doc);
@@ -261,7 +261,7 @@ fn rows(map: &Declaration, prefix: &str, table: &mut String) {
     }
 }
 
-/// Returns the map that occurs only in values of this kind.
+/// Returns the map that values of this kind contain, if it occurs only in this kind.
 fn inner(kind: &Kind) -> Option<&'static Declaration> {
     match kind {
         Kind::Keys(of) => {
@@ -275,7 +275,7 @@ fn inner(kind: &Kind) -> Option<&'static Declaration> {
     }
 }
 
-/// Inserts the tables of the keys of these maps between their marks in a document.
+/// Inserts the tables of these maps' keys between their marks in a document.
 fn with_tables(document: &str, maps: &[(&str, &Declaration)]) -> String {
     let mut document = document.to_owned();
     for (name, map) in maps {
@@ -289,7 +289,7 @@ fn with_tables(document: &str, maps: &[(&str, &Declaration)]) -> String {
     document
 }
 
-/// Compares a file of the repository with the generated text, or writes it.
+/// Compares a file of the repository with the generated text; with `DOWNBEAT_BLESS=1`, writes the file instead.
 #[track_caller]
 fn check(path: &str, generated: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path);

@@ -1,4 +1,4 @@
-//! Every map that a file may contain, with its declared keys.
+//! All maps that files may contain, with their declared keys.
 
 use std::collections::BTreeSet;
 
@@ -7,7 +7,7 @@ use crate::scenario::{included_keys, scenario_keys};
 use downbeat_fleet::fleet::{fleet_keys, latency_keys};
 use downbeat_fleet::world::world_keys;
 
-/// Returns every map with declared keys once, in the order in which they are found, starting from the user-written files.
+/// Returns every map with declared keys once, in the order in which the maps are found, starting from the files that users write.
 #[must_use]
 pub fn all_maps() -> Vec<&'static Declaration> {
     let roots = [scenario_keys(), included_keys(), fleet_keys(), latency_keys(), world_keys()];
@@ -16,7 +16,7 @@ pub fn all_maps() -> Vec<&'static Declaration> {
     maps
 }
 
-/// Adds a map and the maps below it.
+/// Adds a map and all maps within its values.
 pub(super) fn collect(map: &'static Declaration, maps: &mut Vec<&'static Declaration>) {
     if !maps.iter().any(|known| std::ptr::eq(*known, map)) {
         maps.push(map);
@@ -24,7 +24,7 @@ pub(super) fn collect(map: &'static Declaration, maps: &mut Vec<&'static Declara
     }
 }
 
-/// `named` contains the enclosing kinds, because times contain spreads, which contain times.
+/// Adds the maps within values of this kind. `named` contains the enclosing kinds, because times contain spreads, which contain times.
 fn collect_from(
     kind: &'static Kind,
     maps: &mut Vec<&'static Declaration>,

@@ -1,5 +1,5 @@
-//! The schemas list the keys and words that the reader knows, each at its place, and vice versa. The reader's keys and words are recorded
-//! while it reads documents that contain every map and every key with words once.
+//! Checks that the schemas list the keys and words that the reader knows, each at its place, and vice versa. The reader's keys and words
+//! are recorded while it reads documents that contain every map, and every key with words, once.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -125,7 +125,7 @@ cues:
 ",
 ];
 
-/// A fleet that contains every map; the descriptions are those of other tests.
+/// A fleet file that contains every map. The descriptions are those of other tests.
 const FLEET: &str = "
 ntp: pool.ntp.org
 handshake: full
@@ -163,13 +163,13 @@ robots:
 groups: {all: [rover]}
 ";
 
-/// Objects of a schema with user-defined keys besides the listed ones: their keys are not compared.
+/// Objects of a schema that have user-defined keys besides the listed ones. Their keys are not compared.
 const FREE_KEYS: [&str; 1] = ["/$defs/on_failure/anyOf/1"];
 
-/// A part of a schema, with its JSON pointer.
+/// A part of a schema with its JSON pointer.
 type SchemaPart<'s> = (String, &'s Value);
 
-/// Returns the possible forms of a value: follows references, and returns several forms for alternatives.
+/// Returns the possible forms of a value: follows references, and returns one form for each alternative.
 fn forms<'s>(root: &'s Value, (pointer, schema): SchemaPart<'s>) -> Vec<SchemaPart<'s>> {
     if let Some(reference) = schema["$ref"].as_str() {
         let pointer = reference.trim_start_matches('#').to_owned();
@@ -187,7 +187,7 @@ fn forms<'s>(root: &'s Value, (pointer, schema): SchemaPart<'s>) -> Vec<SchemaPa
     all
 }
 
-/// Returns the schema parts of the values one step below.
+/// Returns the schema parts for values that are one step below these parts.
 fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &Part) -> Vec<SchemaPart<'s>> {
     let inner = |(pointer, schema): &SchemaPart<'s>| {
         let (at, inner) = match step {
@@ -202,7 +202,7 @@ fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &Part) -> Vec<Sche
     above.iter().filter_map(inner).flat_map(|part| forms(root, part)).collect()
 }
 
-/// Lists of keys or words in a schema, by JSON pointer.
+/// The lists of keys or words in a schema, by JSON pointer.
 type Lists = BTreeMap<String, BTreeSet<String>>;
 
 /// Collects every list of keys and words in a schema.
@@ -230,7 +230,7 @@ fn text(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
 
-/// Returns the keys and words that the reader compared with documents, by the place in the schema that describes them.
+/// Returns the keys and words that the reader compared with documents, by the schema place that describes them.
 fn known(root: &Value, recorded: Vec<Known>) -> Lists {
     let mut lists = Lists::new();
     for known in recorded {
@@ -246,7 +246,7 @@ fn known(root: &Value, recorded: Vec<Known>) -> Lists {
         for step in &place.path {
             parts = below(root, &parts, step);
         }
-        // Among several forms with lists, selects the one that was read.
+        // If several forms have lists, selects the form that was read.
         let same = |schema: &Value| match &schema[kind] {
             Value::Object(keys) => known.iter().all(|key| keys.contains_key(*key)),
             _ => true,
@@ -288,7 +288,7 @@ fn the_schema_of_scenarios_lists_what_is_read() {
     check(Schema::Scenario, known);
 }
 
-/// The same file under every name.
+/// Returns the same file under every name.
 struct OneFile;
 
 impl Files for OneFile {

@@ -1,4 +1,4 @@
-//! Groups that move along a path, checked by positions sampled from the steps of the plan.
+//! Groups that move along a path. Their positions are sampled from the steps of the plan.
 
 use super::groups::{apart, compiled, places, sound, steps};
 use crate::Code;
@@ -19,7 +19,7 @@ fn a_group_that_is_carried_keeps_its_shape_and_comes_back() {
     while at <= 40_000.0 {
         let now = places(&steps, at);
         for (index, place) in now.iter().enumerate() {
-            // Both deviate by the permitted error of their steps.
+            // Both positions deviate by the permitted error of their steps.
             let gone = |index: usize| -> [f64; 3] {
                 std::array::from_fn(|axis| now[index][axis] - begin[index][axis])
             };
@@ -39,7 +39,7 @@ fn a_circle_is_gone_along_at_its_radius() {
     let act =
         sound(1, &scenario("circle: {radius: 2}, rotate: -90", "  - {robots: d0, along: way, over: 10s}\n"));
     let steps = steps(&act, 1);
-    // From its lowest point; the middle is two metres along y.
+    // The robot begins at the lowest point of the circle, whose middle is two metres along y.
     for index in 0..=500 {
         let [x, y, z] = places(&steps, f64::from(index) * 20.0)[0];
         assert!(((x).hypot(y - 2.0) - 2.0).abs() < 0.006 && z.abs() < 1e-9, "{x} {y}");
@@ -76,7 +76,7 @@ fn robots_that_follow_go_through_the_places_of_those_before_them() {
     let steps = steps(&act, 4);
     let all: Vec<Vec<[f64; 3]>> = (0..=4_000).map(|index| places(&steps, f64::from(index) * 5.0)).collect();
     let trail = |robot: usize| all.iter().map(move |places| places[robot]).collect::<Vec<_>>();
-    // All move along one line; the last robot covers its beginning and the first robot its end.
+    // All robots move along one line; the last robot covers its beginning and the first robot its end.
     let line = [trail(0), trail(3)].concat();
     for (robot, behind) in [(2, 0.7), (1, 1.4), (0, 2.1)] {
         for places in all.iter().step_by(50) {

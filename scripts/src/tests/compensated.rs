@@ -22,7 +22,7 @@ acts:
       - {cue: last, at: 40ms, robots: [a], tracks: {d: [{at: 0s, to: 45}, {at: 1s, to: 0}]}}
 ";
 
-/// Compiles for robots `a`, `b` and `c` with these latencies.
+/// Compiles a show for the robots `a`, `b` and `c` with these latencies in nanoseconds; `None` for an unknown latency.
 fn compiled(latencies: [Option<i64>; 3]) -> Choreography {
     let delayed = |(name, nanos): (&str, Option<i64>)| {
         let mut robot = robot();
@@ -64,7 +64,7 @@ fn the_slowest_device_is_commanded_first_and_all_move_together() {
     assert_eq!(starts(&acts[0]), [ms(0), ms(40), ms(60)]);
     assert_eq!(motions(&acts[0]), [ms(60); 3]);
     assert_eq!((acts[0].cues[0].start, acts[0].cues[1].start), (ms(60), ms(1_060)));
-    // Its only cue is 40 ms after the start, so the missing 20 ms suffice.
+    // The second act's only cue is 40 ms after its start, so the missing 20 ms suffice.
     assert_eq!((acts[1].lead_in, starts(&acts[1])), (ms(20), vec![ms(0)]));
 }
 
@@ -95,7 +95,7 @@ fn at_half_the_speed_latencies_stay_as_long_as_they_are() {
     assert_eq!(slow.acts[0].lead_in, ms(60));
     assert_eq!(motions(&slow.acts[0]), [ms(60); 3]);
     assert_eq!(slow.acts[0].cues[1].start, ms(2_060));
-    // 80 ms after the start suffice for 60 ms.
+    // The cue is 80 ms after the start of the act, which is enough for a latency of 60 ms.
     assert_eq!((slow.acts[1].lead_in, motions(&slow.acts[1])), (ms(0), vec![ms(80)]));
 }
 

@@ -1,4 +1,4 @@
-//! Moves made of moves, sequences, and files with parameters: each is equivalent to its written-out form, and faults are found at their
+//! Moves made of moves, sequences, and files with parameters. Each is equivalent to its written-out form. Faults are found at their
 //! places, with the uses that lead there.
 
 use std::collections::BTreeMap;
@@ -42,8 +42,8 @@ fn compiled(text: &str) -> Compiled {
     compiled_with(text, &[])
 }
 
-/// Returns the steps of the robots, regardless of the names of cues: robot, device, time in microseconds, value. Values that are set
-/// twice are listed once.
+/// Returns all steps of the robots as robot, device, time in microseconds and value, without names of cues. Steps that occur twice are
+/// listed once.
 fn steps(choreography: &Choreography) -> Vec<String> {
     let mut all = Vec::new();
     for robot in choreography.acts.iter().flat_map(|act| &act.plan.robots) {
@@ -367,7 +367,7 @@ cues:
     }
     let text = text.replace("scale: 2, parameters: {whom: left, pause: 3}", "parameters: {who: left}");
     let found = compiled(&text.replace("  - {cue: none, sequence: great}\n", ""));
-    // Regardless of the number of uses of the sequence.
+    // Findings do not depend on the number of uses of the sequence.
     let cue = format!("no cue `bov` {use_}");
     let value = "keyframe 2 of the move `up`: 400 lies outside the limits for position of `a` on `left`";
     let messages: Vec<_> = found.findings.iter().map(|f| (f.line, f.message.as_str())).collect();

@@ -1,8 +1,8 @@
-//! Jumps between acts, after each transition into an act.
+//! Jumps of devices after each transition between acts.
 
 use crate::{Address, Code, Finding, Fleet, FleetRobot, NoFiles, Severity, Source, compile};
 
-/// An arm with a lamp, with or without a largest speed.
+/// Returns a fleet of arms with a lamp, with or without a speed limit.
 fn fleet(interpolation: &str, speed: bool) -> Fleet {
     let speed = if speed { r#""speed": {"min_value": -60, "max_value": 60, "granularity": 1},"# } else { "" };
     let block = format!(
@@ -19,7 +19,7 @@ fn fleet(interpolation: &str, speed: bool) -> Fleet {
     }
 }
 
-/// Compiles acts with additional keys, each from one position to another in ten seconds.
+/// Compiles acts with additional keys. Each act moves a device from one position to another in ten seconds. Returns the findings.
 fn jumps(fleet: &Fleet, acts: &[(&str, &str, u32, u32)]) -> Vec<Finding> {
     let act = |(name, keys, from, to): &(&str, &str, u32, u32)| {
         let track = format!("[{{at: 0s, to: {from}}}, {{at: 10s, to: {to}, ease: smooth}}]");

@@ -1,10 +1,10 @@
-//! Applies figures in hints to the scenario: each must be sufficient, and no larger than necessary.
+//! Applies figures in hints to the scenario. Each figure must be sufficient, and no larger than necessary.
 
 use super::groups::{drone, drone_on};
 use crate::space::{Coordinate, Space};
 use crate::{Code, Compiled, Fleet, NoFiles, Severity, Source, compile};
 
-/// Drones in rows of six on the ground; flat ones stay there.
+/// Returns drones on the ground in rows of six. Flat drones cannot leave the ground.
 fn fleet(count: usize, is_flat: bool) -> Fleet {
     let robots = (0..count).map(|index| {
         let mut robot = drone(index, [(index % 6) as f64 * 0.7, (index / 6) as f64 * 0.7, 0.0]);
@@ -38,7 +38,7 @@ fn is_sound(fleet: &Fleet, text: &str) {
     assert!(compiled.choreography.is_some(), "{text}\n{:#?}", compiled.findings);
 }
 
-/// Returns the edits between backticks: `radius: 1.55`, `over: 12s`.
+/// Returns the edits between back-ticks in a hint, such as `radius: 1.55` or `over: 12s`.
 fn edits(hint: &str) -> Vec<(&str, &str)> {
     hint.split('`').skip(1).step_by(2).filter_map(|edit| edit.split_once(": ")).collect()
 }
@@ -58,7 +58,7 @@ fn edited(text: &str, (key, value): (&str, &str)) -> String {
     format!("{}{value}{}", &text[..begin], &rest[end..])
 }
 
-/// Applies the hint of a fault to the text.
+/// Applies the hint of the only fault to the text.
 #[track_caller]
 fn fixed(fleet: &Fleet, text: &str, code: Code) -> String {
     let (found, hint) = fault(fleet, text);
@@ -126,7 +126,7 @@ fn the_time_that_a_way_needs_is_enough() {
     }
 }
 
-/// Two robots that cannot pass above or below each other and must exchange their places.
+/// Two robots that must exchange their places but cannot pass above or below each other.
 const SWAP: &str = "scenario: s
 formations: {wide: {points: [[0, 2, 0], [0.7, -2, 0]]}}
 cues:
@@ -282,7 +282,7 @@ fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
     }
     is_sound(&fleet, &text(10.0));
     is_sound(&fleet, &text(80.0));
-    // One that is too large for any position.
+    // An amplitude that is too large for any position.
     let large = |amplitude: &str| text(45.0).replace("amplitude: 10", &format!("amplitude: {amplitude}"));
     let (code, told) = fault(&fleet, &large("60"));
     let expected = "its values span 120, but the limits span only 90: scale it by 0.75";
@@ -290,7 +290,7 @@ fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
     is_sound(&fleet, &large("0.75 * 60"));
 }
 
-/// Drones in a row above the ground; their devices have steps of 0.01 and move at up to 3 m/s.
+/// Returns drones in a row above the ground. Their devices have steps of 0.01 and move at up to 3 m/s.
 fn coarse(count: usize) -> Fleet {
     let robots = (0..count).map(|index| {
         let mut robot = drone_on([0.01; 2], index, [index as f64, 0.0, 1.0]);

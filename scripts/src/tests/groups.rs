@@ -1,4 +1,4 @@
-//! Evaluates groups of bodies a second time: positions are sampled from the steps of the plan, without the compiler's own paths.
+//! Evaluates groups of bodies a second time: samples positions from the steps of the plan, without the compiler's own paths.
 
 use std::fmt::Write as _;
 
@@ -10,7 +10,7 @@ use crate::{Act, Address, Code, Compiled, Fleet, FleetRobot, NoFiles, RateLimits
 
 /// Sampling interval of positions, in milliseconds.
 const EVERY_MS: f64 = 5.0;
-/// Permitted error of the devices, in metres.
+/// Largest permitted error of the devices, in metres.
 const ERROR: f64 = 0.002;
 const RADIUS: f64 = 0.1;
 const DISTANCE: f64 = 0.2;
@@ -24,12 +24,12 @@ fn device(id: &str, home: f64, [granularity, error]: [f64; 2]) -> String {
     )
 }
 
-/// A drone with its initial place.
+/// Returns a drone with this initial place.
 pub(super) fn drone(index: usize, at: [f64; 3]) -> FleetRobot {
     drone_on([0.001, ERROR], index, at)
 }
 
-/// A drone whose devices have this granularity and largest error.
+/// Returns a drone whose devices have this granularity and largest error, both in metres.
 pub(super) fn drone_on(grid: [f64; 2], index: usize, [x, y, z]: [f64; 3]) -> FleetRobot {
     let id = format!("d{index}");
     let devices = [("x", x), ("y", y), ("z", z)].map(|(name, home)| device(name, home, grid)).join(", ");
@@ -44,7 +44,7 @@ pub(super) fn drone_on(grid: [f64; 2], index: usize, [x, y, z]: [f64; 3]) -> Fle
     robot
 }
 
-/// Drones on the ground in rows of ten, with a group `all`.
+/// Returns drones on the ground in rows of ten, with a group `all`.
 fn fleet(count: usize) -> Fleet {
     let place = |index: usize| [(index % 10) as f64 * 0.7, (index / 10) as f64 * 0.7, 0.0];
     let robots: Vec<FleetRobot> = (0..count).map(|index| drone(index, place(index))).collect();
@@ -65,7 +65,7 @@ pub(super) fn sound(count: usize, text: &str) -> Act {
     choreography.acts.remove(0)
 }
 
-/// The steps of each drone's x, y and z as times in milliseconds and values.
+/// The steps of each drone's x, y and z, as times in milliseconds and values.
 pub(super) type Steps = Vec<[Vec<(f64, f64)>; 3]>;
 
 pub(super) fn steps(act: &Act, count: usize) -> Steps {
@@ -80,7 +80,7 @@ pub(super) fn steps(act: &Act, count: usize) -> Steps {
     steps_of(act, &fleet, &fleet.robots.iter().map(home).collect::<Vec<_>>())
 }
 
-/// Returns the steps of robots with other initial places.
+/// Returns the steps of robots that begin at the places `from`.
 pub(super) fn steps_of(act: &Act, fleet: &Fleet, from: &[[f64; 3]]) -> Steps {
     let of = |(robot, from): (&FleetRobot, &[f64; 3])| {
         std::array::from_fn(|number| {
@@ -117,7 +117,7 @@ pub(super) fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Returns the least distance, from surface to surface, of all pairs at all sampled times.
+/// Returns the least distance between any two bodies at any sampled time, from surface to surface, in metres.
 fn closest(act: &Act, steps: &Steps) -> f64 {
     let ends = act.cues.iter().map(|cue| cue.end.as_millis_f64()).fold(0.0, f64::max);
     let mut least = f64::INFINITY;
@@ -148,7 +148,7 @@ cues:
 
 #[test]
 fn the_time_that_a_way_needs_is_enough_for_it() {
-    // 0.7 m: 15/8 of it at 5 m/s, and 10/sqrt(3) of it at 10 m/s2, which takes longer.
+    // Over 0.7 m, the least time is 15/8 of the distance at 5 m/s, or 10/sqrt(3) of the distance at 10 m/s2, which is longer.
     let text = |over: &str| {
         format!(
             "scenario: s\nformations: {{f: {{points: [[0.7, 0, 0]]}}}}\ncues: [{{robots: d0, form: f, over: {over}}}]\n"
@@ -254,7 +254,7 @@ fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
     for (place, home) in places(&steps, end).iter().zip(&home) {
         assert!(apart(place, home) < 1e-3, "{place:?} {home:?}");
     }
-    // During the turn, all of them stay on the circle, and return after two turns.
+    // During the turn, all drones stay on the circle; after two turns, they are back at their places.
     let round = (cue("round").start.as_millis_f64(), cue("round").end.as_millis_f64());
     for at in 0..=1_000 {
         let at = round.0 + (round.1 - round.0) * f64::from(at) / 1_000.0;
@@ -332,7 +332,7 @@ fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
         let [finding] = found.as_slice() else { panic!("{found:#?}") };
         (finding.code, finding.expected.clone(), finding.hint.clone().unwrap())
     };
-    // Distances of 0.1 m, 0.5 m and 0.2 m.
+    // The distances are 0.1 m, 0.5 m and 0.2 m.
     let (code, expected, hint) = cue("form: f");
     assert_eq!((code, expected.as_str()), (Code::NoWayPast, "at least 0.800 m; they end 0.500 m apart"));
     assert_eq!(hint, "`spacing: 0.807` is enough");
@@ -363,7 +363,7 @@ acts:
     assert_eq!((last(&acts[1], "x"), last(&acts[1], "y"), last(&acts[1], "z")), (Some(1.0), Some(6.0), None));
 }
 
-/// Returns the codes of the findings, with the text of the first one.
+/// Returns the codes of all findings, and the text of the first finding.
 fn found(count: usize, cue: &str) -> (Vec<Code>, String) {
     let mut text =
         "scenario: s\nformations: {three: {points: [[0, 0, 1], [2, 0, 1], [4, 0, 1]]}}\ncues:\n".to_owned();
@@ -383,7 +383,7 @@ fn more_or_fewer_robots_than_places_are_a_choice() {
         let (codes, text) = found(count, &format!("form: {{to: three, {choice}}}, over: 5s"));
         assert!(codes.is_empty(), "{choice}: {text}");
     }
-    // A choice for the other case is ignored.
+    // `spare`, the choice for too few places, is ignored if there are too many.
     assert_eq!(found(2, "form: {to: three, spare: stay}, over: 5s").0, [Code::PlacesCount]);
 }
 
@@ -473,7 +473,7 @@ fn large_numbers_are_told_in_few_digits() {
     }
 }
 
-/// A fleet with limits for its devices instead of its bodies.
+/// Returns a fleet with limits for its devices instead of its bodies.
 fn limited(count: usize) -> Fleet {
     let mut fleet = fleet(count);
     let limits = |speed: f64| RateLimits { speed: Some(speed), acceleration: Some(2.0) };
@@ -493,7 +493,7 @@ fn a_time_is_enough_for_steps_of_axes_at_different_times() {
     assert_eq!(enough(&fleet(3), "", &format!("{cue}, over: {over}")), None, "{over}");
 }
 
-/// Returns the sufficient time according to the finding about a group that would move too fast.
+/// Returns the time that suffices, from the hint of the finding about a group that would move too fast; `None` without such a finding.
 fn enough(fleet: &Fleet, formations: &str, cue: &str) -> Option<String> {
     let text = format!("scenario: s\nformations: {{{formations}}}\ncues: [{{at: 0s, robots: all, {cue}}}]\n");
     let found = compile(&Source { name: "s.yaml".into(), text }, fleet, &NoFiles).findings;
@@ -628,7 +628,7 @@ cues:
 
 #[test]
 fn a_late_robot_begins_where_a_group_has_led_it_meanwhile() {
-    // d1 moves to the left and back to the right before its start in the canon.
+    // d1 moves to the left and back to the right before its own start in the canon.
     let text = "scenario: s
 cues:
   - {robots: [d0, d1], canon: 10s, shift: [0, 0, 2], over: 4s}
@@ -690,7 +690,7 @@ fn of_robots_whose_movement_is_missing_nothing_follows() {
 
 #[test]
 fn places_are_too_near_for_the_bodies_of_the_fleet_before_any_cue_uses_them() {
-    // Bodies with a radius of 0.1 m that keep 0.2 m apart.
+    // The bodies have a radius of 0.1 m and must keep 0.2 m apart.
     for (gap, expected) in [(0.39, vec![Code::NearPlaces]), (0.4, vec![])] {
         let text = format!(
             "scenario: s\nformations: {{two: {{points: [[0, 0, 1], [{gap}, 0, 1]]}}}}\ncues: [{{robots: d0, shift: [0, 0, 1], over: 4s}}]\n"
@@ -718,7 +718,7 @@ acts:
     let script = act.plan.robots.iter().flat_map(|plan| &plan.scripts).next_back().unwrap();
     let last = script.script.steps().last().unwrap();
     assert_eq!((script.device.as_str(), last.setpoint.value), ("x", 4.0));
-    // Nothing moves it back.
+    // Nothing moves the robot back.
     let jumps = super::groups::compiled(1, &acts("tracks: {x: [{at: 0s, to: 0}, {at: 1s, to: 1}]}")).findings;
     assert_eq!(jumps.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::Jump]);
 }
@@ -757,7 +757,7 @@ fn a_group_begins_after_the_movements_of_its_robots_whether_it_moves_them_or_not
         let hint = overlap.hint.as_deref().unwrap_or_default();
         assert!(hint.contains("4s later"), "{second}: {hint}");
     }
-    // Coordinates that a group leaves alone may move.
+    // Coordinates that the group does not move may still be moving.
     assert_eq!(found("shift: [1, 0, 0]"), []);
 }
 

@@ -1,10 +1,10 @@
-//! Examples of the fewest steps for devices that hold their values.
+//! Examples in which devices that hold their values need the fewest steps.
 
 use super::numbers::{steps, used};
 use super::robot;
 use crate::{Act, Compiled, Fleet, FleetRobot, NoFiles, Source, compile};
 
-/// Compiles a track of a servo that holds its values, from -20 to 155 on this grid.
+/// Compiles a track for a servo that holds its values, from -20 to 155 with this granularity.
 fn servo(granularity: f64, max_steps: u32, track: &str) -> Compiled {
     let limits =
         format!(r#""min_value": -20, "max_value": 155, "granularity": {granularity}, "max_error": 12"#);
@@ -29,7 +29,7 @@ fn act(granularity: f64, track: &str) -> Act {
     choreography.acts.into_iter().next().unwrap()
 }
 
-/// A rise over three seconds, with an additional key.
+/// Writes a track that rises over three seconds, with an additional key.
 fn rise(wish: &str, to: f64) -> String {
     format!("{{{wish}, keyframes: [{{at: 0s, to: 0}}, {{at: 3s, to: {to}, ease: smooth}}]}}")
 }
@@ -41,7 +41,7 @@ fn values(act: &Act) -> Vec<f64> {
 
 #[test]
 fn a_value_is_held_until_the_curve_leaves_its_tolerance() {
-    // 0 serves up to 1.01, 2 from 0.99 to 3.01, and so on; 154 and the end remain.
+    // The value 0 serves up to 1.01, 2 from 0.99 to 3.01, and so on. After 154, only the end remains.
     let fine = act(1.0, &rise("tolerance: 1.01", 155.0));
     let expected: Vec<f64> = (0..78).map(|step| f64::from(2 * step)).chain([155.0]).collect();
     assert_eq!(values(&fine), expected);
@@ -55,7 +55,7 @@ fn a_value_is_held_until_the_curve_leaves_its_tolerance() {
 
 #[test]
 fn the_least_error_of_a_curve_is_that_of_equal_runs() {
-    // The first and the last value serve half a run each; the four values between them serve a whole one.
+    // The first and the last value each hold for half a run; the four values between them each hold for a whole run.
     let act = act(0.001, &rise("max_steps: 6", 5.0));
     let used = used(&act, "neck");
     assert_eq!(used.steps, 6);
@@ -67,7 +67,7 @@ fn the_bound_is_no_more_than_the_steps_that_suffice() {
     for tolerance in 3..40 {
         let tolerance = f64::from(tolerance) / 10.0;
         let act = act(0.001, &rise(&format!("tolerance: {tolerance}"), 20.0));
-        // Half a run at both ends, and whole ones in between.
+        // Both ends take half a run each, and the values between them whole runs.
         let suffice = (20.0 / (2.0 * tolerance) - 1e-9).ceil() as usize + 1;
         let used = used(&act, "neck");
         assert_eq!((used.steps, used.at_least), (suffice, suffice), "{tolerance}");

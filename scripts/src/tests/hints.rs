@@ -1,4 +1,4 @@
-//! Applies each hint with an edit literally: the finding must disappear.
+//! Applies each hint that contains an edit literally, and checks that the finding disappears.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ fn compiled(name: &str, text: &str) -> Compiled {
     compile(&source, &fleet.unwrap_or_default(), &Folder::new(folder()))
 }
 
-/// Replaces `width` characters of a line.
+/// Replaces `width` characters of a line by a text.
 fn replaced(text: &str, line: usize, column: usize, width: usize, new: &str) -> String {
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     let chars: Vec<char> = lines[line - 1].chars().collect();
@@ -26,7 +26,7 @@ fn replaced(text: &str, line: usize, column: usize, width: usize, new: &str) -> 
     lines.join("\n") + "\n"
 }
 
-/// Returns the texts between backticks.
+/// Returns the texts between back-ticks.
 fn quoted(text: &str) -> Vec<&str> {
     text.split('`').skip(1).step_by(2).collect()
 }
@@ -37,7 +37,7 @@ fn line_of_cue(text: &str, name: &str) -> Option<usize> {
     text.lines().position(named).map(|index| index + 1)
 }
 
-/// Sets a key of a cue: in its first line, if the cue is written in one line.
+/// Sets a key of a cue. If the cue is written in one line, the key is set in that line.
 fn with_key(text: &str, cue: &str, edit: &str) -> Option<String> {
     let line = line_of_cue(text, cue)?;
     let key = edit.split(':').next()?;
@@ -67,7 +67,7 @@ fn with_key(text: &str, cue: &str, edit: &str) -> Option<String> {
     }
 }
 
-/// Sets a key of a contradiction in one of its lines.
+/// Sets a key of a cue in one of the lines of a contradiction.
 fn with_bound(text: &str, finding: &Finding, cue: &str, edit: &str) -> Option<String> {
     let (key, value) = edit.split_once(": ")?;
     let target = |text: &str| {
@@ -94,7 +94,7 @@ fn with_bound(text: &str, finding: &Finding, cue: &str, edit: &str) -> Option<St
     Some(replaced(text, related.line, related.column, related.width, value))
 }
 
-/// Delays all keyframes of a line, starting at a column.
+/// Delays all keyframes after a column of a line.
 fn later(text: &str, line: usize, column: usize, seconds: f64) -> String {
     let whole = text.lines().nth(line - 1).unwrap();
     let (before, rest) = whole.split_at(column - 1);
@@ -112,7 +112,7 @@ fn later(text: &str, line: usize, column: usize, seconds: f64) -> String {
     text.replace(whole, &format!("{before}{}", parts.join("at: ")))
 }
 
-/// Returns the texts that a hint asks for; empty if it leaves the edit to the reader.
+/// Returns the texts after the edits that a hint suggests; empty if the hint leaves the edit to the user.
 fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
     let at_place = |new: &str| replaced(text, finding.line, finding.column, finding.width, new);
     let words = quoted(hint);

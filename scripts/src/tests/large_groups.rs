@@ -1,4 +1,4 @@
-//! Groups with as many robots as a formation may have places.
+//! Tests of groups with as many robots as a formation may have places.
 
 use super::groups::drone;
 use crate::space::Space;
@@ -6,7 +6,7 @@ use crate::{Code, Compiled, Fleet, NoFiles, Source, compile};
 
 const MOST: usize = 10_000;
 
-/// Drones on the ground, one metre apart, in rows of 101.
+/// Returns drones on the ground, one metre apart, in rows of 101.
 fn fleet(count: usize) -> Fleet {
     let place = |index: usize| [(index % 101) as f64 - 50.0, (index / 101) as f64 - 49.5, 0.0];
     let robots: Vec<_> = (0..count).map(|index| drone(index, place(index))).collect();
@@ -22,7 +22,7 @@ fn compiled(count: usize, movement: &str) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text }, &fleet(count), &NoFiles)
 }
 
-/// Compiles a movement of the largest group of drones.
+/// Checks a movement of the largest possible group of drones.
 #[track_caller]
 fn check(movement: &str) {
     let compiled = compiled(MOST, movement);

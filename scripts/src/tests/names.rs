@@ -1,8 +1,8 @@
-//! Names whose letters have several encodings.
+//! Names whose letters have several Unicode encodings.
 
 use crate::{Code, Finding, Folder, Project, Severity, Source, compile, read_fleet};
 
-/// `ö` as one character, and as a letter with a mark.
+/// The letter `ö` as one character; `DECOMPOSED` has it as a letter with a combining mark.
 const COMPOSED: &str = "K\u{f6}pf";
 const DECOMPOSED: &str = "Ko\u{308}pf";
 
@@ -24,8 +24,8 @@ cues:
   - {after: OTHER-cue, robots: OTHERs, tracks: {OTHER: [{at: 0s, to: 9}, {at: 1s, to: 2}]}}
 ";
 
-/// Returns the findings of a show whose files contain a name in these forms: in the description, in the fleet, in the scenario, and there
-/// again.
+/// Returns the findings of a show whose files contain a name in these encodings: in the description, in the fleet file, in the scenario,
+/// and a second time in the scenario.
 fn found([robot, fleet, scenario, other]: [&str; 4], file: [&str; 2]) -> Vec<Finding> {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).unwrap();

@@ -1,4 +1,4 @@
-//! The numbers in a plan, compared with the scenario.
+//! Compares the numbers in a plan with the scenario.
 
 use proptest::prelude::*;
 
@@ -70,7 +70,7 @@ pub(super) fn used<'a>(act: &'a Act, device: &str) -> &'a DeviceUse {
     act.devices.iter().find(|used| used.device.as_str() == device).unwrap()
 }
 
-/// Returns nanoseconds from the act's start, and values.
+/// Returns the steps of a device: nanoseconds since the act's start, and values.
 pub(super) fn steps(act: &Act, device: &str) -> Vec<(i64, Vec<f64>)> {
     let scripts = act.plan.robots.iter().flat_map(|robot| &robot.scripts);
     let own = scripts.filter(|script| script.device.as_str() == device);
@@ -123,7 +123,7 @@ fn turns_with_waits_end_where_the_next_beat_begins() {
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
-/// A number with up to two decimals, as text and in hundredths.
+/// Draws a number with up to two decimals, as text and in hundredths.
 fn decimal(range: std::ops::Range<i128>) -> impl Strategy<Value = (String, i128)> {
     range.prop_map(|hundredths| (format!("{}.{:02}", hundredths / 100, hundredths % 100), hundredths))
 }
@@ -131,7 +131,7 @@ fn decimal(range: std::ops::Range<i128>) -> impl Strategy<Value = (String, i128)
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// Checked with integers: times are fractions of nanoseconds, compared by multiplying out.
+    /// The check uses integers: times are fractions of nanoseconds, compared by cross-multiplication.
     #[test]
     fn repeated_music_ends_where_its_bars_end(
         (first, first_hundredths) in decimal(4_000..25_000),
@@ -184,7 +184,7 @@ fn cues_that_follow_each_other_in_beats_are_never_later_than_the_bar() {
     }
 }
 
-/// Pieces of a straight line or a curve, with gaps between them.
+/// Writes pieces of a straight line or a curve, with gaps between their values.
 fn polynomial(gap: f64, curve: f64) -> String {
     let piece = |i: usize| {
         let begin = 0.471 * i as f64 + if i % 2 == 1 { gap } else { 0.0 };
@@ -194,7 +194,7 @@ fn polynomial(gap: f64, curve: f64) -> String {
     format!("pole: {{polynomial: [{}]}}", pieces.join(", "))
 }
 
-/// Limits off the grid, of the device or only of its scripts.
+/// The limits are off the grid, either those of the device or only those of its scripts.
 #[test]
 fn a_movement_between_the_last_value_of_the_grid_and_the_limit_is_set_to_that_value() {
     for (position, script) in [(9.99, 9.99), (10.0, 9.99)] {

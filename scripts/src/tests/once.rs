@@ -2,7 +2,7 @@
 
 use super::composed::compiled_with;
 
-/// Returns the findings as line, column and message.
+/// Returns each finding as line, column and message.
 fn found_with(text: &str, files: &[(&'static str, &str)]) -> Vec<String> {
     let findings = compiled_with(text, files).findings;
     let shown = |found: &crate::Finding| format!("{}:{} {}", found.line, found.column, found.message);
@@ -14,7 +14,7 @@ fn check(text: &str, expected: &[&str]) {
     assert_eq!(found_with(text, &[]), expected, "{text}");
 }
 
-/// A scenario whose only cue plays a sequence with these parameters.
+/// Writes a scenario whose only cue plays a sequence with these parameters.
 fn played(given: &str) -> String {
     format!(
         "scenario: s
@@ -44,7 +44,7 @@ fn what_uses_a_parameter_without_a_value_is_not_told() {
         &played("who: left, pause: soon"),
         &["11:64 the parameter `pause` needs a time, but this is the text `soon`"],
     );
-    // The thing that a name refers to is known where it is used.
+    // What a name refers to is known only where the name is used.
     check(&played("who: left, name: anything"), &[]);
 }
 
@@ -176,7 +176,7 @@ cues: [{{at: {at}, robots: left, tracks: {{a: [{{at: 0s, to: 0}}]}}}}]
 
 #[test]
 fn a_key_that_is_misspelt_is_read_as_what_was_meant() {
-    // Neither the parameter nor its value is unknown.
+    // Neither the parameter nor its value is reported as unknown.
     let text = "scenario: s
 moves: {m: {parameter: {reach: 3}, tracks: {a: [{at: 0s, to: 0}, {at: 1s, to: $reach}]}}}
 cues: [{robots: left, move: m, parameters: {reach: 4}}]
@@ -277,7 +277,7 @@ cues: [{{robots: [left, right], move: m, parameters: {{to: {to}}}}}]
     );
     let words = compiled_with(&text("low"), &[]).findings;
     assert_eq!(words[0].hint.as_deref(), Some("write the variable as `$low`"));
-    // The differing types of the ends are not reported: the number is correct.
+    // It is not reported that the types of the two ends differ: the number is correct.
     check(
         &text("{from: 1s, to: 3, across: group}"),
         &["4:65 the parameter `to` needs a number, but this is the text `1s`"],

@@ -1,4 +1,5 @@
-//! The cue information in a plan: the order in which its keys change its movement, as documented in `docs/scenario.md`, and its note.
+//! Checks the information about cues in a plan: the order in which a cue's keys change its movement, as documented in
+//! `docs/scenario.md`, and the cue's note.
 
 use std::path::Path;
 
@@ -6,7 +7,7 @@ use urrcp::Span;
 
 use crate::{NoFiles, PlannedCue, Source, compile, read_fleet};
 
-/// Returns the section of the documentation.
+/// Returns the section of the documentation about this order.
 fn section() -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let document = std::fs::read_to_string(root.join("docs/scenario.md")).unwrap();

@@ -1,4 +1,4 @@
-//! Patterns over a group: a scenario with a pattern compiles to the same result as one with every time and number written out.
+//! Patterns over a group. A scenario with a pattern compiles to the same result as one with every time and number written out.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ const BLOCK: &str = r#"{"id": "x", "api_version": "1", "devices": [
      "position": {"min_value": -500, "max_value": 500, "granularity": 0.01, "max_error": 0.05},
      "script": {"min_value": -500, "max_value": 500, "granularity": 0.01, "max_number_of_steps": 10000}}}]}"#;
 
-/// Robots with their places; the last two of eight have no place.
+/// Robots with their places in metres. The last two of the eight robots have no place.
 const PLACES: [(&str, Option<[f64; 3]>); 8] = [
     ("a", Some([0.0, 0.0, 0.0])),
     ("b", Some([1.0, 0.0, 2.0])),
@@ -87,7 +87,7 @@ fn same(with: &str, without: &str) {
     }
 }
 
-/// Compares a cue of a group with a canon with the same cue with a delay for each robot.
+/// Checks that a group with a canon is equivalent to a cue in which each robot has one of these delays.
 #[track_caller]
 fn delayed(group: &str, canon: &str, delays: &[(&str, &str)]) {
     let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
@@ -102,7 +102,7 @@ fn delayed(group: &str, canon: &str, delays: &[(&str, &str)]) {
     );
 }
 
-/// Compares a value for each robot of a group with the same values written out.
+/// Checks that a value that differs between the robots of a group is equivalent to these values written out.
 #[track_caller]
 fn valued(group: &str, value: &str, values: &[(&str, &str)]) {
     let tracks = |value: &str| {
@@ -120,7 +120,7 @@ fn valued(group: &str, value: &str, values: &[(&str, &str)]) {
     );
 }
 
-/// Returns the findings: the text at the place, which is the bracket of a map, with code and message.
+/// Returns each finding with the text at its place (the bracket of a map), its code and its message.
 fn found(text: &str) -> Vec<String> {
     let one = |finding: &crate::Finding| {
         let at: String = finding.source_line.chars().skip(finding.column - 1).take(finding.width).collect();
@@ -145,7 +145,7 @@ fn a_canon_goes_by_index_in_four_directions() {
 
 #[test]
 fn a_wave_runs_over_the_places_of_the_robots() {
-    // x: a 0, b 1, c 4, e 0.3, f 2.
+    // x of the robots: a 0, b 1, c 4, e 0.3, f 2.
     delayed("five", "{speed: 2, by: x}", &[("b", "500ms"), ("c", "2s"), ("e", "150ms"), ("f", "1s")]);
     delayed("five", "{step: 1s, by: x}", &[("b", "2s"), ("c", "4s"), ("e", "1s"), ("f", "3s")]);
     delayed("five", "{over: 1s, by: x}", &[("b", "250ms"), ("c", "1s"), ("e", "75ms"), ("f", "500ms")]);
@@ -154,13 +154,13 @@ fn a_wave_runs_over_the_places_of_the_robots() {
         "{speed: 2, by: x, direction: backward}",
         &[("a", "2s"), ("b", "1500ms"), ("e", "1850ms"), ("f", "1s")],
     );
-    // From x = 2.
+    // The wave begins at x = 2.
     delayed(
         "five",
         "{speed: 1, by: x, direction: outward}",
         &[("a", "2s"), ("b", "1s"), ("c", "2s"), ("e", "1700ms")],
     );
-    // c is 5 m from the origin, b the square root of 5, and a is at the origin.
+    // c is 5 m from the origin, b the square root of 5 metres, and a is at the origin.
     delayed("[a, c]", "{speed: 2, by: [0, 0, 0]}", &[("c", "2500ms")]);
     delayed("[c, a]", "{speed: 2, by: [4, 3, 0]}", &[("a", "2500ms")]);
     // b and h have the same x and begin together.
@@ -170,7 +170,7 @@ fn a_wave_runs_over_the_places_of_the_robots() {
 
 #[test]
 fn a_canon_at_random_is_the_same_for_ever() {
-    // SplitMix64 twice for each number, calculated independently in another language.
+    // The numbers come from SplitMix64, applied twice for each, and were calculated independently in another language.
     delayed("four", "{step: 1s, by: random, seed: 7}", &[("a", "1s"), ("c", "2s"), ("e", "3s")]);
     delayed(
         "four",
@@ -286,7 +286,7 @@ fn a_value_is_spread_from_the_first_robot_to_the_last() {
         "{from: 0, to: 8, across: group, direction: outward}",
         &[("a", "8"), ("b", "4"), ("c", "0"), ("e", "4"), ("f", "8")],
     );
-    // `smooth` at thirds: 10/27 - 15/81 + 6/243 = 17/81, and the complement.
+    // `smooth` at a third is 10/27 - 15/81 + 6/243 = 17/81, and at two thirds 1 minus that.
     valued(
         "four",
         "{from: 0, to: 81, across: group, ease: smooth}",
@@ -375,7 +375,7 @@ cues: [{robots: [leader, followers], canon: 250ms, tracks: {d: [{at: 0s, to: 0},
 
 #[test]
 fn robots_are_where_the_last_cue_above_leaves_them() {
-    // The value of x is in centimetres, starting 1 m before the place in the fleet: a to 3 m, b to 0 m, c to 1 m.
+    // x is in centimetres and starts 1 m before the robot's place in the fleet file, so a moves to 3 m, b to 0 m, and c to 1 m.
     let moves = "{cue: m, robots: [a, b, c], tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: 400}]}, overrides: {b: {tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: 0}]}}, c: {tracks: {x: [{at: 0s, to: 100}, {at: 1s, to: -200}]}}}}";
     let nod = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
     same(
@@ -490,7 +490,7 @@ fn a_formula_has_another_chance_for_each_robot_and_turn() {
         robots.iter().map(steps).collect()
     };
     let robots = steps(&track("formula: 'round(100 * random(7, $index, floor(t / 2s)))', for: 6s"));
-    // The values of drawn(7, index, turn), calculated in another language.
+    // The values of drawn(7, index, turn) were calculated in another language.
     for (robot, expected) in robots.iter().zip([[61.0, 10.0, 29.0], [98.0, 62.0, 48.0]]) {
         for (turn, value) in expected.into_iter().enumerate() {
             let middle = turn as f64 * 2_000.0 + 1_000.0;

@@ -1,4 +1,4 @@
-//! Patterns by place after movements of groups, checked by positions sampled from the steps of the plan.
+//! Patterns by place after movements of groups. Positions are sampled from the steps of the plan.
 
 use super::groups::{compiled, places, sound, steps};
 
@@ -12,7 +12,7 @@ paths:
   bow: {points: [[0, 0, 0], [2, 1, 0.5], [4, 0, 0]]}
 cues:
 ";
-/// Movements of a group of eight robots that begins in a row.
+/// Movements of a group of eight robots that initially form a row.
 const FIRST: [&str; 9] = [
     "form: ring, over: 8s",
     "form: {to: small, spare: stay}, over: 8s",
@@ -25,13 +25,13 @@ const FIRST: [&str; 9] = [
     "turn: {by: 30, about: [3, 3]}, grow: 1.3, shift: [0, 0, 1], over: 8s",
 ];
 
-/// Returns the time at which each robot begins to rise, in milliseconds, and its place at that time.
+/// Returns the time at which each robot begins to rise, in milliseconds, and the robot's place at that time.
 fn begins(text: &str) -> Vec<(f64, [f64; 3])> {
     let act = sound(COUNT, text);
     let begin = act.cues.last().unwrap().start.as_millis_f64();
     let steps = steps(&act, COUNT);
     let places = places(&steps, begin);
-    // At half of its time, each has risen by half.
+    // After half of its time, each robot has risen by half of the height.
     let late = |index: usize| {
         let height = |at: f64| self::places(&steps, begin + at)[index][2];
         (0..40_000).map(f64::from).find(|at| height(*at) > places[index][2] + 0.5).unwrap() - 2_000.0
@@ -39,13 +39,13 @@ fn begins(text: &str) -> Vec<(f64, [f64; 3])> {
     (0..COUNT).map(|index| (late(index), places[index])).collect()
 }
 
-/// Checks that robots begin in the order of x, as a wave at 0.5 m/s.
+/// Checks that robots begin in the order of x, like a wave at 0.5 m/s.
 fn assert_in_order_of_x(text: &str) {
     let begins = begins(text);
     let least = begins.iter().map(|(_, [x, ..])| *x).fold(f64::INFINITY, f64::min);
     assert!(begins.iter().any(|(_, [x, ..])| x - least > 0.5), "{begins:?}");
     for (late, [x, ..]) in &begins {
-        // Steps end within their error of the movement's end.
+        // Steps end within their permitted error of the movement's end.
         assert!((late - (x - least) / 0.5 * 1_000.0).abs() < 15.0, "{late} at {x}: {text}");
     }
 }

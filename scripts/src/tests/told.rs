@@ -33,7 +33,7 @@ fn two_values_at_one_instant_are_an_overlap() {
     assert_eq!(lamp(&(cue("a", "at: 1s", &set(10)) + &cue("b", "at: 1s", fade))), overlap(4));
     assert_eq!(lamp(&(cue("a", "at: 1s", fade) + &cue("b", "at: 1s", &set(10)))).len(), 1);
     assert_eq!(lamp(&(cue("a", "at: 1s", &set(10)) + &cue("b", "after: a", &set(50)))), overlap(4));
-    // One follows the other, or both agree.
+    // One movement follows the other, or both set the same value.
     assert_eq!(lamp(&(cue("a", "at: 1s", fade) + &cue("b", "after: a", &set(50)))), []);
     assert_eq!(lamp(&(cue("a", "at: 1s", &set(10)) + &cue("b", "at: 1s", &set(10)))), []);
 }

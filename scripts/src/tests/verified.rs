@@ -1,7 +1,7 @@
-//! A second, slow reading of movements: the meaning of a track is evaluated point by point from the written text, and compared with the
-//! steps and the numbers of the plan.
+//! A second, slow evaluation of movements: the meaning of a track is evaluated point by point from the written text, and compared with
+//! the steps and the numbers of the plan.
 //!
-//! It checks `PROPTEST_CASES` movements if that is set.
+//! The number of movements is `PROPTEST_CASES`, if that is set.
 
 pub(super) mod held;
 
@@ -12,7 +12,7 @@ use held::{Held, Values, as_few_as_can_be};
 use super::numbers::{compiled_with, steps, used};
 use crate::{Act, Code, DeviceUse};
 
-/// Milliseconds around a jump in which the values of both sides are valid.
+/// Milliseconds around a jump within which the values before and after it are both accepted.
 pub(super) const NEAR: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ pub(super) enum Ease {
     Step,
 }
 
-/// A section of a movement between two values; times are in milliseconds.
+/// A section of a movement between two values. Times are in milliseconds.
 #[derive(Clone, Debug)]
 pub(super) struct Way {
     pub(super) begin: f64,
@@ -35,18 +35,18 @@ pub(super) struct Way {
 #[derive(Clone, Debug)]
 pub(super) enum Form {
     Eased(Ease, f64, f64),
-    /// Coefficients in seconds from the section's start.
+    /// Coefficients of a polynomial of the seconds since the section's start.
     Polynomial(Vec<f64>),
-    /// Amplitude, period in seconds, phase in cycles, center.
+    /// Amplitude, period in seconds, phase in cycles, and center.
     Wave([f64; 4]),
-    /// |a + b t| + c, with t in seconds from the section's start.
+    /// |a + b t| + c, where t is in seconds from the section's start
     Bent([f64; 3]),
     /// a t sin(2 pi t / b) + c
     Growing([f64; 3]),
 }
 
 impl Form {
-    /// Returns the value at a share of the section, which lasts `seconds`.
+    /// Returns the value when the share `s` of the section, which lasts `seconds`, has passed.
     fn at(&self, s: f64, seconds: f64) -> f64 {
         match self {
             Self::Eased(ease, from, to) => {
@@ -68,7 +68,7 @@ impl Form {
     }
 }
 
-/// A movement as written, with its meaning.
+/// A movement as written, with its sections, which define its meaning.
 #[derive(Clone, Debug)]
 pub(super) struct Movement {
     pub(super) yaml: String,
@@ -80,26 +80,26 @@ fn length(ways: &[Way]) -> f64 {
     ways.last().map_or(0.0, |way| way.end)
 }
 
-/// The changes of a movement.
+/// The changes that a cue makes to a movement.
 #[derive(Clone, Debug)]
 pub(super) struct Change {
     pub(super) yaml: String,
-    /// Each value is changed to shift + factor * value.
+    /// The change turns each value into shift + factor * value.
     factor: f64,
     shift: f64,
     pub(super) backwards: bool,
     pub(super) turns: u32,
-    /// Milliseconds from the end of a repetition to the next one, if that is written.
+    /// Time from the end of a repetition to the start of the next one in milliseconds; `None` if it is not written.
     pub(super) pause: Option<f64>,
-    /// Milliseconds.
+    /// Duration to which the movement is stretched, in milliseconds.
     pub(super) duration: Option<f64>,
 }
 
-/// A placeholder for the interval between repetitions.
+/// Placeholder in the text for the interval between repetitions.
 pub(super) const EVERY: &str = "EVERY";
 
 impl Change {
-    /// Returns no change.
+    /// Returns a change that changes nothing.
     pub(super) fn none() -> Self {
         Self {
             yaml: String::new(),
@@ -112,18 +112,18 @@ impl Change {
         }
     }
 
-    /// Returns the change with a scaling of the values before everything else.
+    /// Returns this change with a scaling of the values before everything else.
     pub(super) fn scaled(&self, by: f64, about: f64) -> Self {
         let shift = self.shift + self.factor * about * (1.0 - by);
         Self { factor: self.factor * by, shift, ..self.clone() }
     }
 
-    /// Returns the interval between repetitions of a movement that lasts `once`.
+    /// Returns the interval between repetitions of a movement that lasts `once`, in milliseconds.
     fn cycle(&self, once: f64) -> f64 {
         once + self.pause.unwrap_or(0.0)
     }
 
-    /// Returns the length of all repetitions, as written.
+    /// Returns the length of all repetitions as written, in milliseconds, if one lasts `once`.
     pub(super) fn whole(&self, once: f64) -> f64 {
         self.cycle(once) * f64::from(self.turns) - self.pause.unwrap_or(0.0)
     }
@@ -135,7 +135,7 @@ impl Change {
 }
 
 impl Movement {
-    /// Creates a track of keyframes, in milliseconds and values, which a device plays as written.
+    /// Creates a track of keyframes, given in milliseconds and values, that a device plays as written.
     pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(f64, f64)]) -> Self {
         let ease = if moves { Ease::Own } else { Ease::Step };
         let way = |pair: &[(f64, f64)]| {
@@ -150,7 +150,7 @@ impl Movement {
     }
 }
 
-/// Returns the value at a time of a movement after all changes; before or after a jump at that time.
+/// Returns the value at a time of a movement after all changes. At a jump, this may be the value before or after it.
 pub(super) fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
     let once = length(&movement.ways);
     let cycle = change.cycle(once);
@@ -169,7 +169,7 @@ pub(super) fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
     change.of(way.form.at(s, (way.end - way.begin) / 1_000.0))
 }
 
-/// Returns the final value as written.
+/// Returns the final value of a movement after all changes, as written.
 pub(super) fn final_value(movement: &Movement, change: &Change) -> f64 {
     let (first, last) = (&movement.ways[0], &movement.ways[movement.ways.len() - 1]);
     change.of(match (change.backwards, &first.form, &last.form) {
@@ -180,7 +180,7 @@ pub(super) fn final_value(movement: &Movement, change: &Change) -> f64 {
     })
 }
 
-/// Returns the value of the device at a time.
+/// Returns the value of the device at a time when it plays these steps.
 pub(super) fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
     let after = steps.partition_point(|step| step.0 <= millis);
     let before = steps[after.saturating_sub(1)];
@@ -192,7 +192,7 @@ pub(super) fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
     }
 }
 
-/// Returns the sampled times: everywhere, and on both sides of every possible jump.
+/// Returns the sampled times: evenly distributed ones, and both sides of every possible jump.
 pub(super) fn looked_at(movement: &Movement, change: &Change, steps: &[(f64, f64)]) -> Vec<f64> {
     let once = length(&movement.ways);
     let (cycle, all_turns) = (change.cycle(once), change.whole(once));
@@ -233,7 +233,7 @@ fn keyframes(linear: bool) -> impl Strategy<Value = Movement> {
                 Ease::Cubic => ", ease: cubic",
                 Ease::Step => ", ease: step",
             };
-            // Writes every third one as an expression.
+            // Writes every third keyframe with expressions.
             yaml.push(match index % 3 {
                 2 => format!("{{at: {now} * 1ms, to: {halves} / 4 * 2{word}}}"),
                 _ => format!("{{at: {now}ms, to: {value}{word}}}"),
@@ -277,7 +277,7 @@ fn samples(linear: bool) -> impl Strategy<Value = Movement> {
     })
 }
 
-/// Pieces that meet, except for tiny gaps or jumps.
+/// Draws pieces that meet, except for tiny gaps or jumps.
 fn polynomial() -> impl Strategy<Value = Movement> {
     let gap = prop_oneof![2 => Just(0.0), 2 => (-80i32..80).prop_map(|gap| f64::from(gap) * 1e-6), 1 => (-8i32..8).prop_map(f64::from)];
     let piece = (50i32..1_500, prop::collection::vec(-40i32..40, 1..5), gap);
@@ -307,7 +307,7 @@ fn wave() -> impl Strategy<Value = Movement> {
     })
 }
 
-/// From a value, at a growing speed.
+/// Draws a movement that starts from a value at a growing speed.
 fn travel() -> impl Strategy<Value = Movement> {
     (-40i32..40, -20i32..20, -12i32..12, 200i32..5_000).prop_map(|(from, speed, acceleration, millis)| {
         let (from, speed, acceleration) =
@@ -320,7 +320,7 @@ fn travel() -> impl Strategy<Value = Movement> {
     })
 }
 
-/// A smooth curve through points, at rest at both ends.
+/// Draws a smooth curve through points, at rest at both ends.
 fn spline() -> impl Strategy<Value = Movement> {
     prop::collection::vec((150i32..1_500, -40i32..40), 2..7).prop_map(|points| {
         let (mut now, mut knots, mut yaml) = (0, Vec::new(), Vec::new());
@@ -338,7 +338,8 @@ fn spline() -> impl Strategy<Value = Movement> {
     })
 }
 
-/// The cubics c0 + c1 t + c2 t^2 + c3 t^3 between points: all conditions on their coefficients as one system of equations.
+/// Returns the cubics c0 + c1 t + c2 t^2 + c3 t^3 between points, by solving all conditions on their coefficients as one system of
+/// equations.
 fn cubics(points: &[(f64, f64)]) -> Vec<Vec<f64>> {
     let pieces = points.len() - 1;
     let row = |entries: &[(usize, usize, f64)], right: f64| {
@@ -363,7 +364,7 @@ fn cubics(points: &[(f64, f64)]) -> Vec<Vec<f64>> {
     solved(rows).chunks(4).map(<[f64]>::to_vec).collect()
 }
 
-/// Gaussian elimination with the largest entry as pivot.
+/// Solves a system of equations by Gaussian elimination with the largest entry as pivot.
 fn solved(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
     let count = rows.len();
     for column in 0..count {
@@ -380,7 +381,7 @@ fn solved(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
     (0..count).map(|index| rows[index][count] / rows[index][index]).collect()
 }
 
-/// Formulas with one section, with a corner, with a jump, with many jumps.
+/// Draws formulas with one section, with a corner, with a jump, or with many jumps.
 fn formula() -> impl Strategy<Value = Movement> {
     (0usize..6, -12i32..13, 1i32..9, -20i32..20, 400i32..5_000).prop_map(|(kind, a, b, c, millis)| {
         let (whole, at) = (f64::from(millis), f64::from(millis) * 0.37);
@@ -476,7 +477,7 @@ pub(super) fn changes() -> impl Strategy<Value = Change> {
     })
 }
 
-/// None; or halves, which are multiples of most grids; or any number.
+/// Draws a tolerance: none, or halves, which are multiples of most grids, or any number.
 pub(super) fn tolerances() -> impl Strategy<Value = Option<f64>> {
     prop_oneof![
         2 => Just(None),
@@ -485,7 +486,7 @@ pub(super) fn tolerances() -> impl Strategy<Value = Option<f64>> {
     ]
 }
 
-/// Compares the steps of a plan with the meaning.
+/// Compares the steps of a plan with the meaning of the movement.
 fn verify(
     act: &Act,
     (device, linear): (&str, bool),
@@ -518,7 +519,7 @@ fn verify(
     }
     let mut worst: (f64, f64) = (0.0, 0.0);
     for at in looked_at(movement, change, &steps) {
-        // Steps that are closer to each other than that have no two sides.
+        // Times around which more than two steps are close are skipped: the two sides of a jump cannot be distinguished there.
         let crowded = steps.iter().filter(|step| (step.0 - at).abs() < 2.0 * NEAR).count() > 2;
         let off = (played(&steps, linear, at) - meant(movement, change, at)).abs();
         if !crowded && off > worst.0 {
@@ -532,15 +533,15 @@ fn verify(
     as_far_off(device, worst, last.max(first), (used.worst_error, tolerance))
 }
 
-/// Checks that the reported error equals the one that was found, in milliseconds from the start, and is permitted. The last step and
-/// values on the grid may deviate by more than the sampled error.
+/// Checks that the reported error equals `worst`, the error that was found and its time in milliseconds from the start, and is
+/// permitted. The last step and values on the grid may deviate by more than the sampled error.
 pub(super) fn as_far_off(
     who: &str,
     worst: (f64, f64),
     elsewhere: f64,
     (told, allowed): (f64, f64),
 ) -> Result<(), TestCaseError> {
-    // A thousandth of a millisecond near a bound changes a value slightly.
+    // Close to a jump, a thousandth of a millisecond changes a value slightly.
     let dust = 2e-3;
     prop_assert!(worst.0 <= told + dust, "{who}: off by {} at {} ms, not {told}", worst.0, worst.1);
     prop_assert!(told <= allowed * (1.0 + 1e-9), "{who}: {told} is more than {allowed}");
@@ -549,8 +550,8 @@ pub(super) fn as_far_off(
     Ok(())
 }
 
-/// Checks a track with `max_steps`: it has at most this number and, for found set from value to value, its error does not
-/// exceed the smallest possible one.
+/// Checks a track with `max_steps`: it has at most this number of steps. For a device that is set from value to value, its error does
+/// not exceed the smallest possible one.
 fn with_so_many(
     used: &DeviceUse,
     linear: bool,
@@ -570,13 +571,14 @@ fn with_so_many(
     let waits = |turn: u32| turn + 1 < change.turns && change.pause.is_some_and(|pause| pause > 0.0);
     let levels = (0..change.turns).flat_map(|number| turn().into_iter().chain(waits(number).then_some(end)));
     let levels: Vec<f64> = levels.collect();
-    // The last step is the end of the movement.
+    // The last step is the end of the movement, so one less is available.
     let least = least_error(&levels, most - 1, values).max((values.nearest(end) - end).abs());
     prop_assert!(used.worst_error <= least * (1.0 + 1e-6) + 1e-6, "off by {}, not {least}", used.worst_error);
     Ok(())
 }
 
-/// Returns the least error of `most` consecutive values on a grid, by trying every possible last value.
+/// Returns the least error if at most `most` consecutive values on a grid hold these levels, by trying every possible last level of
+/// each.
 fn least_error(levels: &[f64], most: usize, values: Values) -> f64 {
     let held = |part: &[f64]| {
         let low = part.iter().copied().fold(f64::INFINITY, f64::min);

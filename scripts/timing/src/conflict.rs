@@ -1,4 +1,4 @@
-//! Explains why a network has no schedule: its smallest contradiction, and corrections that resolve it.
+//! Explains why a network has no schedule: finds the smallest contradiction and corrections that resolve it.
 
 use urrcp::Span;
 
@@ -14,29 +14,29 @@ const CORRECTION_WORK_MAX: usize = 50_000_000;
 /// One of the two bounds of a constraint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Bound {
-    /// to - from >= span
+    /// The lower bound: to - from >= span
     Min,
-    /// to - from <= span
+    /// The upper bound: to - from <= span
     Max,
 }
 
 /// A minimal set of bounds that cannot all hold: without any one of them, the others can.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conflict {
-    /// A cycle of events: each link begins where the previous one ends.
+    /// The bounds as a cycle of events: each link begins where the previous one ends.
     pub chain: Vec<Link>,
-    /// Amount by which all of them together are too tight.
+    /// Amount by which all bounds of the chain together are too tight.
     pub excess: Span,
-    /// Single bounds whose loosening makes the whole network consistent.
+    /// Changes of single bounds that each make the whole network consistent.
     pub corrections: Vec<Correction>,
 }
 
 /// One bound of a contradiction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Link {
-    /// The constraint that has the bound; `None` for "not before the origin".
+    /// The constraint that has the bound; `None` for the implicit bound "not before the origin".
     pub constraint: Option<ConstraintId>,
-    /// The bound of that constraint.
+    /// Which bound of the constraint.
     pub bound: Bound,
     /// The constraint's own `from`, also for an upper bound.
     pub from: Event,
@@ -46,20 +46,20 @@ pub struct Link {
     pub span: Span,
 }
 
-/// A way to resolve a contradiction.
+/// A change of one bound that resolves a contradiction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Correction {
-    /// Index into the chain.
+    /// Index of the bound in [`Conflict::chain`].
     pub link: usize,
-    /// Smallest sufficient loosening of this bound.
+    /// Smallest sufficient loosening of the bound.
     pub by: Span,
 }
 
-/// Returns the contradiction with the fewest bounds.
+/// Returns the contradiction with the fewest bounds. `found` is any positive cycle.
 ///
-/// A simple positive cycle that loses a bound is no longer a cycle, so the cycle with the fewest arcs is the smallest contradiction. The
-/// search follows longest walks of 1, 2, 3 ... arcs from a node back to itself. It starts from every node if that takes at most
-/// [`WORK_MAX`] arc inspections; in larger networks, only from the nodes of the first cycle found.
+/// A contradiction is a positive cycle of arcs. Without one of its bounds, a simple cycle is no cycle, so the cycle with the fewest arcs
+/// is the smallest contradiction. The search follows longest walks of 1, 2, 3 ... arcs from a node back to itself. It starts from every
+/// node if that takes at most [`WORK_MAX`] arc inspections; in larger networks, only from the nodes of `found`.
 pub(super) fn explain(network: &Network, arcs: &Arcs, found: &[Arc]) -> Conflict {
     let cycle = smallest(arcs, found);
     let excess = cycle.iter().map(|arc| arc.weight).fold(0, i64::saturating_add);
@@ -108,7 +108,7 @@ fn smallest(arcs: &Arcs, found: &[Arc]) -> Vec<Arc> {
     best
 }
 
-/// Returns the shortest positive cycle through `start` with at most `most` arcs.
+/// Returns the positive cycle through `start` with the fewest arcs, if it has at most `most` arcs.
 fn walk(arcs: &Arcs, start: usize, most: usize) -> Option<Vec<Arc>> {
     let mut layers: Vec<Vec<(i64, Option<Arc>)>> = vec![vec![(UNREACHED, None); arcs.nodes()]];
     layers[0][start].0 = 0;
@@ -142,7 +142,8 @@ fn back(layers: &[Vec<(i64, Option<Arc>)>], start: usize) -> Vec<Arc> {
     simple(cycle)
 }
 
-/// A walk that visits a node twice consists of two shorter cycles, at least one of which is positive.
+/// Reduces a positive closed walk to a positive simple cycle. A walk that visits a node twice consists of two shorter cycles, at least
+/// one of which is positive.
 fn simple(cycle: Vec<Arc>) -> Vec<Arc> {
     for (i, arc) in cycle.iter().enumerate() {
         for (j, other) in cycle.iter().enumerate().skip(i + 1) {
@@ -157,8 +158,8 @@ fn simple(cycle: Vec<Arc>) -> Vec<Arc> {
     cycle
 }
 
-/// Returns, for each bound of the cycle that has one, the smallest loosening that leaves no positive cycle anywhere. If the network is
-/// consistent without the bound, the longest path from the bound's end back to its beginning limits its value.
+/// Returns, for each bound of the cycle that has one, the smallest loosening that leaves no positive cycle anywhere. Without the bound,
+/// the network must be consistent; then the longest path from the bound's end back to its start limits the bound's value.
 fn corrections(network: &Network, arcs: &Arcs, cycle: &[Arc]) -> Vec<Correction> {
     let mut corrections = Vec::new();
     let mut work = 0usize;

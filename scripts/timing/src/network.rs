@@ -1,4 +1,4 @@
-//! Events and the bounds between them.
+//! A network of events, and bounds on the times between them.
 
 use std::collections::HashSet;
 
@@ -9,15 +9,15 @@ use urrcp::Span;
 use super::conflict::{Conflict, explain};
 use super::paths::{Arcs, longest};
 
-/// An instant of a network. The origin is the event at time zero.
+/// An event of a network: a point in time. The origin is the event at time zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Event(pub(super) NodeIndex);
 
-/// A constraint of a network.
+/// Id of a constraint of a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ConstraintId(pub(super) EdgeIndex);
 
-/// Bounds on to - from.
+/// Lower and upper bound on to - from; `None` for no bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Bounds {
     pub(super) min: Option<Span>,
@@ -35,7 +35,7 @@ pub struct Network {
 pub struct Schedule(pub(super) Vec<i64>);
 
 impl Schedule {
-    /// Time since the origin; zero for an event of another network.
+    /// Time of `event` since the origin; zero for an event of another network.
     #[must_use]
     pub fn time(&self, event: Event) -> Span {
         Span::from_nanos(self.0.get(event.0.index()).copied().unwrap_or(0))
@@ -63,21 +63,21 @@ impl Network {
         Self { graph }
     }
 
-    /// The event at time zero.
+    /// The origin: the event at time zero.
     #[must_use]
     pub fn origin(&self) -> Event {
         Event(NodeIndex::new(0))
     }
 
-    /// Adds an event, which is not before the origin.
+    /// Adds an event. It cannot be earlier than the origin.
     pub fn event(&mut self) -> Event {
         Event(self.graph.add_node(()))
     }
 
-    /// Adds the constraint min <= to - from <= max. Both bounds may be negative; without any, the constraint has no effect.
+    /// Adds the constraint min <= to - from <= max. Both bounds may be negative; a missing bound has no effect.
     ///
     /// # Panics
-    /// If an event is of another network with more events.
+    /// If `from` or `to` belongs to a larger network.
     pub fn constrain(
         &mut self,
         from: Event,
@@ -94,18 +94,18 @@ impl Network {
         self.graph.node_count()
     }
 
-    /// Sum of all minimum distances: no schedule without unnecessary waiting is longer.
+    /// Sum of the absolute values of all lower bounds. No schedule without unnecessary waiting is longer.
     #[must_use]
     pub fn total(&self) -> Span {
         let mins = self.graph.edge_weights().filter_map(|bounds| bounds.min);
         mins.fold(Span::ZERO, |sum, min| sum + min.abs())
     }
 
-    /// Computes the earliest schedule by the method of Goldberg and Radzik (Applied Mathematics Letters 6, 1993): passes over the
-    /// violated bounds in topological order. Linear in the size of acyclic networks, regardless of the order of their events.
+    /// Computes the earliest schedule by the method of Goldberg and Radzik (Applied Mathematics Letters 6, 1993): repeated passes over
+    /// the violated bounds in topological order. Takes linear time in acyclic networks, regardless of the order of their events.
     ///
     /// # Errors
-    /// The smallest contradiction.
+    /// Returns the smallest contradiction if no schedule exists.
     pub fn solve(&self) -> Result<Schedule, Conflict> {
         let arcs = self.arcs(None);
         match longest(&arcs, vec![0; self.events()]) {
@@ -114,8 +114,8 @@ impl Network {
         }
     }
 
-    /// Returns the latest time of each event at which all bounds can still be met with no event after `horizon`, by longest paths
-    /// backwards. `None` if the bounds or the horizon cannot be met at all.
+    /// Returns the latest time of each event at which all bounds can still be met and no event is after `horizon`. `None` if that is
+    /// impossible. Follows longest paths backwards.
     #[must_use]
     pub fn latest(&self, horizon: Span) -> Option<Schedule> {
         let arcs = self.arcs(None);
@@ -127,8 +127,8 @@ impl Network {
         (negated[0] == 0).then(|| Schedule(negated.iter().map(|time| -time).collect()))
     }
 
-    /// Returns the events that determine the time of the last event of the earliest schedule: those from which a chain of bounds without
-    /// slack leads to it. A chain begins at the origin: being fixed to an instant alone does not make an event critical.
+    /// Returns the events that determine the time of the last event in `earliest`. From each of them, a chain of bounds without slack
+    /// leads to the last event. A chain begins at the origin: being fixed to an instant alone does not make an event critical.
     #[must_use]
     pub fn critical(&self, earliest: &Schedule) -> HashSet<Event> {
         let arcs = self.arcs(None);
@@ -140,7 +140,7 @@ impl Network {
         let mut open: Vec<usize> = (0..times.len()).filter(|event| times[*event] == last).collect();
         let mut found: HashSet<Event> = open.iter().map(|event| Event(NodeIndex::new(*event))).collect();
         while let Some(later) = open.pop() {
-            // No chain leads to the origin, although events that are fixed to it cannot be later.
+            // No chain leads to the origin, although events that are fixed to the origin cannot be later.
             for arc in backwards.of(later).iter().filter(|_| later > 0) {
                 let earlier = arc.to as usize;
                 let no_room = times[earlier].saturating_add(arc.weight) == times[later];

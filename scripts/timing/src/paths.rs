@@ -1,14 +1,14 @@
-//! Longest paths, and the positive cycles that prevent them.
+//! Longest paths from the origin, and the positive cycles that make them impossible.
 
-/// The label of the arc that keeps an event from being earlier than the origin.
+/// Label of the implicit arc that keeps an event from being earlier than the origin.
 pub(super) const IMPLICIT: usize = usize::MAX;
-/// The value of a node that no path reaches.
+/// Time of a node that no path reaches.
 pub(super) const UNREACHED: i64 = i64::MIN;
 
 /// Arcs to >= from + weight, grouped by their start node.
 #[derive(Clone, Debug)]
 pub(super) struct Arcs {
-    /// Index of the first arc of each node; one more at the end.
+    /// Index in `arcs` of the first arc of each node; one more entry marks the end.
     first: Vec<u32>,
     arcs: Vec<Arc>,
 }
@@ -18,12 +18,12 @@ pub(super) struct Arc {
     pub(super) from: u32,
     pub(super) to: u32,
     pub(super) weight: i64,
-    /// Twice the constraint's index, plus one for its upper bound; or [`IMPLICIT`].
+    /// Twice the constraint's index, plus one for the constraint's upper bound; or [`IMPLICIT`].
     pub(super) label: usize,
 }
 
 impl Arcs {
-    /// Builds the groups from (from, to, weight, label).
+    /// Groups arcs, given as (from, to, weight, label), by their start node.
     #[expect(clippy::cast_possible_truncation, reason = "petgraph's indices are u32")]
     pub(super) fn new(nodes: usize, arcs: impl Iterator<Item = (usize, usize, i64, usize)> + Clone) -> Self {
         let mut first = vec![0u32; nodes + 1];
@@ -61,7 +61,7 @@ impl Arcs {
 }
 
 impl Arc {
-    /// Returns the time that it requires for its end, if that is later than the current one.
+    /// Returns the time that the arc requires for its end node, if that is later than the current one in `times`.
     pub(super) fn raises(&self, times: &[i64]) -> Option<i64> {
         let from = times[self.from as usize];
         let asked = from.saturating_add(self.weight);
@@ -70,7 +70,7 @@ impl Arc {
 }
 
 impl Arc {
-    /// Whether raising its start also raises its end.
+    /// Whether a later time of the arc's start node also makes its end node later.
     fn leads_on(&self, times: &[i64]) -> bool {
         let from = times[self.from as usize];
         from != UNREACHED && from.saturating_add(self.weight) >= times[self.to as usize]
@@ -79,9 +79,10 @@ impl Arc {
 
 /// Returns the least times at or above `times` that satisfy every arc, or the arcs of a positive cycle.
 ///
-/// Uses the method of Goldberg and Radzik: a pass sorts the nodes that active ones reach over violated and tight arcs, and relaxes them
-/// in topological order. A cycle of such arcs that contains a violated one is positive, and so is a cycle of the arcs that raised their
-/// ends last (Cherkassky and Goldberg, Mathematical Programming 85, 1999). If there is any positive cycle, one of these appears.
+/// Uses the method of Goldberg and Radzik. Each pass sorts the nodes that active nodes reach over violated and tight arcs, and relaxes
+/// them in topological order. A cycle of such arcs that contains a violated one is positive. So is a cycle of arcs that were the last to
+/// raise their end nodes (Cherkassky and Goldberg, Mathematical Programming 85, 1999). If any positive cycle exists, one of these two
+/// kinds appears.
 pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<Arc>> {
     let nodes = arcs.nodes();
     let mut search = Search { state: vec![State::New; nodes], stack: Vec::new(), order: Vec::new() };
@@ -106,7 +107,7 @@ pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<
                     raised_by[arc.to as usize] = Some(*arc);
                     raises += 1;
                     if search.state[arc.to as usize] == State::New && !queued[arc.to as usize] {
-                        // Not ahead in this pass: the next pass visits it again.
+                        // The node is not ahead in this pass: the next pass visits it again.
                         queued[arc.to as usize] = true;
                         active.push(arc.to);
                     }
@@ -125,7 +126,7 @@ pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<
     Ok(times)
 }
 
-/// Finds a cycle of the arcs that raised their ends.
+/// Finds a cycle among the arcs that last raised their end nodes.
 fn cycle_of(raised_by: &[Option<Arc>]) -> Option<Vec<Arc>> {
     // Start of the walk that visited each node.
     let mut seen = vec![usize::MAX; raised_by.len()];
@@ -164,7 +165,7 @@ enum State {
 /// Depth-first search over violated and tight arcs, without recursion.
 struct Search {
     state: Vec<State>,
-    /// Node, and the number of its arcs already followed.
+    /// Each open node, with the number of its arcs already followed.
     stack: Vec<(u32, u32)>,
     /// Nodes in the order in which they were finished.
     order: Vec<u32>,
@@ -203,7 +204,7 @@ impl Search {
         Ok(())
     }
 
-    /// The arcs on the stack, starting with `node`; they close a cycle.
+    /// Returns the arcs on the stack from `node` to the top; together they form a cycle.
     fn cycle(&self, arcs: &Arcs, node: u32) -> Vec<Arc> {
         let begin = self.stack.iter().position(|(open, _)| *open == node).unwrap_or(0);
         let followed = |&(node, followed): &(u32, u32)| arcs.of(node as usize)[followed as usize - 1];

@@ -1,4 +1,5 @@
-//! Real networks and shops: the ones in the fixtures, and those of a complete data set if `DOWNBEAT_DATA` is set to its folder.
+//! Tests with real networks and job shops: those in the fixtures and, if `DOWNBEAT_DATA` is set, those of the complete data set in that
+//! folder.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -12,7 +13,7 @@ fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures")
 }
 
-/// A bound in the notation of these files: a number or "inf".
+/// Reads a bound in the notation of the data files: a number or "inf" for none.
 fn bound(value: &Value) -> Option<Span> {
     value.as_f64().map(Span::from_millis_f64)
 }
@@ -22,7 +23,7 @@ struct Real {
     events: Vec<Event>,
 }
 
-/// Reads both formats of these files. Distributions have no bounds and are skipped.
+/// Reads a network in either of the two file formats. Skips probability distributions, which have no bounds.
 fn read(path: &Path) -> Real {
     let json: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let mut network = Network::new();
@@ -104,7 +105,7 @@ fn real_networks_are_consistent_and_their_tightening_is_explained() {
     }
 }
 
-/// Reads an instance and its proven optimum; times are in milliseconds.
+/// Reads a job shop with an optional deadline, and its proven optimum; times are in milliseconds.
 fn shop(name: &str, deadline: Option<i64>) -> (Network, Vec<Task>, i64) {
     let text = std::fs::read_to_string(fixtures().join("jobshop/instances.json")).unwrap();
     let all: Value = serde_json::from_str(&text).unwrap();

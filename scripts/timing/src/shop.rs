@@ -1,5 +1,5 @@
-//! A job shop in a temporal network, as used by the search for an order: heads and tails of tasks, the times of an order, and bounds to
-//! evaluate it.
+//! A job shop in a temporal network, in the form for the search for an order: heads and tails of tasks, the times of an order, and
+//! bounds that rate it.
 
 use std::collections::{BinaryHeap, HashMap, VecDeque};
 
@@ -9,10 +9,10 @@ use super::network::{Network, Schedule};
 use super::order::Task;
 use super::paths::{Arcs, IMPLICIT, UNREACHED, longest};
 
-/// The tasks of each zone, in order.
+/// For each zone, the indices of its tasks in their order.
 pub(super) type Sequences = Vec<Vec<usize>>;
 
-/// Cost of an order: first the amount by which it violates upper bounds, then its end.
+/// Cost of an order: first the amount by which it violates upper bounds, then its makespan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Cost {
     pub(super) late: i64,
@@ -24,30 +24,30 @@ pub(super) struct Shop<'a> {
     pub(super) tasks: &'a [Task],
     pub(super) zones: usize,
     pub(super) nodes: usize,
-    /// Lower bounds.
+    /// Lower bounds by their start node: (end node, weight).
     pub(super) forward: Vec<Vec<(usize, i64)>>,
     pub(super) backward: Vec<Vec<(usize, i64)>>,
-    /// to <= from + weight
+    /// Upper bounds (from, to, weight): to <= from + weight
     pub(super) upper: Vec<(usize, usize, i64)>,
-    /// Earliest times without any order of the tasks.
+    /// Earliest time of each event without any order of the tasks.
     pub(super) heads: Vec<i64>,
     pub(super) tails: Vec<i64>,
     pub(super) work: usize,
     pub(super) random: u64,
 }
 
-/// Times of all events for an order.
+/// Times of all events in one order of the tasks.
 pub(super) struct Timed {
     pub(super) heads: Vec<i64>,
     pub(super) order: Vec<usize>,
     pub(super) cost: Cost,
-    /// The preceding event whose arc determines each event.
+    /// For each event, the preceding event whose arc determines its time.
     pub(super) decided: Vec<usize>,
     pub(super) last: usize,
 }
 
 pub(super) const NONE: usize = usize::MAX;
-/// Maximum number of passes that postpone events to meet upper bounds. After that, the order is treated as violating them.
+/// Maximum number of passes that postpone events to meet upper bounds. After these, the order counts as violating them.
 const ROUNDS_MAX: usize = 64;
 
 impl<'a> Shop<'a> {
@@ -237,8 +237,8 @@ impl<'a> Shop<'a> {
         Some(Timed { heads, order, cost, decided, last })
     }
 
-    /// Postpones events that are too far ahead of others. The origin cannot be postponed: an event that is later than the origin allows
-    /// stays late. If events postpone each other forever, all times stay unchanged.
+    /// Postpones events that are too far ahead of others for an upper bound. The origin cannot be postponed: an event that is later than
+    /// the origin allows stays late. If events postpone each other forever, all times stay unchanged.
     fn settle(&mut self, order: &[usize], after: &[usize], heads: &mut Vec<i64>, decided: &mut Vec<usize>) {
         let before = (heads.clone(), decided.clone());
         for _ in 0..ROUNDS_MAX {
@@ -277,12 +277,13 @@ impl<'a> Shop<'a> {
     }
 }
 
-/// Amount by which an upper bound is violated.
+/// Amount by which the times in `heads` violate an upper bound; 0 if they meet it.
 fn beyond(heads: &[i64], &(from, to, bound): &(usize, usize, i64)) -> i64 {
     (heads[to] - heads[from] - bound).max(0)
 }
 
-/// Returns the end of Jackson's preemptive schedule: the maximum of time plus tail over jobs (head, length, tail) on one machine.
+/// Returns the cost of Jackson's preemptive schedule for jobs (head, length, tail) on one machine: the maximum of completion time plus
+/// tail.
 fn preemptive(jobs: &[(i64, i64, i64)]) -> i64 {
     let mut by_head: Vec<_> = jobs.to_vec();
     by_head.sort_unstable();

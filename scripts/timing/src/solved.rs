@@ -1,4 +1,4 @@
-//! A solved network in which a single constraint changes: only the dependent events are recomputed.
+//! A solved network that recomputes only the affected events when a constraint changes.
 
 use petgraph::graph::NodeIndex;
 use petgraph::visit::EdgeRef;
@@ -7,53 +7,53 @@ use urrcp::Span;
 use super::conflict::Conflict;
 use super::network::{Bounds, ConstraintId, Network, Schedule};
 
-/// The weight of a missing bound.
+/// Weight of a missing bound.
 const ABSENT: i64 = i64::MIN;
-/// The parent of events that the origin determines, or that nothing determines.
+/// Parent of events whose time the origin determines, or nothing.
 const NO_PARENT: u32 = u32::MAX;
 
 /// A network with its earliest schedule.
 #[derive(Clone, Debug)]
 pub struct Solved {
     network: Network,
-    /// In the order of their first times, so that neighbours in time are neighbours in memory. The origin is first.
+    /// Nodes in the order of their first computed times, so that neighbours in time are neighbours in memory. The origin is first.
     nodes: Vec<Node>,
     /// Index of each event in `nodes`.
     place_of: Vec<u32>,
     out: Grouped,
     into: Grouped,
-    /// Mark of the set that is currently built.
+    /// Value of `Node::mark` for the nodes of the set that is currently being built.
     round: u32,
-    /// Nodes before the current change.
+    /// Index and previous value of each node that the current change has modified.
     undo: Vec<(u32, Node)>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
     time: i64,
-    /// The node whose bound determines this one; a tree with the origin as its root.
+    /// The node whose bound determines this node's time. Parents form a tree with the origin as its root.
     parent: u32,
     mark: u32,
 }
 
-/// to >= from + weight, seen from one of its ends.
+/// One arc of a constraint, to >= from + weight, stored at one of its ends; `other` is the other end.
 #[derive(Clone, Copy, Debug)]
 struct Arc {
     other: u32,
     weight: i64,
 }
 
-/// Arcs grouped by one of their ends. Each constraint has two: its lower and its upper bound.
+/// Arcs grouped by one of their ends. Each constraint has two arcs: one for its lower and one for its upper bound.
 #[derive(Clone, Debug)]
 struct Grouped {
     first: Vec<u32>,
     arcs: Vec<Arc>,
-    /// Index of each arc in `arcs`.
+    /// For each arc in the order of creation, its index in `arcs`.
     places: Vec<u32>,
 }
 
 impl Grouped {
-    /// Builds the groups from (this end, other end, weight).
+    /// Groups arcs, given as (this end, other end, weight), by this end.
     fn new(nodes: usize, all: &[(u32, u32, i64)]) -> Self {
         let mut first = vec![0u32; nodes + 1];
         for (node, ..) in all {
@@ -91,7 +91,7 @@ impl Solved {
     /// Solves a network.
     ///
     /// # Errors
-    /// The smallest contradiction.
+    /// Returns the smallest contradiction if the network has no schedule.
     pub fn new(network: Network) -> Result<Self, Conflict> {
         let Schedule(times) = network.solve()?;
         let mut order: Vec<usize> = (0..times.len()).collect();
@@ -116,7 +116,8 @@ impl Solved {
         Ok(solved)
     }
 
-    /// Events at time zero are determined by the origin; every other event is reached from them by the bounds that determine it.
+    /// Determines the parent of each node. The origin determines events at time zero; bounds without slack lead from them to every other
+    /// event.
     fn grow_tree(&mut self) {
         self.clear_marks();
         let mut queue: Vec<u32> =
@@ -148,25 +149,25 @@ impl Solved {
         }
     }
 
-    /// The earliest schedule.
+    /// The network's earliest schedule.
     #[must_use]
     pub fn schedule(&self) -> Schedule {
         Schedule(self.place_of.iter().map(|place| self.nodes[*place as usize].time).collect())
     }
 
-    /// The time of one event.
+    /// The time of `event` in the earliest schedule.
     #[must_use]
     pub fn time(&self, event: super::Event) -> Span {
         Span::from_nanos(self.nodes[self.place_of[event.0.index()] as usize].time)
     }
 
-    /// Changes the bounds of a constraint. If they contradict the others, nothing changes.
+    /// Changes the bounds of a constraint. If the new bounds contradict the rest of the network, nothing changes.
     ///
-    /// First loosens the bounds as far as old and new ones allow, then tightens them one by one. Visits only what the change reaches (the
-    /// idea of Ramalingam, Song, Joskowicz and Miller, Algorithmica 23, 1999).
+    /// First loosens each bound that becomes looser, then tightens the others one by one. Visits only events that the change affects
+    /// (the idea of Ramalingam, Song, Joskowicz and Miller, Algorithmica 23, 1999).
     ///
     /// # Errors
-    /// The smallest contradiction.
+    /// Returns the smallest contradiction if the new bounds cannot be met.
     pub fn change(&mut self, id: ConstraintId, min: Option<Span>, max: Option<Span>) -> Result<(), Conflict> {
         let Some((from, to)) = self.network.graph.edge_endpoints(id.0) else { return Ok(()) };
         let bounds = std::mem::replace(&mut self.network.graph[id.0], Bounds { min, max });
@@ -215,8 +216,8 @@ impl Solved {
         (known.time, known.parent) = (time, parent);
     }
 
-    /// Raises everything that an arc raises. Returns `false` if that includes the arc's own start or the origin: then the arc closes a
-    /// positive cycle.
+    /// Raises the end node of an arc to the time that the arc requires, and everything that depends on it. Returns `false` if that would
+    /// raise the arc's start or the origin, because the arc then closes a positive cycle.
     fn raise(&mut self, (begin, to, weight): (u32, u32, i64)) -> bool {
         let asked = self.nodes[begin as usize].time.saturating_add(weight);
         if weight == ABSENT || asked <= self.nodes[to as usize].time {
@@ -231,8 +232,9 @@ impl Solved {
         self.sweep(to, to, Some(begin))
     }
 
-    /// Raises everything that the marked nodes from `first` to `last` raise. Nodes are ordered by their first times, so most dependents
-    /// of a node come after it: one pass in that order, and another one for nodes that were raised after the pass went by.
+    /// Raises all nodes that depend on the marked nodes from `first` to `last`. Nodes are sorted by their first times, so most
+    /// dependents of a node come after it. One pass in that order suffices for these; another pass handles nodes that were raised behind
+    /// the current one.
     fn sweep(&mut self, first: u32, last: u32, begin: Option<u32>) -> bool {
         let (mut from, mut last) = (Some(first), last);
         while let Some(mut node) = from.take() {
@@ -266,8 +268,8 @@ impl Solved {
         true
     }
 
-    /// Lowers everything that lost its determining bound: the tree below `root` falls to the times that bounds from outside require, then
-    /// rises to the times that its own bounds require.
+    /// Lowers all nodes whose time depended on a bound that was loosened. The tree below `root` first falls to the times that bounds
+    /// from outside the tree require. It then rises to the times that bounds within the tree require.
     fn lower(&mut self, root: u32) {
         let affected = self.tree_below(root);
         for &node in &affected {
@@ -280,7 +282,7 @@ impl Solved {
         self.sweep(ends.0, ends.1, None);
     }
 
-    /// Returns how far a node can fall before a bound from outside the marked set, or the origin, stops it, and the node of that bound.
+    /// Returns how far a node can fall, and the node whose bound stops it: a bound from outside the marked set, or the origin.
     fn fall_outside(&self, node: u32) -> (i64, u32) {
         let mut least = (0, NO_PARENT);
         for arc in self.into.of(node) {
@@ -293,7 +295,7 @@ impl Solved {
         (self.nodes[node as usize].time - least.0, least.1)
     }
 
-    /// Returns a node and everything that it determines. These nodes stay marked.
+    /// Returns a node and all nodes whose time it determines. Leaves them marked.
     fn tree_below(&mut self, root: u32) -> Vec<u32> {
         self.clear_marks();
         self.nodes[root as usize].mark = self.round;
@@ -313,7 +315,7 @@ impl Solved {
     }
 }
 
-/// The two arcs of a constraint: (from, to, weight).
+/// The two arcs of a constraint, lower bound first: (from, to, weight).
 fn pair(from: u32, to: u32, bounds: Bounds) -> [(u32, u32, i64); 2] {
     let min = bounds.min.map_or(ABSENT, Span::as_nanos);
     let max = bounds.max.map_or(ABSENT, |max| -max.as_nanos());

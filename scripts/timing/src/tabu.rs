@@ -1,4 +1,4 @@
-//! The search for an order: dispatching rules, then tabu search.
+//! The search for an order: starts from dispatching rules and improves by tabu search.
 
 use std::collections::HashMap;
 
@@ -8,9 +8,9 @@ use super::network::Network;
 use super::order::{Effort, Found, Ordering, Task};
 use super::shop::{Cost, NONE, Sequences, Shop, Timed};
 
-/// Number of moves during which a swap may not be undone; a random part is added.
+/// Minimum number of moves during which a swap may not be undone; a random number below this one is added.
 const TENURE: usize = 8;
-/// After this many moves without progress, the search returns to the best order and shakes it.
+/// Number of moves without progress after which the search returns to the best order and changes it at random.
 const PATIENCE: usize = 1_500;
 
 pub(super) fn search(network: &Network, tasks: &[Task], effort: Effort) -> Ordering {
@@ -47,7 +47,7 @@ pub(super) fn search(network: &Network, tasks: &[Task], effort: Effort) -> Order
     }
 }
 
-/// Up to this many orders are tried exhaustively.
+/// Maximum number of orders that are tried exhaustively.
 const ORDERS_MAX: usize = 720;
 /// Largest number of events for an exhaustive search.
 const EVENTS_MAX: usize = 2_000;
@@ -85,7 +85,7 @@ impl Shop<'_> {
         Some(all)
     }
 
-    /// Returns the shortest of these orders. The problem is infeasible if none of them keeps all bounds.
+    /// Returns the order with the smallest makespan, or `Infeasible` if none of them keeps all bounds.
     fn best_of(&self, network: &Network, orders: Vec<Sequences>, at_least: i64) -> Ordering {
         let timed = |sequences| Some((self.exact(network, &sequences)?, sequences));
         let best = orders.into_iter().filter_map(timed).min_by_key(|(schedule, _)| schedule.makespan());
@@ -231,7 +231,7 @@ impl Shop<'_> {
                         choice = Some((tried.cost, (a, b), tried));
                     }
                 }
-                // Undo: the places of the two tasks are exchanged now.
+                // Undo the swap: `place` still holds the places of the two tasks before it.
                 swap(&mut current, &place, a, b);
             }
             stale += 1;
@@ -296,7 +296,7 @@ fn permutations(tasks: &[usize]) -> Vec<Vec<usize>> {
     all
 }
 
-/// Zone and index of each task.
+/// Returns the zone of each task and its index in the zone's sequence.
 fn places(sequences: &Sequences, tasks: usize) -> Vec<(usize, usize)> {
     let mut places = vec![(NONE, NONE); tasks];
     for (zone, sequence) in sequences.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Laws of networks, compared with brute force on small ones.
+//! Laws that hold in every network, compared with brute force on small ones.
 
 use proptest::prelude::*;
 
@@ -71,7 +71,7 @@ fn small() -> impl Strategy<Value = Small> {
     })
 }
 
-/// The fewest arcs of a positive cycle, by trying all lengths from all events.
+/// The number of arcs in the shortest positive cycle, by trying all lengths from all events.
 fn fewest(small: &Small) -> usize {
     let n = small.events + 1;
     let mut arcs: Vec<(usize, usize, i64)> = (1..n).map(|node| (0, node, 0)).collect();
@@ -217,7 +217,7 @@ proptest! {
     }
 }
 
-/// Two tasks of one zone; the second one begins together with or near another event.
+/// Tries to order two tasks of one zone; the second one begins together with or near another event.
 fn found_near(bounds: &[(usize, usize, Option<i64>, Option<i64>)]) -> Option<i64> {
     let mut network = Network::new();
     let mut events = vec![network.origin()];

@@ -1,5 +1,5 @@
-//! Aliases can repeat values many times: a few lines of them could exhaust any memory. A parser that builds no tree counts them
-//! beforehand.
+//! Limits aliases. They can repeat values many times, so a few lines of aliases could exhaust any memory. A parser that builds no tree
+//! counts the values beforehand.
 
 use saphyr_parser::Event;
 
@@ -10,12 +10,12 @@ use crate::source::Source;
 
 /// Maximum number of values that all aliases of a file expand to.
 pub const ALIASED_MAX: usize = 250_000;
-/// Deeper nesting is not inspected.
+/// Maximum nesting depth that is inspected.
 const NESTING_MAX: usize = 1_000;
-/// Longest line that a finding carries, in characters.
+/// Maximum length of the line that a finding carries, in characters.
 const LINE_CHARS_MAX: usize = 1_000;
 
-/// The finding for aliases that expand to too many values. Text that is not YAML is reported by the reader.
+/// The finding for aliases that expand to too many values. Invalid YAML is not reported here, but by the parser that builds the tree.
 pub fn check(source: &Source, text: &str) -> Option<Finding> {
     if !text.contains('*') || exceeding(text).is_none() {
         return None;
@@ -31,13 +31,13 @@ pub fn check(source: &Source, text: &str) -> Option<Finding> {
     Some(finding)
 }
 
-/// A collection that is being read: its anchor, and the number of values in it so far.
+/// A list or map that is being read: its anchor, and the number of values in it so far.
 struct Open {
     anchor: usize,
     values: usize,
 }
 
-/// The place at which the aliases exceed their limit.
+/// The line and column at which the aliases exceed their limit; `None` if they do not.
 fn exceeding(text: &str) -> Option<(usize, usize)> {
     let mut sizes: Vec<usize> = Vec::new();
     let mut open: Vec<Open> = Vec::new();

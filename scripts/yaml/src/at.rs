@@ -1,4 +1,4 @@
-//! A node of a tree with the path that leads to it, from which the places of findings are derived.
+//! A node of a tree with the path that leads to it. The path determines the places of findings.
 
 use std::sync::Arc;
 
@@ -26,27 +26,27 @@ impl<'a> At<'a> {
         Self { node, trail: Trail::Document(file, None) }
     }
 
-    /// The root of a file that is read because of a use.
+    /// The root of a file; `used` is the place that led to reading the file, such as an include.
     pub fn used(node: &'a Node, file: u16, used: Option<&'a Arc<Use>>) -> Self {
         Self { node, trail: Trail::Document(file, used) }
     }
 
-    /// Another node at the same place.
+    /// Another node, with the place of this one.
     pub fn with(&self, node: &'a Node) -> At<'a> {
         At { node, trail: self.trail }
     }
 
-    /// An item of this list.
+    /// The item with this index, if this node is a list.
     pub fn item(&'a self, index: usize, node: &'a Node) -> At<'a> {
         At { node, trail: Trail::Index(self, index) }
     }
 
-    /// The value of a key of this map; `occurrence` counts equal keys from 0.
+    /// The value of a key, if this node is a map. `occurrence` counts equal keys from 0.
     pub fn entry(&'a self, key: &'a str, occurrence: usize, node: &'a Node) -> At<'a> {
         At { node, trail: Trail::Key(self, key, occurrence) }
     }
 
-    /// The place of this node.
+    /// The place of this node, for findings.
     pub fn place(&self) -> Place {
         let (file, used, path) = self.path();
         Place { file, path, key: false, within: None, used: used.cloned() }

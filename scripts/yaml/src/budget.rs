@@ -2,11 +2,11 @@
 
 use urrcp::Span;
 
-/// Maximum number of knots of all movements of a scenario together: half a gigabyte.
+/// Maximum number of knots of all movements of a scenario together; they take half a gigabyte.
 pub const KNOTS_MAX: usize = 10_000_000;
 /// Maximum number of steps that are generated for a scenario, for all robots together.
 pub const STEPS_MAX: usize = 25_000_000;
-/// Maximum number of uses of devices by acts: one for each robot of a cue and each device that it moves.
+/// Maximum number of uses of devices in a scenario. Each device that a cue moves counts once per robot of the cue.
 pub const USES_MAX: usize = 5_000_000;
 
 /// Maximum number of steps that the evaluation of expressions takes.
@@ -17,19 +17,19 @@ pub const PLAYS_MAX: usize = 10_000;
 pub const PLAYS_IN_ALL_MAX: usize = 2_000_000;
 /// Maximum number of cues that all sequences of a scenario generate.
 pub const SEQUENCE_CUES_MAX: usize = 20_000;
-/// Deepest nesting of moves, sequences or files.
+/// Maximum nesting depth of moves, sequences or files.
 pub const DEPTH_MAX: usize = 32;
 /// Maximum number of known names that misspelt names are compared with.
 pub const COMPARISONS_MAX: usize = 1_000_000;
-/// Maximum number of errors that are reported, and of warnings.
+/// Maximum number of errors that are reported, and maximum number of warnings.
 pub const FINDINGS_MAX: usize = 100_000;
 
-/// The longest time that a message can carry.
+/// The longest time that a protocol message can carry.
 pub fn longest() -> Span {
     Span::from_millis_f64(urrcp::OFFSET_MS_MAX)
 }
 
-/// The largest lead that a scenario may prescribe, and the lead that is assumed if it prescribes none.
+/// The largest lead that a scenario may prescribe, and the lead that is assumed if the scenario prescribes none.
 pub const LEADS: (Span, Span) = (Span::from_millis(10_000_000_000), Span::from_millis(3_600_000));
 
 /// A resource of which only a limited amount may be used.
@@ -41,12 +41,12 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// A full budget.
+    /// A budget from which nothing has been taken.
     pub const fn new(most: usize) -> Self {
         Self { most, left: most, overdrawn: false }
     }
 
-    /// An exhausted budget whose overdraft has already been reported.
+    /// An exhausted budget with the initial amount `most`, whose overdraft has already been reported.
     pub const fn overdrawn(most: usize) -> Self {
         Self { most, left: 0, overdrawn: true }
     }
@@ -66,7 +66,8 @@ impl Budget {
         self.overdrawn
     }
 
-    /// Takes `count` if that many remain, and returns whether the budget is not overdrawn.
+    /// Takes `count` from the budget if that many remain. Otherwise marks the budget as overdrawn. Returns whether the budget is not
+    /// overdrawn.
     pub const fn take(&mut self, count: usize) -> bool {
         match self.left.checked_sub(count) {
             Some(left) => self.left = left,

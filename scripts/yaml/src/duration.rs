@@ -4,12 +4,12 @@ use urrcp::Span;
 
 use crate::budget::longest;
 
-/// What a duration looks like, for messages.
+/// The expected form of a duration, for messages.
 pub const EXPECTED: &str = "a time with its unit, such as 250ms, 2s or 1m30s";
 
-/// Maximum number of digits before the decimal point. After it, further digits are ignored.
+/// Maximum number of digits before the decimal point. Digits after the decimal point beyond this number are ignored.
 const DIGITS_MAX: usize = 15;
-/// Fractions of a nanosecond that are distinguished before a time is rounded.
+/// Number of parts of a nanosecond that are distinguished before a time is rounded.
 const PARTS: i128 = 1_000_000_000;
 
 /// Parses a time to the nearest nanosecond: numbers with h, m, s, ms or us, which are added up, or hours, minutes and seconds such as
@@ -36,7 +36,7 @@ pub fn parse_duration(text: &str) -> Option<Span> {
     (span.as_millis_f64() <= urrcp::OFFSET_MS_MAX).then_some(span)
 }
 
-/// The product of number and unit, in fractions of a nanosecond ([`PARTS`]).
+/// The product of a number and its unit, in parts of a nanosecond ([`PARTS`]).
 fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
     let plain = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit());
@@ -49,7 +49,7 @@ fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
-/// The kind of an instant that is written where a duration belongs: `2026-12-01`, `8pm`.
+/// The kind of instant that the user wrote where a duration belongs, such as `2026-12-01` or `8pm`. `None` if the text is no instant.
 pub fn instant(text: &str) -> Option<&'static str> {
     let is_number = |part: &str, most: usize| {
         (1..=most).contains(&part.len()) && part.bytes().all(|byte| byte.is_ascii_digit())
@@ -169,7 +169,7 @@ pub fn hint(text: &str) -> Option<String> {
     Some(format!("write `{}`", written(span)))
 }
 
-/// `2s to 4s`, `2s - 4s`: two times as a range.
+/// A hint for two times as a range: `2s to 4s`, `2s - 4s`.
 fn range(text: &str) -> Option<String> {
     let (from, to) = [" to ", "-", "\u{2013}"].iter().find_map(|mark| text.split_once(mark))?;
     let [from, to] = [from.trim(), to.trim()];
@@ -177,7 +177,7 @@ fn range(text: &str) -> Option<String> {
     (least < largest).then(|| format!("{from}..{to}"))
 }
 
-/// `48 frames`, `00:00:02:12`: the text does not give the length of a frame.
+/// A hint for a time in frames, whose length is not known: `48 frames`, `00:00:02:12`.
 fn of_frames(text: &str) -> Option<String> {
     let is_number = |part: &&str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
     if let [hours, minutes, seconds, frames] = text.split([':', ';']).collect::<Vec<_>>().as_slice()
@@ -198,7 +198,7 @@ fn at_25_frames(text: &str, span: Span) -> String {
     format!("write a time: at 25 frames per second, {text} `{}`", written(span))
 }
 
-/// `1/2 beat`: a part of a unit.
+/// A hint for a fraction of a unit: `1/2 beat`.
 fn of_fraction(text: &str) -> Option<String> {
     let (whole, rest) = text.split_once('/')?;
     let digits = rest.find(|c: char| !c.is_ascii_digit())?;
@@ -210,7 +210,7 @@ fn of_fraction(text: &str) -> Option<String> {
         .then(|| format!("write `{time} / {}`", &rest[..digits]))
 }
 
-/// `after rise`: the key belongs before the colon.
+/// A hint for a key that belongs before the colon: `after rise`.
 fn relation(text: &str) -> Option<String> {
     let (key, name) = text.split_once(' ')?;
     matches!(key, "after" | "with" | "before")
@@ -230,7 +230,7 @@ fn is_too_long(text: &str) -> bool {
     parse_duration(text).is_none() && parse_duration(&short).is_some()
 }
 
-/// `2beats`: a length in the music without a space.
+/// A hint for a musical length without a space: `2beats`.
 fn musical(text: &str) -> Option<String> {
     let (number, word) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);
     number.parse::<f64>().ok()?;
@@ -259,7 +259,7 @@ fn of_clock(text: &str) -> Option<Span> {
     parse_duration(&format!("{hours}h{minutes}m{seconds}s"))
 }
 
-/// `1:30`: minutes and seconds, or hours and minutes; or three numbers that do not all have two digits.
+/// A hint for a time almost like `00:01:30`: two numbers such as `1:30`, or three numbers that do not all have two digits.
 fn almost_of_clock(text: &str) -> Option<String> {
     let with_point = text.replace(',', ".");
     if of_clock(&with_point).is_some() {
@@ -278,7 +278,7 @@ fn almost_of_clock(text: &str) -> Option<String> {
     }
 }
 
-/// `1 second`, `250 milliseconds`, `2 S`, `1e3ms`.
+/// Parses a time whose unit is a word or in another case: `1 second`, `250 milliseconds`, `2 S`, `1e3ms`.
 fn in_words(text: &str) -> Option<Span> {
     if let Some((number, unit)) =
         text.char_indices().rev().find(|(_, c)| c.is_ascii_digit()).map(|(at, _)| text.split_at(at + 1))
@@ -301,7 +301,7 @@ fn in_words(text: &str) -> Option<Span> {
     parse_duration(&format!("{number}{unit}"))
 }
 
-/// The same with an optional leading sign.
+/// Like [`parse_duration`], but with an optional leading minus sign.
 pub fn parse_signed(text: &str) -> Option<Span> {
     match text.trim().strip_prefix('-') {
         Some(rest) => parse_duration(rest).map(|span| -span),
@@ -309,7 +309,7 @@ pub fn parse_signed(text: &str) -> Option<Span> {
     }
 }
 
-/// A time as written in a scenario, exactly: `1.5s`, `250ms`, `-2us`.
+/// Writes a time exactly, as in a scenario: `1.5s`, `250ms`, `-2us`.
 #[must_use]
 pub fn written(span: Span) -> String {
     let (sign, nanos) = (if span < Span::ZERO { "-" } else { "" }, span.as_nanos().unsigned_abs());
@@ -322,7 +322,7 @@ pub fn written(span: Span) -> String {
     format!("{sign}{}{unit}", text.trim_end_matches('0').trim_end_matches('.'))
 }
 
-/// A number of seconds as a time of a scenario, rounded up to milliseconds.
+/// Writes a number of seconds as in a scenario, rounded up to milliseconds.
 pub fn seconds(seconds: f64) -> String {
     written(Span::from_millis_f64((seconds * 1_000.0 - 1e-9).ceil()))
 }

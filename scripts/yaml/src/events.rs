@@ -1,7 +1,7 @@
-//! The events of a YAML text with their places, from a parser that builds no tree.
+//! The events of a YAML text with their positions, from a parser that builds no tree.
 //!
-//! A text that begins with a brace might be a key, so the parser would buffer all of it until the brace is closed. After `---`, it cannot
-//! be a key.
+//! A text that begins with a brace might be a key, so the parser would buffer all of the text until the brace is closed. After `---`, a
+//! brace cannot begin a key.
 
 use std::borrow::Cow;
 
@@ -12,7 +12,7 @@ const DOCUMENT: &str = "--- ";
 /// A text that is parsed event by event.
 pub struct Events<'t> {
     text: Cow<'t, str>,
-    /// Lines before the parsed text, and characters before it in its first line.
+    /// Number of lines before the parsed text; `ahead` is the number of characters before it in its first line.
     lines: usize,
     ahead: usize,
     added: usize,

@@ -1,4 +1,4 @@
-//! The source of other files: includes and data of a scenario.
+//! Access to the other files of a scenario: includes and data.
 
 use std::path::PathBuf;
 
@@ -23,7 +23,7 @@ pub trait Files {
     }
 }
 
-/// Files of a folder: names are relative to it, and must lead to files of one project.
+/// Files of a folder. Names are relative to the folder, and must lead to files of one project.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
@@ -31,14 +31,14 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// A folder, with the project that is found for it ([`Project::of_folder`]).
+    /// A folder in the project that [`Project::of_folder`] finds for it.
     #[must_use]
     pub fn new(path: PathBuf) -> Self {
         let project = Project::of_folder(&path);
         Self { path, project }
     }
 
-    /// A folder in the given project.
+    /// A folder whose names must lead to files of the given project.
     #[must_use]
     pub const fn within(path: PathBuf, project: Project) -> Self {
         Self { path, project }
@@ -55,7 +55,7 @@ impl Files for Folder {
     }
 }
 
-/// No files: every read fails.
+/// A source without files, so every read fails.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoFiles;
 

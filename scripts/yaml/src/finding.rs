@@ -1,4 +1,4 @@
-//! A mistake of a user: a code, a place, the fault, the expected value, and how to fix it.
+//! A finding: a mistake of a user, with a code, a place, the fault, the expected value, and how to fix it.
 
 mod shared_fault;
 
@@ -14,9 +14,9 @@ use crate::shown::shortened;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Nothing can be run.
+    /// The scenario cannot run.
     Error,
-    /// The scenario runs, but the user should check this.
+    /// The scenario can run, but the user should check the finding.
     Warning,
 }
 
@@ -33,19 +33,19 @@ macro_rules! codes {
             /// All codes, in order.
             pub const ALL: &[Self] = &[$(Self::$variant,)*];
 
-            /// The printed form, such as `DB0007`.
+            /// The code as printed, such as `DB0007`.
             #[must_use]
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$variant => $text,)* }
             }
 
-            /// A short description.
+            /// A short description of the kind of finding.
             #[must_use]
             pub const fn title(self) -> &'static str {
                 match self { $(Self::$variant => $title,)* }
             }
 
-            /// Whether it prevents running.
+            /// Whether a finding of this kind prevents running.
             #[must_use]
             pub const fn severity(self) -> Severity {
                 match self { $(Self::$variant => Severity::$severity,)* }
@@ -139,7 +139,7 @@ codes! {
 }
 
 impl Code {
-    /// The meaning, the reason why it matters, and the fix: its section of `findings.md`.
+    /// The explanation of this code in `findings.md`: the meaning, the reason why it matters, and the fix.
     #[must_use]
     pub fn explanation(self) -> &'static str {
         let heading = format!("## {}", self.as_str());
@@ -160,30 +160,30 @@ impl Serialize for Code {
     }
 }
 
-/// One mistake.
+/// One mistake of a user.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// The kind of mistake.
+    /// The code for the kind of mistake.
     pub code: Code,
-    /// Whether it prevents running.
+    /// Whether the finding prevents running.
     pub severity: Severity,
-    /// The file, as the user named it.
+    /// The name of the file, as the user wrote it.
     pub file: String,
-    /// Line, from 1; 0 where the finding concerns the file as a whole.
+    /// Line of the finding, counted from 1; 0 if the finding concerns the file as a whole.
     pub line: usize,
-    /// Column in characters, from 1.
+    /// Column in characters, counted from 1.
     pub column: usize,
-    /// The number of characters that it concerns.
+    /// The number of characters that the finding concerns.
     pub width: usize,
-    /// The fault, with robot, device and step.
+    /// The fault, naming the robot, device and step if it concerns them.
     pub message: String,
     /// The expected value or form.
     pub expected: String,
-    /// How to fix it.
+    /// How to fix the fault; `None` if there is no hint.
     pub hint: Option<String>,
-    /// The offending line.
+    /// The text of the line with the fault.
     pub source_line: String,
-    /// Places that explain the finding, in the order of the argument; then other places of the same mistake.
+    /// Places that explain the finding, in the order of the explanation; then other places with the same mistake.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub related: Vec<Related>,
 }
@@ -191,15 +191,15 @@ pub struct Finding {
 /// A place that is related to a finding, with an explanation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Related {
-    /// Line, from 1.
+    /// Line of the place, counted from 1.
     pub line: usize,
-    /// Column in characters, from 1.
+    /// Column in characters, counted from 1.
     pub column: usize,
-    /// The number of characters that it concerns.
+    /// The number of characters that the place covers.
     pub width: usize,
     /// The explanation of this place.
     pub message: String,
-    /// The text of the line.
+    /// The text of the line that contains the place.
     pub source_line: String,
     /// Whether this place repeats the mistake. The message of the finding already names its line.
     #[serde(skip)]
@@ -247,13 +247,13 @@ pub struct Pending {
     pub message: String,
     /// The expected value or form.
     pub expected: String,
-    /// How to fix it.
+    /// How to fix the fault; `None` if there is no hint.
     pub hint: Option<String>,
-    /// The hint for a map or a list in block style, without brackets. `None` if the hint is the same.
+    /// The hint if the map or list is in block style, without brackets. `None` if `hint` applies there as well.
     pub hint_in_block: Option<String>,
-    /// Other places of the same file.
+    /// Related places, each with an explanation.
     pub related: Vec<(Place, String)>,
-    /// The robots that the finding concerns, if more robots with the same fault may be added.
+    /// The robots that the finding concerns. `None` if no further robots can join the finding.
     pub affected: Option<Box<Affected>>,
 }
 
@@ -262,13 +262,13 @@ pub struct Pending {
 pub struct Place {
     /// The file: 0 for the scenario, then includes in reading order.
     pub file: u16,
-    /// The steps from the root of the file.
+    /// The keys and indices that lead from the root of the file to the place.
     pub path: Vec<Part>,
     /// Whether the place is the key of the node instead of the node itself.
     pub key: bool,
-    /// A part of the text at the place.
+    /// The part of the text that is meant; `None` for the whole text.
     pub within: Option<Within>,
-    /// The use that led to this place, if the place belongs to something that is used from elsewhere.
+    /// The use that led to this place, if the place belongs to an item that is used elsewhere, such as a move.
     pub used: Option<Arc<Use>>,
 }
 
@@ -283,32 +283,32 @@ pub struct Use {
     pub place: Place,
 }
 
-/// A part of a text, with the whole text, which is needed to find the part in the file.
+/// A part of a text. The whole text is needed to find the part in the file.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Within {
     /// The whole text.
     pub text: Box<str>,
-    /// The index of the first character, counted from 0.
+    /// The index of the first character of the part, counted from 0.
     pub from: usize,
-    /// The number of characters.
+    /// The number of characters of the part.
     pub width: usize,
 }
 
 impl Place {
-    /// The place of an entry of this node.
+    /// The place of an entry or item of this node.
     pub fn below(&self, part: Part) -> Self {
         let mut path = self.path.clone();
         path.push(part);
         Self { file: self.file, path, key: false, within: None, used: self.used.clone() }
     }
 
-    /// The place of the value of this node's key.
+    /// The place of the value of `key` in this map.
     pub fn of_key(&self, key: &str) -> Self {
         self.below(Part::Key(key.to_owned(), 0))
     }
 }
 
-/// One step into the tree. Occurrences of equal keys in one map are counted from 0.
+/// One step of a path into the tree. Occurrences of equal keys in one map are counted from 0.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Part {
     /// A key of a map, and its occurrence.
@@ -322,7 +322,7 @@ pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -
     nearest(wrong, known, &mut 10_000)
 }
 
-/// The same with at most `left` comparisons, which it subtracts.
+/// Like [`did_you_mean`], but makes at most `left` comparisons and deducts them from `left`.
 pub fn nearest<'a>(
     wrong: &str,
     known: impl IntoIterator<Item = &'a str>,
@@ -370,7 +370,8 @@ fn is_short_for(word: &str, name: &str) -> bool {
     begin.chars().count() >= 4 && name.starts_with(begin)
 }
 
-/// Suggests the only name in a file or a sequence that ends with this one: `lib.lift` for `lift`.
+/// A hint with the only known name that ends with `.` and the given name, such as `lib.lift` for `lift`. `None` if there are none or
+/// several.
 pub fn within_file<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<String> {
     let mut ending = known.filter(|known| known.strip_suffix(name).is_some_and(|rest| rest.ends_with('.')));
     let only = ending.next().filter(|_| ending.next().is_none())?;
@@ -382,7 +383,7 @@ pub fn did_you_mean_this(name: &str) -> String {
     format!("did you mean `{name}`?")
 }
 
-/// The expected value where a name is unknown.
+/// A description of the expected value for an unknown name: one of the names that exist.
 pub fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     match names(all).as_str() {
         "none" => "a name, but none is defined".to_owned(),
@@ -391,7 +392,7 @@ pub fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     }
 }
 
-/// The same for a name under `moves:`, `zones:` and similar keys.
+/// Like [`one_of`], but for a name that is defined under `moves:`, `zones:` and similar keys.
 pub fn one_defined<'a>(what: &str, mut all: impl Iterator<Item = &'a str> + Clone) -> String {
     match all.clone().next() {
         None => format!("a {what} that is defined under `{what}s`"),
@@ -402,7 +403,7 @@ pub fn one_defined<'a>(what: &str, mut all: impl Iterator<Item = &'a str> + Clon
 /// Maximum number of robots that a message lists.
 const LISTED_MAX: usize = 5;
 
-/// The robots that a message names: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) ``.
+/// Robots as a message names them: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) ``.
 pub fn robots_named<'a>(ids: impl ExactSizeIterator<Item = &'a str> + Clone) -> String {
     let (count, listed) = (ids.len(), ids.map(|id| format!("`{}`", shortened(id))));
     match count {
@@ -414,7 +415,7 @@ pub fn robots_named<'a>(ids: impl ExactSizeIterator<Item = &'a str> + Clone) -> 
     }
 }
 
-/// A list of names for a message, shortened.
+/// A list of names for a message: at most the first twelve.
 pub fn names<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     let mut all = all.into_iter();
     let first: Vec<_> = all.by_ref().take(12).map(|name| format!("`{}`", shortened(name))).collect();

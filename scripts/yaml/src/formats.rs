@@ -2,30 +2,30 @@
 
 use std::path::Path;
 
-/// The properties of a format, except how its files are read.
+/// The properties of a file format of another program.
 #[derive(Clone, Copy, Debug)]
 pub struct FormatFacts {
-    /// The format.
+    /// The format that has these properties.
     pub format: ImportFormat,
-    /// Its name on the command line.
+    /// The name of the format on the command line.
     pub word: &'static str,
-    /// Its files, in a few words.
+    /// A short description of the format's files.
     pub about: &'static str,
-    /// The file name extensions.
+    /// The file name extensions of the format, without the dot.
     pub ends: &'static [&'static str],
-    /// Whether the extension is enough to recognize a file.
+    /// Whether the extension alone identifies the format.
     pub is_recognized: bool,
-    /// The kind of robot that plays such files, unless the user names another one.
+    /// The kind of robot that plays such files, unless the user names another kind.
     pub kind: &'static str,
     /// Whether each file belongs to one robot.
     pub is_single: bool,
-    /// Whether the user maps its columns or channels to devices.
+    /// Whether the user must map columns or channels of the files to devices.
     pub is_mapped: bool,
-    /// Whether its files contain curves in addition to points.
+    /// Whether the files contain curves in addition to points.
     pub has_curves: bool,
 }
 
-/// The default properties.
+/// The default properties of a format.
 const POINTS: FormatFacts = FormatFacts {
     format: ImportFormat::Csv,
     word: "",
@@ -166,27 +166,27 @@ impl ImportFormat {
     /// All formats, in the order in which they are listed.
     pub const ALL: &'static [FormatFacts] = FORMATS;
 
-    /// Its properties.
+    /// The properties of this format.
     #[must_use]
     pub const fn facts(self) -> &'static FormatFacts {
         &FORMATS[self as usize]
     }
 
-    /// Its name on the command line.
+    /// The name of this format on the command line.
     #[must_use]
     pub const fn word(self) -> &'static str {
         self.facts().word
     }
 }
 
-/// The format of another tool's file by its extension.
+/// The format of another program's file, if the extension of `name` alone identifies it.
 pub fn format_of(name: &str) -> Option<ImportFormat> {
     let end = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
     let known = |facts: &&FormatFacts| facts.is_recognized && facts.ends.contains(&end.as_str());
     ImportFormat::ALL.iter().find(known).map(|facts| facts.format)
 }
 
-/// The command that converts another tool's file to a scenario.
+/// The command that converts another program's file to a scenario; `None` if its extension identifies no format.
 pub fn importing(name: &str) -> Option<String> {
     let format = format_of(name)?;
     Some(format!(
@@ -195,7 +195,7 @@ pub fn importing(name: &str) -> Option<String> {
     ))
 }
 
-/// The kind of a binary file by its first bytes.
+/// The kind of a binary file, for messages, by the first bytes; `None` if they identify no kind.
 pub fn binary(bytes: &[u8]) -> Option<&'static str> {
     const KNOWN: [(&[u8], &str); 9] = [
         (b"MThd", "a MIDI file"),

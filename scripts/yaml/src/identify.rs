@@ -8,13 +8,13 @@ use crate::source::Source;
 /// The kinds of documents that users write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Document {
-    /// A choreography.
+    /// A scenario file: a choreography.
     Scenario,
-    /// A list of robots.
+    /// A fleet file: a list of robots.
     Fleet,
-    /// The initialization block of a robot.
+    /// An init file: the initialization block of a robot.
     Robot,
-    /// Delays, losses and clocks for dry runs.
+    /// A world file: delays, losses and clocks for dry runs.
     World,
 }
 
@@ -37,7 +37,7 @@ impl Document {
         }
     }
 
-    /// The kind of a map, judged by its keys.
+    /// The kind of document, judged by the keys of its map; `None` if they do not tell.
     fn of(entries: &[(String, Node)]) -> Option<Self> {
         let has = |name: &str| entries.iter().any(|(key, _)| key == name);
         if has("cues") || has("acts") || has("scenario") {
@@ -68,8 +68,8 @@ impl Document {
     }
 }
 
-/// The single finding for a document of the wrong kind, instead of one finding for each of its keys. `None` for documents that are nearly
-/// right.
+/// The single finding for a document of the wrong kind, instead of one finding for each of its keys. `None` if the document is of the
+/// kind `wanted` or nearly so.
 pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Finding> {
     match document {
         Node::Map(entries) => {
@@ -85,7 +85,8 @@ pub fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Fi
     }
 }
 
-/// The same where a scenario with these keys was expected: a map without any of them, even misspelt, is not a scenario.
+/// Like [`mistaken`], where a scenario with the given keys was expected. A map without any of these keys, even misspelt, is not a
+/// scenario.
 pub fn mistaken_for_scenario(source: &Source, document: &Node, keys: &[&'static str]) -> Option<Finding> {
     let wanted = Document::Scenario;
     let belongs = |key: &str| keys.contains(&key) || did_you_mean(key, keys.iter().copied()).is_some();
@@ -101,7 +102,7 @@ fn not_wanted(source: &Source, wanted: Document, message: String, hint: String) 
     Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint))
 }
 
-/// The reason why a file cannot be included, and a hint, if it is a document of another kind.
+/// If a file that is to be included is a document of another kind: the reason why it cannot be included, and a hint.
 pub fn not_to_include(document: &Node) -> Option<(String, &'static str)> {
     let Node::Map(entries) = document else { return None };
     let found = Document::of(entries)?;

@@ -1,4 +1,4 @@
-//! Finds the positions of tree paths in the text, with one pass of a parser that keeps places. This pass runs only when there is
+//! Finds the positions of tree paths in the text, with one pass of a parser that keeps positions. This pass runs only when there is
 //! something to report. Content of an alias gets the position at which the alias is used.
 
 mod defined;
@@ -19,9 +19,9 @@ use crate::source::Source;
 
 use spelled::offsets;
 
-/// Longest line that every finding carries in full, in bytes.
+/// Maximum length of a line that every finding carries in full, in bytes.
 const LINE_BYTES_MAX: usize = 500;
-/// Maximum number of bytes of longer lines that all findings of a file carry.
+/// Maximum number of bytes of long lines (above [`LINE_BYTES_MAX`]) that all findings of a file carry together.
 const LINES_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// Adds line and column to every finding, and sorts the findings by place, grouped by file.
@@ -37,7 +37,7 @@ pub fn locate<S: Borrow<Source>>(sources: &[S], mut pending: Vec<Pending>) -> Ve
     sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source.borrow(), pending)).collect()
 }
 
-/// The first and the last line of the nodes at these places, in the same order.
+/// The first and the last line of the node at each place, in the order of `places`.
 pub fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> Vec<(usize, usize)> {
     let mut lines = vec![(1, 1); places.len()];
     for (file, source) in sources.iter().enumerate() {
@@ -53,7 +53,7 @@ pub fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> Vec<(usi
     lines
 }
 
-/// Each finding is paired with the text of the uses that led to it, for the end of its message.
+/// Locates the findings of one file. Each finding is paired with the text of the uses that led to it, which is appended to its message.
 fn locate_in(source: &Source, pending: Vec<(Pending, String)>) -> Vec<Finding> {
     if pending.is_empty() {
         return Vec::new();
@@ -105,7 +105,7 @@ fn related_place(
     }
 }
 
-/// The line that a finding carries. If `room` is exhausted, long lines are cut.
+/// The line as a finding carries it. `room` is the remaining number of bytes for all lines; when it is exhausted, long lines are cut.
 fn carried(line: &str, room: &mut usize) -> String {
     if line.len() <= LINE_BYTES_MAX || line.len() <= *room {
         *room = room.saturating_sub(line.len());
@@ -148,12 +148,13 @@ impl LineStarts {
         Self(line_starts(text).collect())
     }
 
-    /// The parser places a node at the end of the text, such as the value after a last `---`, on the line after the text.
+    /// Moves a position after the last line to the last line. The parser reports such a position for a node at the end of the text, such
+    /// as the value after a last `---`.
     fn within(&self, spot: Spot) -> Spot {
         if spot.line > self.0.len() { Spot { line: self.0.len(), column: 1, width: 1 } } else { spot }
     }
 
-    /// The position of a part of a text, if the text is written there.
+    /// The position of a part of a text that starts at `spot`. If the source has something else there, returns `spot`.
     fn part(&self, text: &str, spot: Spot, within: &Within) -> Spot {
         let Some(&start) = spot.line.checked_sub(1).and_then(|index| self.0.get(index)) else { return spot };
         let ahead = self.line(text, spot.line).chars().take(spot.column.saturating_sub(1));
@@ -190,13 +191,13 @@ impl Spot {
     }
 }
 
-/// A tree of the wanted paths; node 0 is the document.
+/// A tree of the paths whose positions are wanted; node 0 is the document.
 struct Wanted {
     children: Vec<HashMap<Part, usize>>,
     parents: Vec<usize>,
     values: Vec<Option<Spot>>,
     keys: Vec<Option<Spot>>,
-    /// The last line of each collection.
+    /// For each node, the last line of its list or map.
     last_lines: Vec<usize>,
 }
 
@@ -212,13 +213,13 @@ impl Default for Wanted {
     }
 }
 
-/// A collection that is being read.
+/// A list or map that is being read.
 struct Frame {
-    /// The wanted node for this collection, if any.
+    /// The wanted node of this list or map, if any.
     wanted: Option<usize>,
     map: bool,
     index: usize,
-    /// The child that the last key leads to.
+    /// `Some` after a key, while its value is expected: the wanted child that the key leads to, if any.
     pending: Option<Option<usize>>,
     seen: HashMap<String, usize>,
 }
@@ -249,7 +250,8 @@ impl Wanted {
         node
     }
 
-    /// The position of a node. If it has none, as within an alias or for a missing key, the position of its nearest known ancestor.
+    /// The position of a node or of its key. If it has no position, as within an alias or for a missing key: the position of the nearest
+    /// ancestor that has one.
     fn spot(&self, node: usize, key: bool) -> Spot {
         let own =
             if key { self.keys[node].or(self.values[node]) } else { self.values[node].or(self.keys[node]) };
@@ -292,7 +294,7 @@ impl Wanted {
         });
     }
 
-    /// Handles the start of a node: a key or a value of the innermost map, an item, or the document.
+    /// Handles the start of a node: a key or a value of the innermost map, a list item, or the document. Returns its wanted node, if any.
     fn arrive(&mut self, stack: &mut [Frame], text: Option<&str>, extent: Extent) -> Option<usize> {
         let Some(frame) = stack.last_mut() else {
             self.values[0] = Some(Spot::of(extent));

@@ -1,13 +1,13 @@
-//! Brackets that nest very deeply. libyaml reads these in a time quadratic in their depth before `yaml_serde` rejects them. The text
-//! before the last relevant level is enough for the same finding.
+//! Finds brackets that nest very deeply. libyaml takes a time quadratic in their depth to read them before `yaml_serde` rejects them. A
+//! shorter text, cut at the limit, leads to the same finding.
 
-/// Far more levels than `yaml_serde` reads (128), but few enough for libyaml.
+/// Maximum nesting depth: far more levels than `yaml_serde` reads (128), but few enough for libyaml.
 const DEPTH: usize = 1_000;
-/// A value begins after these.
+/// The characters after which a value begins.
 const BEFORE_A_VALUE: &[u8] = b"[{,:?-\n";
 
-/// The text up to the point where its brackets nest too deeply; `None` if they do not. The count may be wrong after a tag or a text of
-/// several lines.
+/// The text up to the point where its brackets nest too deeply; `None` if they do not. The depth may be counted wrongly after a tag or a
+/// text of several lines.
 pub fn too_deep(text: &str) -> Option<&str> {
     let bytes = text.as_bytes();
     let (mut depth, mut at) = (0_usize, 0);
@@ -37,7 +37,7 @@ pub fn too_deep(text: &str) -> Option<&str> {
     None
 }
 
-/// The place of the quotation mark that ends the text starting at `begin`, or the end of the file.
+/// The byte offset of the quotation mark that ends the quoted text starting at `begin`, or the end of the file.
 fn end_of_quoted(bytes: &[u8], begin: usize) -> usize {
     let mark = bytes[begin];
     let mut at = begin + 1;

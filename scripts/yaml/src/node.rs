@@ -20,7 +20,7 @@ use crate::syntax::{RECURSION, syntax_finding};
 /// Any YAML value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Node {
-    /// No value.
+    /// `null`, or no value at all.
     Null,
     /// `true` or `false`.
     Bool(bool),
@@ -37,7 +37,7 @@ pub enum Node {
 }
 
 impl Node {
-    /// The kind of value, for messages.
+    /// A description of the kind of value, for messages.
     pub fn kind(&self) -> String {
         match self {
             Self::Null => "nothing".into(),
@@ -50,7 +50,8 @@ impl Node {
         }
     }
 
-    /// Composes all keys and texts of the tree, except for long runs of keyframes, which contain no names.
+    /// Converts all keys and texts of the tree to Unicode normalization form C. Long runs of keyframes are left out because they contain
+    /// no names.
     pub fn compose(&mut self) {
         match self {
             Self::Text(text) => compose_text(text),
@@ -91,7 +92,7 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
     root.map_or_else(|| parse_whole(source), Ok)
 }
 
-/// The finding for brackets that nest so deeply that the library would take a long time to reject them.
+/// The finding for brackets that nest so deeply that the YAML library would take a long time to reject them.
 pub fn too_deep(source: &Source) -> Option<Finding> {
     let text = nesting::too_deep(source.text.trim_start_matches(BYTE_ORDER_MARK))?;
     let error = serde_yaml::from_str::<Node>(text).err()?;
@@ -105,7 +106,7 @@ fn empty(source: &Source) -> Finding {
     Finding::about_file(Code::Syntax, &source.name, message.to_owned(), "a YAML map", Some(hint))
 }
 
-/// The same, with the library only.
+/// Like [`parse`], but long runs of keyframes are parsed by the YAML library, too.
 pub fn parse_whole(source: &Source) -> Result<Node, Finding> {
     let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
     if let Some(finding) = aliases::check(source, text) {
@@ -189,7 +190,7 @@ impl<'de> Visitor<'de> for NodeVisitor {
     }
 }
 
-/// A key as text. Keys that are not scalars become a text that is unknown everywhere.
+/// A key of a map, as text. A key that is not a scalar becomes a text that no map knows as a key.
 struct Key(String);
 
 impl<'de> Deserialize<'de> for Key {

@@ -7,8 +7,8 @@ use std::path::Path;
 
 use rustix::fs::OFlags;
 
-/// Opens a file that the user has named on the command line. In addition to regular files, it accepts descriptors that the user's shell
-/// has opened for this process: `<(command)`, `/dev/stdin`.
+/// Opens a file that the user has named on the command line. It accepts regular files, and descriptors that the user's shell has opened
+/// for this process: `<(command)`, `/dev/stdin`.
 ///
 /// # Errors
 /// Returns an error if the system refuses access, or the path is a folder, a pipe, a socket or a device.

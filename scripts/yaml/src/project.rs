@@ -1,5 +1,5 @@
-//! The project: the folder that contains the files that scenarios and fleets name. It prevents a file from someone else from having
-//! arbitrary files read, or quoted in findings.
+//! The project: the folder that contains the files that scenarios and fleets name. A file that someone else wrote can therefore not cause
+//! arbitrary files to be read, or quoted in findings.
 
 use std::ffi::OsStr;
 use std::fs::Metadata;
@@ -12,10 +12,10 @@ use crate::finding::{Code, Finding};
 use crate::open::open_regular;
 use crate::source::{Source, bytes_of, refused};
 
-/// A folder with everything below it.
+/// A folder with all files and folders in it, directly or further down.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Project {
-    /// The canonical path, without links.
+    /// The canonical path of the folder, without symbolic links.
     root: PathBuf,
 }
 
@@ -28,7 +28,7 @@ impl Project {
         Self::of_folder(folder_of(file))
     }
 
-    /// The project of a folder, found as for a file in it.
+    /// The project of a folder, found like the project of a file in that folder.
     #[must_use]
     pub fn of_folder(folder: &Path) -> Self {
         let Ok(own) = real(folder) else {
@@ -71,19 +71,19 @@ impl Project {
     /// Reads a file that another file names.
     ///
     /// # Errors
-    /// Returns a finding if the file is outside the project, directly or by links, or cannot be read.
+    /// Returns a finding if the file cannot be read or is outside the project, directly or through symbolic links.
     pub fn read(&self, path: &Path) -> Result<Source, Finding> {
         Source::of_bytes(&path.display().to_string(), self.read_bytes(path)?)
     }
 
-    /// The same for a file that may be binary.
+    /// Like [`Self::read`], but for a file that may be binary.
     pub fn read_bytes(&self, path: &Path) -> Result<Vec<u8>, Finding> {
         let real = self.real(path)?;
         let file = open_regular(&real).map_err(|error| refused(path, &error))?;
         bytes_of(path, file)
     }
 
-    /// The canonical path, if it is in this project.
+    /// The canonical form of `path`; a finding unless it is in this project.
     fn real(&self, path: &Path) -> Result<PathBuf, Finding> {
         match path.canonicalize() {
             Ok(real) if real.starts_with(&self.root) => Ok(real),
@@ -98,7 +98,7 @@ impl Project {
 }
 
 impl Project {
-    /// A file in a folder of the project whose name differs only in its Unicode encoding.
+    /// A file in `folder` whose name differs from that of `path` only in its Unicode encoding.
     fn respelled(&self, folder: &Path, path: &Path) -> Option<PathBuf> {
         let name = path.file_name()?.to_str().filter(|name| !name.is_ascii())?;
         if path.parent().and_then(|parent| real(parent).ok())? != *folder {

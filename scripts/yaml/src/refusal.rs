@@ -7,13 +7,13 @@ use std::path::Path;
 /// The operation that failed.
 #[derive(Clone, Copy, Debug)]
 pub enum Attempt<'a> {
-    /// Reading this file.
+    /// The program tried to read this file.
     Read(&'a Path),
-    /// Writing this file, or creating this folder.
+    /// The program tried to write this file or create this folder.
     Write(&'a Path),
-    /// Listening at an address.
+    /// The program tried to listen at an address.
     Listen,
-    /// Connecting to a robot.
+    /// The program tried to connect to a robot.
     Connect,
 }
 
@@ -64,7 +64,7 @@ fn reason(attempt: Attempt<'_>, error: &io::Error) -> String {
     reason.to_owned()
 }
 
-/// The system's text without the error number.
+/// The system's error text without the error number.
 fn plain(error: &io::Error) -> String {
     let text = error.to_string();
     match text.rfind(" (os error ") {

@@ -1,4 +1,4 @@
-//! Findings for human readers: the line, the fault, the expected value, and how to fix it.
+//! Formats findings for human readers: the line, the fault, the expected value, and how to fix the fault.
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 
@@ -7,9 +7,9 @@ use std::collections::HashMap;
 use crate::finding::{Code, Finding, Severity};
 use crate::shown::shown;
 
-/// Maximum number of warnings per code that are shown.
+/// Maximum number of warnings that are shown per code.
 const WARNINGS_MAX: usize = 20;
-/// Longest part of a line that is shown, in characters.
+/// Maximum length of the part of a line that is shown, in characters.
 const LINE_CHARS_MAX: usize = 160;
 
 /// The text of line `number`, counted from 1. YAML breaks lines at `\n`, `\r\n` and a lone `\r`.
@@ -18,7 +18,7 @@ pub fn line_of(text: &str, number: usize) -> &str {
     text[start..].split(['\n', '\r']).next().unwrap_or("")
 }
 
-/// The byte offset of each line.
+/// The byte offset at which each line starts.
 pub fn line_starts(text: &str) -> impl Iterator<Item = usize> + '_ {
     let bytes = text.as_bytes();
     let ends = bytes
@@ -57,7 +57,7 @@ pub fn render(findings: &[Finding], colour: bool) -> String {
     text
 }
 
-/// `1 robot`, `2 robots`.
+/// A number with its noun in singular or plural: `1 robot`, `2 robots`.
 #[must_use]
 pub fn counted(count: usize, thing: &str) -> String {
     match count {
@@ -112,7 +112,7 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
     }
 }
 
-/// A part of a line that is marked.
+/// A marked part of a line.
 struct Mark {
     span: std::ops::Range<usize>,
     label: String,
@@ -121,7 +121,8 @@ struct Mark {
     left_out: usize,
 }
 
-/// The finding's line with the expected value. If a chain of places explains the finding, the lines of that chain.
+/// The lines to show for a finding, each with its marks: the finding's line with the expected value, or, if a chain of places explains
+/// the finding, the lines of that chain.
 fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     let mut places: Vec<_> = finding.chain().enumerate().collect();
     if places.is_empty() {
@@ -143,7 +144,8 @@ fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     lines
 }
 
-/// The line, or the part around the place; the byte range of the place in it; and the number of characters left out before that part.
+/// The part of a line around a place, or the whole line if it is short; the byte range of the place in that part; and the number of
+/// characters left out before the part.
 fn shown_part(line: &str, column: usize, width: usize) -> (String, std::ops::Range<usize>, usize) {
     let column = column.saturating_sub(1);
     let first = column.saturating_sub(LINE_CHARS_MAX / 2);

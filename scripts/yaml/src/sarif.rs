@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::finding::{Code, Finding, Related, Severity};
 
-/// One run with all findings, and a rule for each code that occurs.
+/// The findings as one SARIF run, with a rule for each code that occurs.
 #[must_use]
 pub fn sarif(findings: &[Finding]) -> Value {
     let mut codes: Vec<Code> = findings.iter().map(|finding| finding.code).collect();

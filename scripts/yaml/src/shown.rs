@@ -6,7 +6,7 @@ use std::borrow::Cow;
 
 use unicode_width::UnicodeWidthChar;
 
-/// Columns that one text may take; protocol strings have at most 256 characters.
+/// Maximum number of columns of one text; protocol strings have at most 256 characters.
 const COLUMNS_MAX: usize = 1_000;
 
 /// Characters that are invisible or change how others are displayed: text direction, joiners without a glyph, annotations, tags.
@@ -22,14 +22,14 @@ const INVISIBLE: [(char, char); 9] = [
     ('\u{fff9}', '\u{fffb}'),
 ];
 
-/// The text on one line: control characters, escape sequences, line ends and direction changes are escaped as `\n` or `\u{1b}`. A text of
-/// more than 1000 columns is cut.
+/// Converts a text to one harmless line: control characters, escape sequences, line ends and direction changes are escaped, as in `\n` or
+/// `\u{1b}`. A text of more than 1000 columns is cut.
 #[must_use]
 pub fn shown(text: &str) -> Cow<'_, str> {
     within(text, COLUMNS_MAX)
 }
 
-/// At most the first 60 characters, for a message.
+/// Shortens a text to its first 60 characters, for a message.
 pub fn shortened(text: &str) -> String {
     match text.char_indices().nth(60) {
         Some((at, _)) => format!("{}...", &text[..at]),
@@ -37,7 +37,7 @@ pub fn shortened(text: &str) -> String {
     }
 }
 
-/// The same as [`shown`], limited to this many columns; a text that is cut ends in `…`.
+/// Like [`shown`], but limited to `columns` columns. A text that is cut ends in `…`.
 #[must_use]
 pub fn within(text: &str, columns: usize) -> Cow<'_, str> {
     if text.len() <= columns && text.bytes().all(|byte| matches!(byte, b' '..=b'~')) {
@@ -84,7 +84,7 @@ fn is_harmless(character: char) -> bool {
     !character.is_control() && !invisible && !tag
 }
 
-/// Several lines assembled from harmless parts: everything is escaped except line ends, tabs and this program's own colours.
+/// Escapes a text of several lines, except line ends, tabs and this program's own colours. Its parts must already be harmless.
 #[must_use]
 pub fn block(text: &str) -> Cow<'_, str> {
     if text.chars().all(|character| character == '\n' || is_harmless(character)) {
@@ -108,14 +108,14 @@ pub fn block(text: &str) -> Cow<'_, str> {
     Cow::Owned(safe)
 }
 
-/// The length of the colour or weight sequence at the beginning of the text.
+/// The length of the escape sequence for a colour or font weight at the beginning of the text, if any.
 fn colour(text: &str) -> Option<usize> {
     let parameters = text.strip_prefix("\u{1b}[")?;
     let end = parameters.find(|c: char| !c.is_ascii_digit() && c != ';')?;
     (parameters[end..].starts_with('m')).then_some("\u{1b}[".len() + end + 1)
 }
 
-/// Equivalent JSON, with the characters escaped that JSON allows but terminals interpret.
+/// Converts JSON to equivalent JSON in which characters that terminals interpret are escaped.
 #[must_use]
 pub fn json(text: &str) -> Cow<'_, str> {
     if text.chars().all(|character| character == '\n' || is_harmless(character)) {

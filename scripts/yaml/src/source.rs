@@ -1,4 +1,4 @@
-//! Reads files: limited in size, UTF-8.
+//! Reads UTF-8 text files of limited size.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
@@ -9,22 +9,22 @@ use crate::formats;
 use crate::open::open;
 use crate::refusal::{Attempt, Refusal};
 
-/// Largest file that is read, in bytes: 64 MiB.
+/// Maximum size of a file that is read: 64 MiB, in bytes.
 pub const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
 
-/// Maximum number of names of a folder that are compared with a missing one.
+/// Maximum number of file names in a folder that are compared with the name of a missing file.
 const SIMILAR_MAX: usize = 1_000;
 
 /// The character that some editors write at the beginning of a file.
 pub const BYTE_ORDER_MARK: char = '\u{feff}';
 const BYTE_ORDER_MARK_BYTES: &[u8] = &[0xef, 0xbb, 0xbf];
 
-/// The text of a file, with the name that the user knows.
+/// The text of a file, and the name that messages use for the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
-    /// The name, for messages.
+    /// The name of the file, for messages.
     pub name: String,
-    /// The text.
+    /// The text of the file.
     pub text: String,
 }
 
@@ -32,7 +32,7 @@ impl Source {
     /// Reads a file of at most 64 MiB that the user has named: a regular file, or a pipe of the user's shell.
     ///
     /// # Errors
-    /// Returns a finding if the file cannot be read, is larger, or is not UTF-8 text.
+    /// Returns a finding if the file cannot be read, is larger than 64 MiB, or is not UTF-8 text.
     pub fn read(path: &Path) -> Result<Self, Finding> {
         Self::of_bytes(&path.display().to_string(), read_bytes(path)?)
     }
@@ -54,7 +54,7 @@ impl Source {
     }
 }
 
-/// The finding for a file that is valid text only up to the byte `valid`.
+/// The finding for a file that is valid UTF-8 only up to the byte `valid`.
 fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
     let save = || format!("save the file with the encoding UTF-8{in_excel}");
@@ -96,12 +96,13 @@ fn similar(path: &Path) -> Option<String> {
     }
 }
 
-/// The bytes of a file of at most 64 MiB that the user has named. A finding if it cannot be read or is larger.
+/// Reads the bytes of a file that the user has named. Returns a finding if the file cannot be read or is larger than 64 MiB.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
     bytes_of(path, open(path).map_err(|error| refused(path, &error))?)
 }
 
-/// The bytes of a file of at most 64 MiB. `path` is only used in messages.
+/// Reads the bytes of an open file. Returns a finding if the file cannot be read or is larger than 64 MiB. `path` is only used in
+/// messages.
 pub fn bytes_of(path: &Path, file: File) -> Result<Vec<u8>, Finding> {
     let refused = |error| refused(path, &error);
     let size = file.metadata().map_err(refused)?.len();

@@ -32,7 +32,7 @@ pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     finding
 }
 
-/// The second document begins at the first `---` after other content.
+/// Completes the finding for a file with several documents. The second document begins at the first `---` after other content.
 fn several_documents(source: &Source, finding: &mut Finding) {
     "the file has more than one document".clone_into(&mut finding.message);
     finding.hint = Some("keep one document per file: remove the `---` between them".into());
@@ -45,7 +45,7 @@ fn several_documents(source: &Source, finding: &mut Finding) {
     }
 }
 
-/// Detects common mistakes: marks of editors, tabs, a colon without a space.
+/// Detects common mistakes: byte order marks, tabs, a colon without a space.
 fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
     let marked = source.text.trim_start_matches(BYTE_ORDER_MARK).contains(BYTE_ORDER_MARK);
     if marked {
@@ -91,7 +91,7 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
 
 const NO_BREAK_SPACE: char = '\u{a0}';
 
-/// The name in `${name}`.
+/// The name in `${name}`, if the line contains such braces.
 fn braced(line: &str) -> Option<&str> {
     let (_, rest) = line.split_once("${")?;
     let name = &rest[..rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len())];
@@ -112,7 +112,7 @@ pub fn without_colon(key: &str, known: &[&str]) -> Option<String> {
         .then(|| format!("write a colon after the key: `{name}: {}`", shortened(rest.trim())))
 }
 
-/// The same for any word as the key.
+/// Like [`without_space`], but for any word as the key.
 pub fn without_space_at_all(text: &str) -> Option<String> {
     let (name, rest) = text.split_once(':')?;
     let word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-');
@@ -125,8 +125,8 @@ fn spaced(name: &str, rest: &str) -> String {
     format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
 }
 
-/// The line and column of a byte, both from 1. The parser also ends lines at the additional line breaks of YAML 1.1, which editors do not
-/// show as such.
+/// The line and column of a byte offset, both counted from 1. The parser also ends lines at the additional line breaks of YAML 1.1, which
+/// editors do not show as such.
 fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
     let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
     let (line, start) =
@@ -140,7 +140,7 @@ fn shortened_to(text: &str, chars: usize) -> String {
 
 const NO_COLON: &str = "this line has no colon";
 
-/// The beginning of the construct that the parser could not complete: `while parsing a flow sequence at line 8 column 17`.
+/// Start of a construct that the parser could not complete, from its message: `while parsing a flow sequence at line 8 column 17`.
 struct Begun<'a> {
     what: &'a str,
     line: usize,
@@ -172,7 +172,8 @@ fn byte_of(text: &str, line: usize, column: usize) -> usize {
     start + ahead.sum::<usize>()
 }
 
-/// The key of the line above and its column from 1, if that key already has a value and this line is indented more deeply.
+/// The key of the line above line `number`, and its column from 1. `None` unless that key already has a value and line `number` is
+/// indented more deeply.
 fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
     let indented = |line: &str| line.chars().take_while(|c| *c == ' ').count();
     let line = line_of(text, number);
@@ -192,7 +193,7 @@ fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
     finding.column = line.len() - line.trim_start().len() + 1;
 }
 
-/// A colon within a value, or a map that begins on the line of its key.
+/// Completes the finding for a second colon in a line: a colon within a value, or a map that begins on the line of its key.
 fn second_colon(finding: &mut Finding, line: &str) {
     "a second colon in one line".clone_into(&mut finding.message);
     "one key and its value".clone_into(&mut finding.expected);
@@ -207,7 +208,7 @@ fn second_colon(finding: &mut Finding, line: &str) {
     });
 }
 
-/// A text that begins with an asterisk is an alias.
+/// Completes the finding for an unknown alias: YAML takes a text that begins with an asterisk as an alias.
 fn unknown_alias(finding: &mut Finding, line: &str) {
     "unknown alias: an asterisk begins the name of an alias".clone_into(&mut finding.message);
     "a value that begins with another character".clone_into(&mut finding.expected);

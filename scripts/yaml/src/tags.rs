@@ -10,11 +10,11 @@ use crate::source::Source;
 
 /// Maximum number of tags that are listed per file.
 const TAGS_MAX: usize = 100;
-/// Longest line that a finding carries, in characters.
+/// Maximum length of the line that a finding carries, in characters.
 const LINE_CHARS_MAX: usize = 1_000;
 
-/// A finding for each tag outside YAML's core schema. The parser that keeps places reports all of them, including those that the other
-/// parser drops.
+/// A finding for each tag outside YAML's core schema. The event parser reports all tags, including those that the parser of the tree
+/// drops.
 pub fn foreign_tags(source: &Source) -> Vec<Finding> {
     let mut findings = Vec::new();
     if !source.text.contains('!') {

@@ -147,7 +147,11 @@ fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
     let stage = cut_off(2);
     stage.robots[1].freeze();
     let first = stage.run(&["stop", "--patience", "1s"]);
-    says(&first, 4, &["r0: stop confirmed", "r1: stop NOT confirmed, and it runs without a lease"]);
+    says(
+        &first,
+        4,
+        &["r0: stop confirmed", "r1: stop NOT confirmed; it has no lease, so it does not stop by itself"],
+    );
     stage.robots[1].thaw();
     says(&stage.run(&["stop"]), 0, &BOTH);
     all_rest(&stage);

@@ -1,4 +1,4 @@
-//! A host whose cores are all busy.
+//! Keeps the cores of a host busy for a test.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -10,7 +10,7 @@ impl Drop for SetWhenDropped<'_> {
     }
 }
 
-/// Keeps `cores` cores busy while `measure` runs, also if it panics.
+/// Keeps `cores` cores busy while `measure` runs. They are released even if `measure` panics.
 pub fn with_cores_busy<T>(cores: usize, measure: impl FnOnce() -> T) -> T {
     let enough = AtomicBool::new(false);
     std::thread::scope(|scope| {

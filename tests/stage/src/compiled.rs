@@ -7,13 +7,13 @@ use std::sync::{LazyLock, Mutex};
 
 use tempfile::TempDir;
 
-/// Compiler flags for a preloaded library.
+/// Compiler flags for a library that a test preloads into a program.
 pub const SHARED: &[&str] = &["-shared", "-fPIC"];
 
 static FOLDER: LazyLock<TempDir> = LazyLock::new(|| TempDir::new().unwrap());
 static COMPILED: LazyLock<Mutex<HashMap<String, PathBuf>>> = LazyLock::new(Mutex::default);
 
-/// Compiles this source below `tests/`, and returns the path of the result.
+/// Compiles a C source file below `tests/`, and returns the path of the result.
 pub fn compiled(source: &str, flags: &[&str]) -> PathBuf {
     let mut compiled = COMPILED.lock().unwrap();
     let compile = || {

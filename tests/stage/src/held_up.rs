@@ -1,11 +1,11 @@
-//! Missions for which this machine was too slow, according to Downbeat's own report.
+//! Detects missions for which this machine was too slow, according to Downbeat's own report.
 //!
-//! A test may play a mission again only for these reasons: any other failure is a fault.
+//! A test may play a mission again only for these reasons. Any other failure is a fault.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// A sentence or word of a report, and the outcome or failure that it indicates.
+/// Sentences or words of a report, each with the outcome or failure that it indicates.
 const REASONS: [(&str, &str); 8] = [
     ("a late command is never started", "failure `late` of a robot on this machine"),
     ("this machine was delayed", "outcome `decision_late`"),
@@ -20,32 +20,33 @@ const REASONS: [(&str, &str); 8] = [
 /// Maximum number of times that a mission is played.
 pub const ATTEMPTS: usize = 5;
 
-/// Returns the reason why this machine was too slow, if a report contains one.
+/// Returns why this machine was too slow, if the report states such a reason.
 pub fn reason(report: &str) -> Option<&'static str> {
-    // Sentences may be wrapped and JSON may be indented.
+    // Ignores white space, because sentences may be wrapped and JSON may be indented.
     let without_spaces = |text: &str| text.split_whitespace().collect::<String>();
     let report = without_spaces(report);
     REASONS.iter().find(|(words, _)| report.contains(&without_spaces(words))).map(|(_, reason)| *reason)
 }
 
-/// Returns the reason why this machine was too slow to start a mission at all: nothing has moved.
+/// Returns why this machine was too slow to start the mission, if the report states such a reason. In this case nothing has moved.
 fn reason_of_no_start(report: &str) -> Option<&'static str> {
     reason(report).filter(|reason| reason.starts_with("outcome"))
 }
 
-/// Plays a mission, and plays it again if its report says that this machine was too slow. Prints each repetition to standard error.
+/// Plays a mission with `play`. Plays it again if its report states that this machine was too slow. Prints each repetition to standard
+/// error.
 #[track_caller]
 pub fn played<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
     played_unless(None, play, |played| reason(&report(played)))
 }
 
-/// Like `played`, and removes the missions that are played again from this state folder.
+/// Like [`played`], but also removes from the state folder the missions that are played again.
 #[track_caller]
 pub fn played_in<T>(state: &Path, play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
     played_unless(Some(state), play, |played| reason(&report(played)))
 }
 
-/// Like `played_in`, but plays the mission again only if this machine was too slow to start it.
+/// Like [`played_in`], but plays the mission again only if this machine was too slow to start it.
 #[track_caller]
 pub fn begun_in<T>(state: &Path, play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
     played_unless(Some(state), play, |played| reason_of_no_start(&report(played)))

@@ -1,4 +1,4 @@
-//! Robots and schedulers as processes on loopback, the logs of the robots, and links that fail on command.
+//! Robots and schedulers as processes on the loopback interface, the robots' logs, and links that fail on command.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::print_stderr, reason = "missions that are played again are counted")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
@@ -43,7 +43,7 @@ impl Process {
         self::signal(&self.0, signal);
     }
 
-    /// Returns its peak memory usage, in megabytes; 0 once it has ended.
+    /// Returns the peak memory usage of the process, in megabytes; 0 once the process has ended.
     pub fn memory(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap_or_default();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -51,7 +51,7 @@ impl Process {
         kilobytes.unwrap_or(0) / 1024
     }
 
-    /// Ends it as a power cut would.
+    /// Ends the process without warning, like a power cut.
     pub fn kill(&mut self) {
         self.0.kill().unwrap();
         self.0.wait().unwrap();
@@ -65,7 +65,7 @@ impl Drop for Process {
     }
 }
 
-/// Sends a signal. A process that was sent STOP has stopped when this returns: the system stops its threads one by one.
+/// Sends a signal to a process. After STOP, waits until the process has stopped, because the system stops its threads one by one.
 pub fn signal(child: &Child, signal: Signal) {
     let pid = Pid::from_child(child);
     kill_process(pid, signal).unwrap();
@@ -75,31 +75,31 @@ pub fn signal(child: &Child, signal: Signal) {
     }
 }
 
-/// The connection to a robot.
+/// How the scheduler reaches a robot: directly or through a proxy.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Via {
     Direct,
     Proxy,
 }
 
-/// A robot's process, and the earlier ones with the same id.
+/// A robot: its current process, and the logs of this and of earlier processes.
 pub struct Robot {
     pub id: String,
     pub link: Option<Proxy>,
     process: Process,
     init: String,
-    /// Further arguments of its process.
+    /// Further command-line arguments of the robot's process.
     args: Vec<String>,
-    /// Further keys of the robot in the fleet file.
+    /// Further keys of the robot in the fleet file, as YAML.
     keys: &'static str,
     port: u16,
     logs: Vec<PathBuf>,
 }
 
-/// With this in the environment, robots accept only TLS, so that any trial can run with TLS.
+/// Environment variable that makes robots accept only TLS, so that any trial can run with TLS.
 const BY_TLS: &str = "DOWNBEAT_TLS";
 
-/// A folder with running robots, the fleet file that lists them, and scenarios.
+/// A folder with running robots, with the fleet file that lists them, and with scenarios.
 pub struct Stage {
     folder: TempDir,
     pub robots: Vec<Robot>,
@@ -111,7 +111,7 @@ impl Stage {
         Self::by(std::env::var_os(BY_TLS).is_some())
     }
 
-    /// Creates a stage whose robots have keys, and accept only the operator of the fleet file.
+    /// Creates a stage whose robots have keys and accept only the operator that the fleet file names.
     pub fn with_keys() -> Self {
         Self::by(true)
     }
@@ -130,7 +130,7 @@ impl Stage {
         assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     }
 
-    /// Adds the key to the arguments of a robot's process, if the stage uses TLS.
+    /// If the stage uses TLS, adds the robot's key to the arguments of its process.
     fn with_key(&self, id: &str, mut args: Vec<String>) -> Vec<String> {
         let key = format!("keys/robots/{id}.pem");
         if self.by_tls && !args.contains(&key) {
@@ -151,12 +151,12 @@ impl Stage {
         self
     }
 
-    /// Starts a robot with this initialization block and adds it to the fleet file; returns its index.
+    /// Starts a robot with this initialization block and adds it to the fleet file. Returns the robot's index.
     pub fn robot(&mut self, init: &str, via: Via) -> usize {
         self.robot_with(init, via, Vec::new(), "")
     }
 
-    /// The same, with further arguments of its process, and further keys in the fleet file.
+    /// Like [`Stage::robot`], with further arguments for the robot's process and further keys in the fleet file.
     pub fn robot_with(&mut self, init: &str, via: Via, args: Vec<String>, keys: &'static str) -> usize {
         let id = format!("r{}", self.robots.len());
         let log = self.path(&format!("{id}-0.jsonl"));
@@ -170,9 +170,9 @@ impl Stage {
         self.robots.len() - 1
     }
 
-    /// Starts a robot with an id of its own, which is not listed in the fleet file; returns its port.
+    /// Starts a robot with this id, which is not listed in the fleet file. Returns the robot's port.
     pub fn robot_called(&mut self, id: &str, init: &str, args: Vec<String>) -> u16 {
-        // Another robot may have the same id.
+        // The name of the log is unique, because another robot may have the same id.
         let log = self.path(&format!("{id}-called-{}.jsonl", self.robots.len()));
         let args = self.with_key(id, args);
         let (process, port) = start(self.folder.path(), init, &args, id, 0, &log);
@@ -194,19 +194,19 @@ impl Stage {
         self.file("fleet.yaml", format!("{identity}robots:\n{rows}groups:\n  all: [{}]\n", ids.join(", ")));
     }
 
-    /// Ends a robot's process and starts it again on the same port, without any memory.
+    /// Ends a robot's process and starts it again on the same port. The new process remembers nothing.
     pub fn restart(&mut self, index: usize) {
         let id = self.robots[index].id.clone();
         self.replace(index, &id);
     }
 
-    /// Ends a robot's process; a robot with an id of its own takes over its port, and appends a log to the robot's logs.
+    /// Ends a robot's process. A robot with this id takes over the port, and its log is added to the logs of the robot.
     pub fn replace(&mut self, index: usize, id: &str) {
         let args = self.robots[index].args.clone();
         self.replace_with(index, id, args);
     }
 
-    /// The same, with other arguments of its process.
+    /// Like [`Stage::replace`], with other arguments for the new process.
     pub fn replace_with(&mut self, index: usize, id: &str, args: Vec<String>) {
         self.robots[index].kill();
         let mut args = args;
@@ -230,12 +230,12 @@ impl Stage {
         command
     }
 
-    /// Starts the program in the background.
+    /// Starts Downbeat in the background.
     pub fn start(&self, args: &[&str]) -> Running {
         Running::new(self.command(args))
     }
 
-    /// Starts a mission, and returns once each of these robots has set this many more values.
+    /// Starts a mission. Returns once each of `robots` has set `sets` more values than before.
     #[track_caller]
     pub fn begin(&self, args: &[&str], robots: impl IntoIterator<Item = usize>, sets: usize) -> Running {
         let robots: Vec<usize> = robots.into_iter().collect();
@@ -254,13 +254,14 @@ impl Stage {
         })
     }
 
-    /// Starts a mission, and returns once it has printed a line that contains this text.
+    /// Starts a mission. Returns once the mission has printed a line that contains `text`.
     #[track_caller]
     pub fn start_until(&self, args: &[&str], text: &str) -> Running {
         self.start_in_time(args, |running| running.find(text).is_some())
     }
 
-    /// Starts a mission. Starts it again if it ended before it had begun and its report states that this machine was too slow.
+    /// Starts a mission and waits for `has_begun`. Starts the mission again if it ended before that and its report states that this
+    /// machine was too slow.
     #[track_caller]
     fn start_in_time(&self, args: &[&str], has_begun: impl Fn(&mut Running) -> bool) -> Running {
         for _ in 0..held_up::ATTEMPTS {
@@ -273,7 +274,7 @@ impl Stage {
         panic!("this machine was too slow to begin {} times", held_up::ATTEMPTS);
     }
 
-    /// Runs the program to its end. Plays a mission again if this machine was too slow to start it.
+    /// Runs Downbeat to its end. If it plays a mission, plays the mission again if this machine was too slow to start it.
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ended {
         let run = || self.start(args).ended();
@@ -284,14 +285,15 @@ impl Stage {
         }
     }
 
-    /// Plays a mission to its end, and plays it again if this machine was too slow for it.
+    /// Plays a mission to its end. Plays the mission again if this machine was too slow for it.
     #[track_caller]
     pub fn play(&self, args: &[&str]) -> Ended {
         held_up::played_in(&self.path("state"), || self.start(args).ended(), Ended::said)
     }
 }
 
-/// Returns the program with the default action for a hang-up, which `nohup` disables for its children, including these tests.
+/// Returns a command that runs Downbeat with the default action for SIGHUP. `nohup` disables this action for its children, including
+/// these tests.
 pub fn ended_by_a_hang_up() -> Command {
     let mut command = Command::new("env");
     command.args(["--default-signal=HUP", program()]);
@@ -310,22 +312,22 @@ fn start(folder: &Path, init: &str, args: &[String], id: &str, port: u16, log: &
 }
 
 impl Robot {
-    /// Returns its own port, behind its proxy.
+    /// Returns the port on which the robot itself listens, behind its proxy.
     pub const fn port(&self) -> u16 {
         self.port
     }
 
-    /// Returns the peak memory usage of its process, in megabytes.
+    /// Returns the peak memory usage of the robot's process, in megabytes.
     pub fn memory(&self) -> u64 {
         self.process.memory()
     }
 
-    /// Ends it as a power cut would.
+    /// Ends the robot's process without warning, like a power cut.
     pub fn kill(&mut self) {
         self.process.kill();
     }
 
-    /// Freezes it in its current state.
+    /// Stops the robot's process with SIGSTOP, until `thaw`.
     pub fn freeze(&self) {
         self.process.signal(Signal::STOP);
     }
@@ -334,32 +336,33 @@ impl Robot {
         self.process.signal(Signal::CONT);
     }
 
-    /// Returns the log of each of its processes, in order.
+    /// Returns the log of each of the robot's processes, in order.
     pub fn logs(&self) -> impl Iterator<Item = String> {
         self.logs.iter().map(|path| std::fs::read_to_string(path).unwrap())
     }
 
-    /// Returns all log entries, including those from before a restart. The last line of a killed process may be incomplete.
+    /// Returns all entries of the robot's logs, including those from before a restart. The last line of a killed process may be
+    /// incomplete and is then skipped.
     pub fn log(&self) -> Vec<Logged> {
         self.logs().flat_map(|text| text.lines().filter_map(Logged::read).collect::<Vec<_>>()).collect()
     }
 
-    /// Returns the log entries after the first `lines`.
+    /// Returns the log entries that follow the first `lines` entries.
     pub fn log_since(&self, lines: usize) -> Vec<Logged> {
         self.log().split_off(lines)
     }
 
-    /// Returns the values of scripts that it set.
+    /// Returns the log entries of the script values that the robot has set.
     pub fn sets(&self) -> Vec<Logged> {
         self.log().into_iter().filter(|entry| entry.motion == "set").collect()
     }
 
-    /// Returns the values that one device was set to, in order.
+    /// Returns the values that the robot has set on one device, in order.
     pub fn values(&self, device: &str) -> Vec<f64> {
         self.sets().iter().filter(|entry| entry.device == device).map(|entry| entry.value).collect()
     }
 
-    /// Waits until the last line of its log has this kind of movement.
+    /// Waits until the last entry of the robot's log has this kind of movement.
     #[track_caller]
     pub fn await_logged(&self, motion: &str, within: Duration) {
         let began = Instant::now();
@@ -369,7 +372,7 @@ impl Robot {
         }
     }
 
-    /// Waits until it has logged this number of values.
+    /// Waits until the robot has logged `count` values.
     #[track_caller]
     pub fn await_sets(&self, count: usize, within: Duration) {
         let began = Instant::now();
@@ -383,15 +386,15 @@ impl Robot {
 /// One line of a robot's log.
 #[derive(Clone, Debug)]
 pub struct Logged {
-    /// The id that the process reports.
+    /// Id that the robot's process reports.
     pub robot: String,
-    /// By the one clock of the host, in nanoseconds since the Unix epoch.
+    /// Time when the value was set, by the host's clock, in nanoseconds since the Unix epoch.
     pub at: i64,
-    /// By the robot's own clock, like `due`.
+    /// Time when the value was set, by the robot's own clock, in nanoseconds. `due` uses the same clock.
     pub set_at: i64,
     pub due: i64,
     pub device: String,
-    /// `set`, `ramp`, `slow` or `default`.
+    /// Kind of movement: `set`, `ramp`, `slow` or `default`.
     pub motion: String,
     pub value: f64,
     pub step: Option<u64>,
@@ -416,7 +419,8 @@ impl Logged {
     }
 }
 
-/// Returns a reporting robot with the device `d`: its queue length, its largest position, and the maximum steps of a script.
+/// Returns a description of a robot that makes reports and has the device `d`. `queue` is the queue length, `largest` the largest
+/// position, and `steps` the maximum number of steps of a script.
 pub fn one_device(queue: impl fmt::Display, largest: u32, steps: impl fmt::Display) -> String {
     with_devices(&format!(
         "  - id: d
@@ -429,18 +433,18 @@ pub fn one_device(queue: impl fmt::Display, largest: u32, steps: impl fmt::Displ
     ))
 }
 
-/// Returns a reporting robot with these devices, in YAML.
+/// Returns the description of a robot that makes reports and has these devices, given in YAML.
 pub fn with_devices(devices: &str) -> String {
     format!("id: robot\napi_version: '1'\nreports: true\ndevices:\n{devices}")
 }
 
-/// Converts an RFC 3339 instant to nanoseconds since the epoch.
+/// Converts an RFC 3339 timestamp to nanoseconds since the Unix epoch.
 pub fn nanos(text: &str) -> i64 {
     let at: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(Value::String(text.to_owned())).unwrap();
     at.as_nanos()
 }
 
-/// Converts a local time of day to nanoseconds since the epoch: today, or just before or after midnight.
+/// Converts a local time of day to nanoseconds since the Unix epoch. Assumes today or, around midnight, the day before or after.
 pub fn today(text: &str) -> i64 {
     let time: chrono::NaiveTime = text.parse().unwrap_or_else(|_| panic!("no time of day: {text}"));
     let now = chrono::DateTime::from_timestamp_nanos(epoch_nanos()).with_timezone(&chrono::Local);
@@ -450,7 +454,7 @@ pub fn today(text: &str) -> i64 {
     nanos.min_by_key(|instant| (instant - epoch_nanos()).abs()).unwrap()
 }
 
-/// Returns the current time, in nanoseconds since the epoch.
+/// Returns the current time, in nanoseconds since the Unix epoch.
 pub fn epoch_nanos() -> i64 {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
     i64::try_from(now.as_nanos()).unwrap()
@@ -461,7 +465,7 @@ pub fn sleep_until(at: i64) {
     std::thread::sleep(Duration::from_nanos(ahead));
 }
 
-/// The running program; its output is read as it arrives.
+/// Downbeat, running in the background. Its output is read as it arrives.
 pub struct Running {
     pub process: Process,
     lines: Receiver<String>,
@@ -469,17 +473,17 @@ pub struct Running {
     out: JoinHandle<String>,
 }
 
-/// The result of an ended program.
+/// Result of Downbeat after its end.
 #[derive(Clone)]
 pub struct Ended {
     pub code: Option<i32>,
     pub out: String,
-    /// Its messages while it ran.
+    /// Messages that Downbeat printed while it ran.
     pub told: String,
 }
 
 impl Ended {
-    /// Returns all its output, including its report.
+    /// Returns all output of Downbeat, including its report.
     pub fn said(&self) -> String {
         format!("{}{}", self.told, self.out)
     }
@@ -505,7 +509,7 @@ impl Running {
         Self { process: Process(child), lines, told: String::new(), out }
     }
 
-    /// Returns the next line that contains this text. Fails with the report if the program ends without printing one.
+    /// Returns the next line of output that contains `text`. Panics with the report if Downbeat ends without printing such a line.
     #[track_caller]
     pub fn line(&mut self, text: &str) -> String {
         self.find(text).unwrap_or_else(|| {
@@ -525,13 +529,13 @@ impl Running {
         None
     }
 
-    /// Returns the start of the act that it prepares next, in nanoseconds since the epoch.
+    /// Waits for the next act to be prepared, and returns its start, in nanoseconds since the Unix epoch.
     #[track_caller]
     pub fn start(&mut self) -> i64 {
         start_in(&self.line("start at "))
     }
 
-    /// Like `start`, but `None` if the mission ends before it prepares an act.
+    /// Like [`Running::start`], but returns `None` if the mission ends before it prepares an act.
     pub fn start_if_prepared(&mut self) -> Option<i64> {
         self.find("start at ").map(|line| start_in(&line))
     }
@@ -540,13 +544,13 @@ impl Running {
         self.process.0.try_wait().unwrap().is_some()
     }
 
-    /// Waits for its end, at most a minute.
+    /// Waits for the end of Downbeat, at most a minute.
     #[track_caller]
     pub fn ended(self) -> Ended {
         self.ended_within(Duration::from_secs(60)).unwrap_or_else(|told| panic!("the program hangs: {told}"))
     }
 
-    /// Returns the result, or its messages if it does not end in time; it is then killed.
+    /// Returns the result of Downbeat. If it does not end within `patience`, kills it and returns its messages as the error.
     pub fn ended_within(mut self, patience: Duration) -> Result<Ended, String> {
         let began = Instant::now();
         let code = loop {
@@ -570,7 +574,7 @@ fn start_in(line: &str) -> i64 {
 }
 
 impl Ended {
-    /// Fails unless the report says that this machine was too slow.
+    /// Panics unless the report states that this machine was too slow.
     #[track_caller]
     pub fn assert_held_up(&self) {
         let reason = held_up::reason(&self.said());
@@ -578,7 +582,7 @@ impl Ended {
         eprintln!("started again at {}: {reason}", std::panic::Location::caller());
     }
 
-    /// Returns the report of a run with `--format json`.
+    /// Parses the report of a run with `--format json`.
     #[track_caller]
     pub fn report(&self) -> Value {
         serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("{e}: {}{}", self.out, self.told))
@@ -586,7 +590,7 @@ impl Ended {
 }
 
 impl fmt::Display for Ended {
-    /// Displays it for a failed test: of a report, only the outcome and the failures.
+    /// Displays the result for a failed test. A report is reduced to its outcome and its failures.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "exit code {:?}\n{}", self.code, self.told)?;
         let report: Value = serde_json::from_str(&self.out).unwrap_or_default();
@@ -611,7 +615,7 @@ impl fmt::Display for Ended {
 
 impl Drop for Stage {
     fn drop(&mut self) {
-        // A frozen process is killed, too; no robot outlives its folder.
+        // Ends the robots before the folder is removed. Frozen processes are killed, too.
         self.robots.clear();
     }
 }

@@ -1,5 +1,4 @@
-//! A machine between an operator and a robot, which alters, repeats or reorders messages to the robot. It does not have the keys of
-//! either side.
+//! A machine between an operator and a robot that alters, repeats or reorders messages to the robot. It has neither side's keys.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -9,21 +8,21 @@ use std::time::Duration;
 /// How a byte stream is divided into records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wire {
-    /// A type, a version and a length of two bytes.
+    /// Each record starts with a type, a version and a length of two bytes.
     Tls,
-    /// Two lines, and then a length of four bytes and a code of sixteen.
+    /// Two lines, and then records that start with a length of four bytes and a code of sixteen bytes.
     Hmac,
 }
 
-/// The manipulation of a record.
+/// How a record is manipulated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tampering {
     Pass,
-    /// The second-to-last byte changes.
+    /// The second-to-last byte of the record is changed.
     Alter,
-    /// It is sent twice.
+    /// The record is sent twice.
     Repeat,
-    /// It is sent after the record that follows it.
+    /// The record is sent after the record that follows it.
     Reorder,
 }
 
@@ -31,29 +30,30 @@ pub enum Tampering {
 struct Told {
     deed: Option<Tampering>,
     done: usize,
-    /// The longest recorded input to the robot on one connection.
+    /// The longest input to the robot that was recorded on one connection.
     said: Vec<u8>,
 }
 
-/// Carries connections to one robot.
+/// Carries connections to one robot and manipulates records on them.
 pub struct Tamperer {
-    /// Its own port.
+    /// Port on which the tamperer listens.
     pub port: u16,
     robot: u16,
     told: Arc<Mutex<Told>>,
 }
 
-/// Only longer records are manipulated: they carry scripts.
+/// Length in bytes above which a record is manipulated: such records contain scripts.
 const LONG: usize = 500;
 
 impl Tamperer {
-    /// Manipulates the long record of this number, from 1, of each connection that has one.
+    /// Creates a tamperer for the robot at this port. On each connection, it manipulates the long record with this number, counted from
+    /// 1, if there is one.
     pub fn to(robot: u16, wire: Wire, number: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
         let told: Arc<Mutex<Told>> = Arc::default();
         let own = Self { port, robot, told: Arc::clone(&told) };
-        // Ends with the process.
+        // This thread ends with the process.
         std::thread::spawn(move || {
             for stream in listener.incoming() {
                 let (near, far) = (stream.unwrap(), TcpStream::connect(("127.0.0.1", robot)).unwrap());
@@ -84,12 +84,12 @@ impl Tamperer {
         (told.deed, told.done) = (Some(deed), 0);
     }
 
-    /// Returns how often it has manipulated a record since the last order.
+    /// Returns how many records were manipulated since the last order.
     pub fn done(&self) -> usize {
         self.told.lock().unwrap().done
     }
 
-    /// Replays all messages of an earlier connection to the robot; returns the robot's output after its greeting.
+    /// Sends all messages of an earlier connection to the robot again. Returns the robot's output after its greeting.
     pub fn said_again(&self) -> Vec<u8> {
         let said = self.told.lock().unwrap().said.clone();
         assert!(said.len() > LONG);
@@ -97,14 +97,14 @@ impl Tamperer {
         stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
         let _hung_up = stream.write_all(&said);
         let mut answer = Vec::new();
-        // The robot disconnects, possibly by a reset.
+        // The robot closes the connection, possibly by a reset.
         let _hung_up = stream.read_to_end(&mut answer);
         let greeting = answer.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         answer.split_off(greeting)
     }
 }
 
-/// Returns all received bytes.
+/// Carries one direction of a connection. Returns all bytes received.
 fn carry(mut from: TcpStream, mut to: &TcpStream, wire: Wire, number: usize, told: &Mutex<Told>) -> Vec<u8> {
     let (mut said, mut came, mut bytes) = (Vec::new(), Vec::new(), [0; 16 * 1024]);
     let (mut lines, mut long, mut held) = (0, 0, None::<Vec<u8>>);

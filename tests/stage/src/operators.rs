@@ -1,18 +1,18 @@
-//! One robot with keys, and the operators that drive it, stop it and seize it from each other.
+//! One robot with keys, and operators that drive it, stop it and seize it from each other.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Stdio};
 
 use crate::session::{Ran, Session};
 
-/// Commands of operators to one robot.
+/// Runs operators' commands to one robot.
 pub struct Operators<'a> {
     session: &'a Session,
     robot: &'a str,
 }
 
 impl<'a> Operators<'a> {
-    /// Makes an operator request the robot's description, and writes it as the fleet.
+    /// Lets the operator `asking` request the robot's description, and writes a fleet with it.
     pub fn of(session: &'a Session, robot: &'a str, address: &str, asking: &str) -> Self {
         let own = Self { session, robot };
         session.file(&format!("{robot}.yaml"), own.by(asking, &["fleet", "describe", address]).out());
@@ -20,20 +20,20 @@ impl<'a> Operators<'a> {
         own
     }
 
-    /// Writes a fleet with the robot at this address.
+    /// Writes the fleet file, which contains the robot at this address.
     pub fn fleet(&self, address: &str) {
         let robot = self.robot;
         let fleet = format!("robots: {{{robot}: {{init: {robot}.yaml, address: '{address}'}}}}\n");
         self.session.file("fleet.yaml", fleet);
     }
 
-    /// Runs an operator's command and returns its result.
+    /// Runs a command as an operator and returns its result.
     pub fn by(&self, operator: &str, args: &[&str]) -> Ran {
         let mut command = self.session.command(args);
         Ran(command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem")).output().unwrap())
     }
 
-    /// Writes a scenario whose last keyframe is at this time.
+    /// Writes a scenario whose last keyframe is at the time `last`.
     pub fn scenario(&self, name: &str, last: &str) {
         let track = format!("shoulder: [{{at: 100ms, to: 45}}, {{at: {last}, to: 0}}]");
         let cue = format!("{{at: 0s, robots: {}, tracks: {{{track}}}}}", self.robot);
@@ -41,7 +41,7 @@ impl<'a> Operators<'a> {
         self.session.file(&format!("{name}.yaml"), text);
     }
 
-    /// Starts an operator's mission, and returns once the robot has accepted its scripts.
+    /// Starts an operator's mission. Returns once the robot has accepted the mission's scripts.
     pub fn playing(&self, operator: &str, scenario: &str) -> Child {
         let mut command = self.session.command(&["run", scenario]);
         command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem"));
@@ -52,7 +52,7 @@ impl<'a> Operators<'a> {
     }
 }
 
-/// Checks that a running mission fails, and that its report contains these words.
+/// Checks that a running mission fails and that its report contains `words`.
 #[track_caller]
 pub fn fails_with(mut playing: Child, words: &str) {
     let mut report = String::new();

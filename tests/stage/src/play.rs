@@ -1,13 +1,13 @@
-//! Missions of one act on robots with one device, as most trials need them.
+//! Missions of one act on robots with one device, which most trials need.
 
 use std::time::Duration;
 
 use crate::{Robot, Stage, Via};
 
-/// Time within which a robot starts to play.
+/// Maximum time until a robot starts to play.
 pub const SOON: Duration = Duration::from_secs(20);
 
-/// A scenario of one act in which all robots are set to 1, 2, 3, and so on.
+/// A scenario of one act in which every robot is set to 1, 2, 3, and so on.
 pub struct Play {
     pub steps: u32,
     pub every_ms: u32,
@@ -19,7 +19,7 @@ pub struct Play {
     pub tolerance: &'static str,
 }
 
-/// Twelve seconds in one script, under a lease of one second.
+/// A scenario of twelve seconds in a single script, under a lease of one second.
 pub const LONG: Play = Play {
     steps: 120,
     every_ms: 100,
@@ -29,7 +29,7 @@ pub const LONG: Play = Play {
     on_failure: "stop",
     tolerance: "1s",
 };
-/// Nearly five seconds in three scripts of eight steps.
+/// A scenario of nearly five seconds in three scripts of eight steps each.
 pub const CHAIN: Play = Play { steps: 24, every_ms: 200, script: 8, queue: 2, running: "2s", ..LONG };
 pub const SHORT: Play = Play { steps: 4, every_ms: 100, ..LONG };
 

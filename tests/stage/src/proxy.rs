@@ -1,4 +1,4 @@
-//! A TCP proxy before one robot, whose link stalls, breaks and recovers on command.
+//! A TCP proxy in front of one robot. Its link stalls, breaks and recovers on command.
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -8,20 +8,20 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// State of the link.
+/// State of the link through the proxy.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Flow {
-    /// Everything passes.
+    /// All messages pass.
     Open,
-    /// Connections stay open and nothing passes; messages are delivered later.
+    /// Connections stay open, and no messages pass. They are delivered later.
     Frozen,
-    /// Connections stay open; messages from the robot pass, and no message reaches it.
+    /// Connections stay open. Messages from the robot pass, but messages to it do not.
     Deaf,
-    /// Connections stay open; messages to the robot pass, and messages from it do not.
+    /// Connections stay open. Messages to the robot pass, but messages from it do not.
     Dumb,
-    /// All connections are closed; new ones wait.
+    /// All connections are closed, and new connections wait.
     Interrupted,
-    /// All connections are closed, and new ones are refused, as if no process listened.
+    /// All connections are closed, and new connections are refused, as if no process listened.
     Cut,
     /// The proxy has been dropped.
     Ended,
@@ -29,25 +29,25 @@ enum Flow {
 
 struct Link {
     flow: Flow,
-    /// Port of the robot that is reached through it.
+    /// Port of the robot behind the proxy.
     robot: u16,
     connections: Vec<TcpStream>,
-    /// The next line to the robot that contains this text is lost, and the link is interrupted for this long.
+    /// A text and a duration. The next line to the robot that contains the text is lost, and the link is interrupted for the duration.
     lose: Option<(String, Duration)>,
-    /// The next line to the robot that contains this text, and every later line, is delayed by this time.
+    /// A text and a delay. The next line to the robot that contains the text, and every later line, is delayed.
     slows: Option<(String, Duration)>,
-    /// Number of connections that are still reset after the first write to the robot.
+    /// Number of connections that will still be reset after the first write to the robot.
     resets: u32,
     lines_lost: u32,
-    /// Connections of earlier generations stay open and carry nothing any longer.
+    /// Number of the current generation of connections. Connections of earlier generations stay open, but carry nothing any longer.
     generation: u32,
-    /// Keys that are removed from the robot's answers.
+    /// Keys that are removed from the robot's messages.
     without: &'static [&'static str],
     /// Delay of each line, in each direction.
     delay: Duration,
-    /// Modifies each message from the robot.
+    /// Function that modifies each message from the robot.
     rewrite: Option<fn(&mut Value)>,
-    /// Whether neither lines nor their content can be recognised.
+    /// Whether the link is encrypted, so that neither lines nor their content can be recognised.
     encrypted: bool,
 }
 
@@ -56,9 +56,9 @@ struct Shared {
     changed: Condvar,
 }
 
-/// Carries connections to one robot.
+/// Carries connections to one robot through a link that fails on command.
 pub struct Proxy {
-    /// Its own port.
+    /// Port on which the proxy listens.
     pub port: u16,
     shared: Arc<Shared>,
 }
@@ -68,7 +68,7 @@ impl Proxy {
         Self::carrying(robot, false)
     }
 
-    /// A link with only an attacker's view: nothing can be rewritten, and arbitrary bytes are lost instead of a line.
+    /// Creates a proxy with only an attacker's view of the link. It cannot rewrite messages, and loses arbitrary bytes instead of a line.
     pub fn encrypted_to(robot: u16) -> Self {
         Self::carrying(robot, true)
     }
@@ -96,32 +96,32 @@ impl Proxy {
         Self { port, shared }
     }
 
-    /// Blocks all messages; connections stay open.
+    /// Blocks all messages. Connections stay open.
     pub fn freeze(&self) {
         self.shared.set(Flow::Frozen);
     }
 
-    /// Blocks messages to the robot; messages from it pass.
+    /// Blocks messages to the robot. Messages from the robot pass.
     pub fn deafen(&self) {
         self.shared.set(Flow::Deaf);
     }
 
-    /// Blocks messages from the robot; messages to it pass.
+    /// Blocks messages from the robot. Messages to the robot pass.
     pub fn silence(&self) {
         self.shared.set(Flow::Dumb);
     }
 
-    /// Makes the current connections permanently dead: messages on them are lost without an error on either side. Later connections work.
+    /// Makes the present connections permanently dead: messages on them are lost without an error on either side. Later connections work.
     pub fn strand(&self) {
         self.shared.lock().generation += 1;
     }
 
-    /// Closes all connections; later ones stay open without passing anything, as if the robot were out of reach.
+    /// Closes all connections. Later connections stay open but carry nothing, as if the robot were out of reach.
     pub fn interrupt(&self) {
         self.shared.set(Flow::Interrupted);
     }
 
-    /// Closes all connections, and refuses later ones, as if the robot's process had ended.
+    /// Closes all connections and refuses later ones, as if the robot's process had ended.
     pub fn cut(&self) {
         self.shared.set(Flow::Cut);
     }
@@ -131,56 +131,56 @@ impl Proxy {
         self.shared.set(Flow::Open);
     }
 
-    /// Directs later connections to this robot, as if it had taken over the address.
+    /// Directs later connections to the robot at this port, as if it had taken over the address.
     pub fn lead_to(&self, robot: u16) {
         self.shared.lock().robot = robot;
     }
 
-    /// Loses the next line to the robot that contains this text, and interrupts the link for a while.
+    /// Loses the next line to the robot that contains `text`, and interrupts the link for `away`.
     pub fn lose(&self, text: &str, away: Duration) {
         self.shared.lock().lose = Some((text.to_owned(), away));
     }
 
-    /// Returns the number of lines lost in this way.
+    /// Returns the number of lines that [`Proxy::lose`] has lost.
     pub fn lines_lost(&self) -> u32 {
         self.shared.lock().lines_lost
     }
 
-    /// Whether it can change messages.
+    /// Whether the proxy can read and change messages.
     pub fn reads(&self) -> bool {
         !self.shared.lock().encrypted
     }
 
-    /// Removes these keys from all messages of the robot, as if it supported only a part of the protocol.
+    /// Removes these keys from all messages of the robot, as if the robot supported only a part of the protocol.
     pub fn leave_out(&self, keys: &'static [&'static str]) {
         assert!(self.reads(), "what is encrypted cannot be changed");
         self.shared.lock().without = keys;
     }
 
-    /// Delays every line by this time, in each direction.
+    /// Delays every line by `delay`, in each direction.
     pub fn delay(&self, delay: Duration) {
         self.shared.lock().delay = delay;
     }
 
-    /// Delays the next line to the robot that contains this text, and every later line, by this time.
+    /// Delays the next line to the robot that contains `text`, and every later line, by `delay`.
     pub fn slow_down_at(&self, text: &str, delay: Duration) {
         assert!(self.reads(), "lines of an encrypted link cannot be distinguished");
         self.shared.lock().slows = Some((text.to_owned(), delay));
     }
 
-    /// Whether that line has arrived.
+    /// Whether the line that [`Proxy::slow_down_at`] waits for has arrived.
     pub fn has_slowed_down(&self) -> bool {
         let link = self.shared.lock();
         link.slows.is_none() && !link.delay.is_zero()
     }
 
-    /// Modifies all messages from the robot.
+    /// Modifies all messages from the robot with `rewrite`.
     pub fn rewrite(&self, rewrite: fn(&mut Value)) {
         assert!(self.reads(), "what is encrypted cannot be changed");
         self.shared.lock().rewrite = Some(rewrite);
     }
 
-    /// Closes the next `connections` connections as soon as data is written to the robot, which never receives it.
+    /// Closes the next `connections` connections as soon as data is written to the robot. The robot never receives that data.
     pub fn reset_first(&self, connections: u32) {
         self.shared.lock().resets = connections;
     }
@@ -192,17 +192,17 @@ impl Drop for Proxy {
     }
 }
 
-/// Direction of lines.
+/// Direction in which lines pass the proxy.
 #[derive(Clone, Copy)]
 enum Way {
     ToRobot,
     FromRobot,
 }
 
-/// Lines in flight, each with its arrival time.
+/// Sender of lines in flight with their arrival times, and the thread that delivers them.
 type UnderWay = (Sender<(Instant, Vec<u8>)>, std::thread::JoinHandle<()>);
 
-/// One direction of a connection: immediate, or after the first delay by a thread that keeps the order.
+/// One direction of a connection. It writes lines at once; after the first delay, a thread writes them in order.
 struct Outlet {
     to: TcpStream,
     later: Option<UnderWay>,
@@ -213,7 +213,7 @@ impl Outlet {
         Self { to, later: None }
     }
 
-    /// Writes a line. Returns whether the connection is still open, as far as is known.
+    /// Writes a line, now or after `delay`. Returns whether the connection is still open, as far as is known.
     fn write(&mut self, line: Vec<u8>, delay: Duration) -> bool {
         if self.later.is_none() && delay.is_zero() {
             return self.to.write_all(&line).is_ok();
@@ -227,7 +227,7 @@ impl Outlet {
         sender.send((Instant::now() + delay, line)).is_ok()
     }
 
-    /// Ends the outlet; lines in flight still arrive.
+    /// Ends the outlet. Lines in flight still arrive.
     fn end(self) {
         if let Some((sender, thread)) = self.later {
             drop(sender);
@@ -246,7 +246,7 @@ fn deliver(lines: &Receiver<(Instant, Vec<u8>)>, mut to: TcpStream) {
     }
 }
 
-/// What to do with a line.
+/// How the proxy handles a line.
 enum Pass {
     On,
     Break,
@@ -341,7 +341,7 @@ impl Shared {
             }
         }
         outlet.end();
-        // The other end of a dead connection does not learn that this one has been closed.
+        // The other end of a dead connection must not learn that this end has been closed.
         if self.lock().generation == generation {
             for end in ends {
                 let _closed = end.shutdown(Shutdown::Both);

@@ -1,15 +1,15 @@
-//! Waits for an event in another process, and windows in which nothing may happen.
+//! Waits for events in other processes, and for times in which nothing may happen.
 
 use std::fmt::Debug;
 use std::time::{Duration, Instant};
 
 use crate::{Robot, Stage, epoch_nanos};
 
-/// Maximum time until an event happens, however busy the machine is.
+/// Maximum time until an event must happen, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
-/// Waits for a condition, at most a minute.
+/// Waits until `holds` returns true, at most a minute.
 #[track_caller]
 pub fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
     let began = Instant::now();
@@ -19,7 +19,8 @@ pub fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Fails if a value changes within `window`; returns the value. Anything that may change it has to be over before the call.
+/// Panics if the value that `what` returns changes within `window`; otherwise returns the value. Any activity that may change the value
+/// must be over before the call.
 #[track_caller]
 pub fn stays<T: PartialEq + Debug>(window: Duration, what: impl Fn() -> T) -> T {
     let before = what();
@@ -30,17 +31,17 @@ pub fn stays<T: PartialEq + Debug>(window: Duration, what: impl Fn() -> T) -> T 
 }
 
 impl Robot {
-    /// Whether it has not moved for half a second.
+    /// Whether the robot has not moved for half a second.
     pub fn rests(&self) -> bool {
         const HALF_A_SECOND: i64 = 500_000_000;
         self.log().last().is_none_or(|entry| entry.at + HALF_A_SECOND < epoch_nanos())
     }
 
-    /// The number of open connections to its own port that it has accepted.
+    /// Returns the number of open connections that the robot has accepted on its own port.
     pub fn connections(&self) -> usize {
         let table = std::fs::read_to_string("/proc/net/tcp").unwrap();
         let own = format!("0100007F:{:04X}", self.port());
-        // Before the robot accepts a connection, it has no inode.
+        // A connection that the robot has not accepted yet has no inode.
         let accepted = |line: &&str| {
             let fields: Vec<_> = line.split_whitespace().collect();
             fields.get(1) == Some(&own.as_str()) && fields[3] == "01" && fields[9] != "0"
@@ -50,7 +51,7 @@ impl Robot {
 }
 
 impl Stage {
-    /// The journals of all missions in the state folder, one after another.
+    /// Returns the journals of all missions in the state folder, one after the other.
     pub fn journals(&self) -> String {
         let Ok(missions) = std::fs::read_dir(self.path("state")) else { return String::new() };
         let journals =
@@ -58,7 +59,7 @@ impl Stage {
         journals.flatten().collect()
     }
 
-    /// Waits until a journal contains `text`.
+    /// Waits until the journal of a mission contains `text`.
     #[track_caller]
     pub fn await_record(&self, text: &str) {
         await_that(text, || self.journals().contains(text));

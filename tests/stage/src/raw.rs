@@ -1,4 +1,4 @@
-//! A robot that is not a process of the program: it answers as a robot must, and may begin to send far more than was requested.
+//! A robot that is not a Downbeat process. It answers like any robot, and may start to send far more than was requested.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
@@ -8,32 +8,32 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-/// When it begins to flood the connection on which it was asked.
+/// When the robot starts to flood the connection on which it received a request.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Floods {
     Never,
-    /// On any request.
+    /// After any request.
     AtOnce,
-    /// With its first answer about its times.
+    /// With its first availability response.
     WhenAvailable,
-    /// This time after the start of an accepted script.
+    /// The contained time after the start of an accepted script.
     AfterStarting(Duration),
 }
 
-/// The content of its endless output.
+/// Content of the flood that the robot sends.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Flood {
-    /// Lines that are no messages.
+    /// Lines that are not messages.
     Garbage,
-    /// Failures with long reasons.
+    /// Reports of failures with long reasons.
     Failures,
-    /// Answers to requests that were never sent.
+    /// Responses to requests that were never sent.
     Responses,
-    /// Its own description.
+    /// The robot's own description, repeatedly.
     Blocks,
-    /// One line without an end.
+    /// A single line without an end.
     Line,
-    /// Answers to questions that were allegedly asked a minute ago: they would make leads and leases long.
+    /// Responses to availability requests that were allegedly sent a minute ago. They would make leads and leases long.
     Answers,
 }
 
@@ -42,7 +42,7 @@ impl Flood {
         [Self::Garbage, Self::Failures, Self::Responses, Self::Blocks, Self::Line, Self::Answers];
 }
 
-/// A robot with the device `d`, on a port of its own. Its threads end with their connections.
+/// A robot with the device `d` that listens on its own port. The threads end with their connections.
 pub struct Raw {
     pub port: u16,
     heard: Arc<Mutex<Vec<String>>>,
@@ -82,19 +82,20 @@ impl Raw {
         Self { port, heard, said, asked_on }
     }
 
-    /// The number of connections on which its identity was requested. A slow robot is asked again on the same connection.
+    /// Returns the number of connections on which the robot's description was requested. A slow robot receives the request again on the
+    /// same connection.
     pub fn connections(&self) -> u64 {
         self.asked_on.load(Ordering::Relaxed)
     }
 
-    /// Returns the received messages of this kind, without the name of the kind.
+    /// Returns the messages of this kind that the robot has received, without the name of the kind.
     pub fn heard(&self, kind: &str) -> Vec<Value> {
         let lines = self.heard.lock().unwrap();
         let of_kind = |line: &String| serde_json::from_str::<Value>(line).unwrap().get(kind).cloned();
         lines.iter().filter_map(of_kind).collect()
     }
 
-    /// Returns the number of bytes of its flood that were taken.
+    /// Returns the number of bytes of the flood that the peer has taken.
     pub fn flooded(&self) -> u64 {
         self.said.load(Ordering::Relaxed)
     }
@@ -133,7 +134,7 @@ impl Own {
         out: &mut TcpStream,
         pours: &Arc<AtomicBool>,
     ) -> std::io::Result<()> {
-        // It ignores the connection that the stop lane keeps, on which requests have no session.
+        // Ignores the connection that the scheduler keeps for stops: requests on it have no session.
         let of_mission = kind == "initialization_request" || asked.get("session").is_some();
         if self.floods == Floods::AtOnce && of_mission {
             return self.pour(out);
@@ -175,7 +176,7 @@ impl Own {
         }
     }
 
-    /// Sends its flood until the connection ends.
+    /// Sends the flood until the connection ends.
     fn pour(&self, out: &mut TcpStream) -> std::io::Result<()> {
         let at = "2026-11-20T19:00:00Z";
         let bytes = match self.flood {
@@ -207,7 +208,7 @@ impl Own {
     }
 }
 
-/// Returns the time until a script starts, by the clock of this machine.
+/// Returns the time until the start of a script, by the clock of this machine.
 fn until_start(script: &Value) -> Duration {
     let sent = crate::nanos(script["timestamp"].as_str().unwrap());
     let since = u64::try_from(crate::epoch_nanos() - sent).unwrap_or(0);

@@ -1,4 +1,4 @@
-//! The JSON Schemas that the program prints.
+//! The JSON Schemas that Downbeat prints.
 
 use std::process::Command;
 
@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::session::program;
 
-/// Validates documents against the schema that `downbeat schema OF` prints.
+/// Returns a validator for the schema that `downbeat schema OF` prints.
 pub fn validator(of: &str) -> jsonschema::Validator {
     let printed = Command::new(program()).args(["schema", of]).output().unwrap().stdout;
     let schema: Value = serde_json::from_slice(&printed).unwrap();

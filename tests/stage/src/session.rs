@@ -1,4 +1,4 @@
-//! One run of the program in a folder of its own.
+//! Runs Downbeat in a separate folder.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -8,7 +8,7 @@ use tempfile::TempDir;
 
 use crate::held_up;
 
-/// The program under test. Cargo builds it before the tests of its package, into the folder above theirs.
+/// Returns the path of Downbeat. Cargo builds it before the tests of its package, into the folder above theirs.
 pub fn program() -> &'static str {
     static PROGRAM: LazyLock<String> = LazyLock::new(|| {
         let test = std::env::current_exe().unwrap();
@@ -19,12 +19,12 @@ pub fn program() -> &'static str {
     &PROGRAM
 }
 
-/// The root of the project.
+/// Returns the root folder of the project.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().to_path_buf()
 }
 
-/// A small arm: one linear device, positions 0 to 90 on a grid of 0.5, 8 steps.
+/// Description of a small arm: one linear device with positions from 0 to 90 on a grid of 0.5, and scripts of up to 8 steps.
 pub const ARM: &str = "id: arm
 api_version: '1'
 reports: true
@@ -39,18 +39,18 @@ devices:
       script: {min_value: 0, max_value: 90, granularity: 0.5, max_number_of_steps: 8}
 ";
 
-/// Returns the arm, with its shoulder at this position.
+/// Returns the description of the arm with its shoulder at this position.
 pub fn arm_at(position: u32) -> String {
     ARM.replace("default_value: 0", &format!("default_value: {position}"))
 }
 
-/// A folder with an arm, a fleet, and the files that a test adds.
+/// A folder with the description of an arm, a fleet, and the files that a test adds.
 pub struct Session {
     folder: TempDir,
 }
 
 impl Session {
-    /// Creates two simulated arms, `left` and `right`, and the group `arms`.
+    /// Creates a fleet of two simulated arms, `left` and `right`, in the group `arms`.
     pub fn new() -> Self {
         let session = Self { folder: TempDir::new().unwrap() };
         session.file("arm.yaml", ARM).file(
@@ -78,7 +78,7 @@ impl Session {
         command
     }
 
-    /// Runs the program to its end. Plays a mission again if this machine was too slow to start it.
+    /// Runs Downbeat to its end. If it plays a mission, plays the mission again if this machine was too slow to start it.
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ran {
         let run = || Ran(self.command(args).output().unwrap());
@@ -89,20 +89,21 @@ impl Session {
         }
     }
 
-    /// Plays a mission to its end, and plays it again if this machine was too slow for it.
+    /// Plays a mission to its end. Plays the mission again if this machine was too slow for it.
     #[track_caller]
     pub fn play(&self, args: &[&str]) -> Ran {
         held_up::played_in(&self.path("state"), || Ran(self.command(args).output().unwrap()), Ran::text)
     }
 }
 
-/// The option with which a mission prints the figures of each robot, which tests read.
+/// Returns the option that makes a mission print the figures of each robot, which tests read. `None` if the arguments need no such
+/// option.
 pub(crate) fn figures(args: &[&str]) -> Option<&'static str> {
     let is_mission = matches!(args.first(), Some(&("run" | "resume")));
     (is_mission && !args.contains(&"--verbose")).then_some("--verbose")
 }
 
-/// The output and result of a run.
+/// Output and exit status of a run of Downbeat.
 pub struct Ran(pub Output);
 
 impl Ran {

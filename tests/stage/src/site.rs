@@ -6,16 +6,16 @@ use crate::meddler::{Tamperer, Tampering, Wire};
 use crate::session::{Ran, Session, arm_at, program, root};
 use crate::{Process, free_port};
 
-/// Moves every robot of the site.
+/// A scenario that moves every robot of the site.
 pub const SCENARIO: &str = "scenario: test
 start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 10}, {at: 600ms, to: 45}]}}]
 ";
 
-/// Three robots with keys, and operators.
+/// Three robots with keys, and operators with different permissions.
 pub struct Site {
     pub session: Session,
-    /// `tls` or `hmac`.
+    /// Transport of the robots: `tls` or `hmac`.
     scheme: &'static str,
     pub ports: Vec<u16>,
     robots: Vec<Process>,
@@ -96,14 +96,14 @@ impl Site {
         std::fs::read_to_string(self.session.path(&format!("r{id}.log"))).unwrap()
     }
 
-    /// Returns the number of movements of all robots.
+    /// Returns the number of movements that all robots have logged.
     pub fn moved(&self) -> usize {
         let text = |id| std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap();
         let moved = |id| text(id).lines().count();
         (0..3).map(moved).sum()
     }
 
-    /// Runs the mission, which must be refused with these words without any movement.
+    /// Runs the mission. Checks that it is refused with `words` and that nothing moves.
     #[track_caller]
     pub fn refused(&self, words: &[&str]) {
         let before = self.moved();
@@ -112,7 +112,7 @@ impl Site {
     }
 }
 
-/// Waits until a robot prints its address.
+/// Waits until a robot's process prints its address, and returns the address.
 pub fn listens(child: &mut Child) -> String {
     use std::io::{BufRead, BufReader};
     let mut line = String::new();
@@ -128,7 +128,7 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 100ms, t
 {at: 400ms, to: 40}, {at: 500ms, to: 50}, {at: 600ms, to: 45}]}}]
 ";
 
-/// Plays missions whose messages to one robot are manipulated.
+/// Plays missions while the messages to one robot are manipulated.
 pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     let meddler = Tamperer::to(site.ports[1], wire, long_record);
     let mut addresses = site.addresses(site.scheme);
@@ -138,13 +138,13 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     site.run().says(0, &["test: done"]);
     let once = site.moved() - before;
     for deed in [Tampering::Alter, Tampering::Reorder, Tampering::Repeat] {
-        // Robots log each reason once a second.
+        // Robots log each reason at most once a second.
         std::thread::sleep(std::time::Duration::from_millis(1_100));
         let (logged, before) = (site.logged(1).len(), site.moved());
         meddler.does(deed);
         if deed == Tampering::Repeat {
-            // The first copy is genuine: the mission may continue on another connection.
-            // Exit code 6: the mission was played, but with late steps.
+            // The first copy is genuine, so the mission may continue on another connection. Exit code 6: the mission was played, but with
+            // late steps.
             let played = usize::from(matches!(site.run().code(), 0 | 6));
             assert_eq!(site.moved(), before + played * once);
         } else {
@@ -154,7 +154,7 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
         let logged = site.logged(1).split_off(logged);
         assert!(logged.contains("altered, repeated or reordered data"), "{deed:?}: {logged}");
     }
-    // The bytes of an earlier connection, sent again.
+    // Sends the bytes of an earlier connection again.
     let before = site.moved();
     assert!(meddler.said_again().is_empty() || site.scheme == "tls");
     let begun = std::time::Instant::now();
@@ -167,7 +167,7 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     site.run().says(0, &["test: done"]);
 }
 
-/// Starts the Python starter robot with the keys of `arm-1`, and returns its address.
+/// Starts the robot of the Python starter with the keys of `arm-1`. Returns its process and its address.
 pub fn python_robot(session: &Session) -> (Process, String) {
     let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let robot = root().join("robot/starters/python/robot.py");

@@ -1,15 +1,17 @@
-//! Experiments that last seconds, on a machine that may stall for a moment.
+//! Experiments that take seconds, on a machine that may stall for a moment.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// A shorter stall explains no failure: a simulated robot starts a command that is up to 50 ms late.
+/// Minimum stall that explains a failure: a simulated robot starts a command that is up to 50 ms late.
 const EXPLAINS: Duration = Duration::from_millis(40);
 const MOST_TRIES: usize = 8;
 
-/// Returns the result of the experiment if it is right, or if this process was not stalled meanwhile.
+/// Repeats the experiment, at most eight times, until its result is right, or until this process was not stalled during the experiment.
+/// Returns the result.
 ///
-/// A wrong result leads to another attempt only if a stall explains it: intermittent faults of the experiment itself are detected.
+/// A wrong result leads to another attempt only if a stall explains it. Intermittent faults of the experiment itself are therefore
+/// detected.
 pub fn undisturbed<T>(experiment: impl Fn() -> T, right: impl Fn(&T) -> bool) -> T {
     settled(|| watched(&experiment), right)
 }
@@ -24,7 +26,7 @@ fn settled<T>(mut attempt: impl FnMut() -> (T, Duration), right: impl Fn(&T) -> 
     attempt().0
 }
 
-/// Also returns the longest time for which this process was stalled.
+/// Runs the experiment. Returns its result and the longest time for which this process was stalled.
 fn watched<T>(experiment: impl Fn() -> T) -> (T, Duration) {
     const NAP: Duration = Duration::from_millis(2);
     let over = AtomicBool::new(false);

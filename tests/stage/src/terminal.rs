@@ -1,4 +1,4 @@
-//! A terminal for a process under test: its output is read or left unread, and keys are typed.
+//! A terminal for a process under test. A test reads its output or leaves it unread, and types keys.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -11,7 +11,7 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcsetwinsize};
 
-/// Both ends of a terminal.
+/// A terminal, with both of its ends.
 pub struct Terminal {
     ours: OwnedFd,
     theirs: File,
@@ -35,7 +35,7 @@ impl Terminal {
         Self { ours, theirs, size: (columns, rows) }
     }
 
-    /// Fills it until it accepts no further output, as after Ctrl-S.
+    /// Fills the terminal until it accepts no further output, as after Ctrl-S.
     pub fn stall(self) -> Self {
         fill(&self.theirs);
         self
@@ -45,13 +45,13 @@ impl Terminal {
         Stdio::from(self.theirs.try_clone().unwrap())
     }
 
-    /// Returns the settings of the line, which a program must restore.
+    /// Returns the terminal's mode settings, which a program must restore.
     pub fn settings(&self) -> String {
         let settings = rustix::termios::tcgetattr(&self.theirs).unwrap();
         format!("{:?} {:?} {:?}", settings.input_modes, settings.output_modes, settings.local_modes)
     }
 
-    /// Attaches it to a command as input and output, in a session of its own as under a terminal's shell.
+    /// Makes the terminal the input and output of a command. The command runs in its own session, as under a terminal's shell.
     pub fn attach(&self, command: &mut Command) {
         command.stdin(self.end()).stdout(self.end()).stderr(self.end());
         command.env("TERM", "xterm-256color").env_remove("NO_COLOR");
@@ -61,7 +61,7 @@ impl Terminal {
         rustix::io::write(&self.ours, keys.as_bytes()).unwrap();
     }
 
-    /// Waits until all previous output has been read.
+    /// Waits until all earlier output has been read.
     #[track_caller]
     pub fn settle(&self, watched: &Watched) {
         const MARK: &str = "(nothing more was written)";
@@ -71,7 +71,7 @@ impl Terminal {
         crate::quiet::await_that(MARK, || marks() > before);
     }
 
-    /// Reads its output from this point.
+    /// Starts to read the terminal's output.
     pub fn watch(&self) -> Watched {
         let mut reader = File::from(self.ours.try_clone().unwrap());
         let bytes = Arc::new(Mutex::new(Vec::new()));
@@ -96,7 +96,7 @@ pub fn fill(file: &File) {
     fcntl_setfl(file, flags).unwrap();
 }
 
-/// The output to a terminal.
+/// The output that was read from a terminal.
 pub struct Watched {
     bytes: Arc<Mutex<Vec<u8>>>,
     size: (u16, u16),
@@ -107,17 +107,17 @@ impl Watched {
         String::from_utf8_lossy(&self.bytes.lock().unwrap()).into_owned()
     }
 
-    /// Returns the text that a person sees on it, including lines that have scrolled away.
+    /// Returns the text that a person sees on the terminal, including lines that have scrolled away.
     pub fn screen(&self) -> String {
         let (columns, _) = self.size;
-        // Tall enough that nothing has scrolled away.
+        // The parser's screen is so tall that nothing scrolls away.
         let mut parser = vt100::Parser::new(2_000.try_into().unwrap(), columns.try_into().unwrap(), 0);
         parser.process(&self.bytes.lock().unwrap());
         let text = parser.screen().contents();
         text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
     }
 
-    /// Waits until this text appears on the screen.
+    /// Waits until `text` appears on the screen, and returns the screen.
     #[track_caller]
     pub fn shows(&self, text: &str, within: Duration) -> String {
         let began = Instant::now();

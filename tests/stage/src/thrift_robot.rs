@@ -1,5 +1,5 @@
-//! A small robot of the Thrift form, byte by byte, so that the driver is not tested against the library that it uses: strict binary
-//! protocol, one connection at a time.
+//! A small robot that speaks the Thrift form of URRCP. It implements the protocol byte by byte, so that the driver is not tested against
+//! the library that it uses. It supports the strict binary protocol and one connection at a time.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -17,7 +17,7 @@ const BOOL: u8 = 2;
 const DOUBLE: u8 = 4;
 const STRING: u8 = 11;
 
-/// A robot that runs on a thread.
+/// A robot of the Thrift form that runs on a thread.
 pub struct ThriftRobot {
     port: u16,
     stopped: Arc<AtomicBool>,
@@ -35,7 +35,7 @@ impl ThriftRobot {
         let ice = Arc::clone(&frozen);
         let mut log = File::options().create(true).append(true).open(log).unwrap();
         let (schema, end, stream) = (schema.to_owned(), Arc::clone(&stopped), Arc::clone(&talking));
-        // Ends with the next connection after `stop`.
+        // This thread ends with the next connection after `stop`.
         let thread = std::thread::spawn(move || {
             for connection in listener.incoming() {
                 if end.load(Ordering::SeqCst) {
@@ -53,7 +53,7 @@ impl ThriftRobot {
         self.port
     }
 
-    /// Keeps its connection and does nothing until it is stopped.
+    /// Makes the robot keep its connection without answering, until it is stopped.
     pub fn freeze(&self) {
         self.frozen.store(true, Ordering::SeqCst);
     }
@@ -71,7 +71,7 @@ impl ThriftRobot {
     }
 }
 
-/// Reads one call and answers it.
+/// Reads one call. Logs the value that the call sets, or answers the call.
 fn answer(stream: &mut TcpStream, schema: &str, log: &mut File, frozen: &AtomicBool) -> io::Result<()> {
     let [a, b, _, kind] = take(stream)?;
     while frozen.load(Ordering::SeqCst) {
@@ -100,7 +100,7 @@ fn answer(stream: &mut TcpStream, schema: &str, log: &mut File, frozen: &AtomicB
         "set_device_double_value" => {
             assert_ne!(kind, CALL, "a one-way call");
             let time = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs_f64();
-            // In one piece, for tests that read meanwhile.
+            // Written as a whole, for tests that read the log meanwhile.
             return log.write_all(format!("{time:.6} {} {}\n", words[0], numbers[0]).as_bytes());
         }
         "get_sensor_double_value" if words[0] == "battery" => Ok((DOUBLE, 12.5_f64.to_be_bytes().to_vec())),

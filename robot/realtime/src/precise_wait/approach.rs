@@ -1,44 +1,48 @@
-//! How the last microseconds before a deadline are spent: when to wake, and whether other threads may run meanwhile. Reads no clock.
+//! Decides how a thread spends the last microseconds before a deadline: when it wakes, and whether other threads may run meanwhile. Reads
+//! no clock.
 //!
-//! `sched_yield` gives other robots that wait for the same instant their turn within microseconds. On a core that another program keeps
-//! busy, it gives the core away for milliseconds. A thread therefore yields only while the machine has a core for every runnable thread,
-//! and while its latest yields returned quickly.
+//! With `sched_yield`, other robots that wait for the same instant get the core within microseconds. If another program keeps the core
+//! busy, however, the thread loses it for milliseconds. A thread therefore yields only while the machine has a core for every runnable
+//! thread, and while its latest yields returned quickly.
 
 use std::time::{Duration, Instant};
 
-/// Lead before a deadline if the cores are free. A sleeper on an idle core of a virtual machine wakes this late.
+/// Time before a deadline at which a thread wakes if the cores are free. A thread that sleeps on an idle core of a virtual machine wakes
+/// late by this time.
 const LEAD_FREE: Duration = Duration::from_micros(200);
-/// A sleeper that woke with more delay than that is woken earlier afterwards: by its delay plus this margin, up to `LEAD_MAX`, for
-/// `LATE_REMEMBERED`.
+/// Margin for a thread that woke later than `LEAD_FREE` permits. For `LATE_REMEMBERED`, it wakes earlier by its delay plus this margin,
+/// up to `LEAD_MAX`.
 const LEAD_MORE: Duration = Duration::from_micros(50);
 const LEAD_MAX: Duration = Duration::from_millis(1);
-/// Lead after a pause of at least `RESTED`, as before a start: the core was halted, and its host may take long to resume it.
+/// Time before a deadline at which a thread wakes after a pause of at least `RESTED`, for example before a start. The core was halted,
+/// and its host may take long to resume it.
 const LEAD_RESTED: Duration = LEAD_MAX;
 const RESTED: Duration = Duration::from_millis(15);
 const LATE_REMEMBERED: Duration = Duration::from_secs(60);
-/// No lead if cores are busy: a thread that spins uses up its time slice and is then interrupted for milliseconds. A thread that sleeps
-/// until the deadline is woken a tenth of a millisecond late.
+/// Time before a deadline at which a thread wakes if the cores are busy: none. A thread that spins uses up its time slice and is then
+/// interrupted for milliseconds. A thread that sleeps until the deadline wakes only a tenth of a millisecond late.
 const LEAD_BUSY: Duration = Duration::ZERO;
-/// Within this time after an instant, other processes have moved their robots too.
+/// Time after an instant within which other processes have moved their robots that are due at this instant.
 const OTHERS_MOVE: Duration = Duration::from_micros(500);
-/// Minimum interval between rests for other processes: a thread with many deadlines needs its time for messages.
+/// Minimum interval between two rests for other processes. A thread with many deadlines needs its time for messages.
 const REST_EVERY: Duration = Duration::from_millis(20);
-/// A longer yield gave the core to something other than another robot.
+/// Maximum duration of a yield to other robots. After a longer yield, another program must have used the core.
 const YIELD_MAX: Duration = Duration::from_micros(500);
-/// After such a yield, the cores are considered busy for this long, whatever a check reports.
+/// Time after a yield longer than `YIELD_MAX` in which the cores are considered busy, whatever a check reports.
 const DISTRUST: Duration = Duration::from_secs(1);
-/// How long a check of the cores remains valid.
+/// Time for which the result of a check of the cores remains valid.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// A check takes place between these two times before a deadline, so that it disturbs no start.
+/// Longest time before a deadline at which the cores are checked; `LOOK_LATEST` is the shortest. Between these, a check disturbs no
+/// start.
 const LOOK_EARLIEST: Duration = Duration::from_millis(12);
 const LOOK_LATEST: Duration = Duration::from_millis(4);
-/// Spinning takes at most one part in this many of all time, so that even a thread under real-time scheduling with a deadline every few
-/// microseconds leaves its core to others.
+/// Divisor of all time that yields the maximum time for spinning. Even a thread under real-time scheduling with a deadline every few
+/// microseconds thus leaves its core to others.
 const SPIN_SHARE: u32 = 4;
-/// Maximum spinning time at once after a pause.
+/// Maximum time of continuous spinning after a pause.
 const SPIN_CREDIT_MAX: Duration = Duration::from_millis(2);
 
-/// The load of the cores.
+/// Load of the cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cores {
     /// There is a core for every runnable thread.
@@ -50,13 +54,13 @@ pub(super) enum Cores {
 /// How the kernel schedules this thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scheduled {
-    /// Like all other threads.
+    /// The thread has the same priority as all other threads.
     Fairly,
-    /// Before all other threads: a yield reaches only threads of the same priority.
+    /// The thread runs before all other threads. A yield reaches only threads of the same priority.
     First,
 }
 
-/// Decides how a thread waits, from its previous waits.
+/// Decides how a thread waits, based on its previous waits.
 #[derive(Debug)]
 pub(super) struct Approach {
     scheduled: Scheduled,
@@ -64,9 +68,9 @@ pub(super) struct Approach {
     looked: Option<Instant>,
     distrusted_until: Option<Instant>,
     rested: Option<Instant>,
-    /// The lead for its longest recent delay, and when that expires.
+    /// Lead that the longest recent delay requires, and the time when it expires.
     late: Option<(Duration, Instant)>,
-    /// When it last spun.
+    /// Time when the thread last spun.
     spun: Option<Instant>,
     credit: Duration,
     credited: Option<Instant>,
@@ -91,8 +95,8 @@ impl Approach {
         self.scheduled == Scheduled::First
     }
 
-    /// Returns when to check the cores before this deadline; `None`: not before this one. `chance` from 0 to 1 prevents processes that
-    /// wait for the same instant from checking simultaneously, and thereby counting each other.
+    /// Returns when to check the cores before this deadline. `None`: not before this deadline. Processes that wait for the same instant
+    /// must not check at the same time, because they would count each other. `chance`, from 0 to 1, spreads their checks.
     pub(super) fn look_at(&self, now: Instant, deadline: Instant, chance: f64) -> Option<Instant> {
         let recently = |looked: Instant| now.saturating_duration_since(looked) < LOOK_EVERY;
         if self.scheduled == Scheduled::First || self.looked.is_some_and(recently) {
@@ -103,13 +107,13 @@ impl Approach {
         if before >= LOOK_LATEST { deadline.checked_sub(before) } else { None }
     }
 
-    /// Records the result of a check.
+    /// Records the result of a check of the cores.
     pub(super) const fn looked(&mut self, now: Instant, cores: Cores) {
         self.looked = Some(now);
         self.cores = cores;
     }
 
-    /// Returns how long before the next deadline to wake.
+    /// Returns how long before the deadline the thread must wake.
     pub(super) fn lead(&mut self, now: Instant, deadline: Instant) -> Duration {
         self.earn(now);
         let is_rested = |spun: Instant| deadline.saturating_duration_since(spun) >= RESTED;
@@ -126,7 +130,7 @@ impl Approach {
         self.late.filter(|(_, until)| now < *until).map_or(LEAD_FREE, |(lead, _)| lead)
     }
 
-    /// Records that the thread woke with this delay.
+    /// Records that the thread woke `late` after the requested time.
     pub(super) fn woke(&mut self, now: Instant, late: Duration) {
         let lead = (late + LEAD_MORE).min(LEAD_MAX);
         if lead >= self.lead_free(now) && lead > LEAD_FREE {
@@ -134,7 +138,7 @@ impl Approach {
         }
     }
 
-    /// Whether to let other threads run, now or while spinning.
+    /// Whether the thread should let other threads run, now or while it spins.
     pub(super) fn yields(&self, now: Instant) -> bool {
         let trusted = || self.distrusted_until.is_none_or(|until| now >= until);
         self.scheduled == Scheduled::First || (self.cores == Cores::Free && trusted())
@@ -147,7 +151,8 @@ impl Approach {
         }
     }
 
-    /// Returns how long to rest after a movement, so that others can move; `next` is the next deadline.
+    /// Returns how long the thread should rest after a movement, so that other processes can move their robots. `next` is the next
+    /// deadline.
     pub(super) fn rest(&mut self, now: Instant, next: Option<Instant>) -> Duration {
         let recently = |rested: Instant| now.saturating_duration_since(rested) < REST_EVERY;
         if self.rested.is_some_and(recently) {
@@ -158,7 +163,7 @@ impl Approach {
         until.map_or(OTHERS_MOVE, |until| until.min(OTHERS_MOVE))
     }
 
-    /// Records that the thread has spun for this long, until now.
+    /// Records that the thread has spun for `took` until `now`.
     pub(super) fn spun(&mut self, now: Instant, took: Duration) {
         self.earn(now);
         self.credit = self.credit.saturating_sub(took);
@@ -189,7 +194,7 @@ mod tests {
         (Approach::new(Scheduled::Fairly), Instant::now())
     }
 
-    /// Returns the lead for a deadline shortly after another one.
+    /// Returns the lead for a deadline ten milliseconds after another one.
     fn lead(approach: &mut Approach, now: Instant) -> Duration {
         approach.spun(now, Duration::ZERO);
         approach.lead(now, now + millis(10))
@@ -215,7 +220,7 @@ mod tests {
         assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_FREE);
         approach.woke(now + millis(60_000), millis(7));
         assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_MAX);
-        // If cores are busy, the sleep is not the cause of the delay.
+        // If the cores are busy, the delay is not caused by the sleep.
         approach.looked(now, Cores::Busy);
         assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_BUSY);
     }
@@ -306,7 +311,7 @@ mod tests {
     fn after_a_pause_several_deadlines_in_a_row_are_spun_for() {
         let (mut approach, now) = fair();
         let mut leads = Vec::new();
-        // All at the same instant: no spinning time is earned in between.
+        // All waits take place at the same instant, so the thread earns no spinning time in between.
         for _ in 0..7 {
             let lead = approach.lead(now, now);
             approach.spun(now, lead);

@@ -1,8 +1,8 @@
-//! The only access to the operating system's timer: waits for a message or a deadline, with microsecond precision.
+//! Waits for a message or a deadline with microsecond precision. This is the only module that uses the operating system's timer.
 //!
-//! The thread sleeps on its channel until shortly before the deadline and then spins, since the system wakes a sleeper tens of
-//! microseconds late even with the minimum timer slack, and a millisecond late from an asynchronous runtime's timer wheel. How it spins
-//! depends on the load of the machine ([`approach`]).
+//! The thread sleeps on its channel until shortly before the deadline and then spins. The reason is that the system wakes a sleeper tens
+//! of microseconds late, even with the minimum timer slack. An asynchronous runtime's timer wheel wakes it a millisecond late. How it
+//! spins depends on the load of the machine ([`approach`]).
 #![expect(clippy::disallowed_methods, reason = "spins on the monotonic clock")]
 
 mod approach;
@@ -18,14 +18,15 @@ use self::approach::{Approach, Cores, Scheduled};
 use self::place::Place;
 use crate::scheduling::Scheduling;
 
-/// Cores are considered busy only if they are still busy this long after the first check: well before the deadline.
+/// Delay after which busy cores are checked again. Cores are considered busy only if both checks find them busy. The second check is
+/// still well before the deadline.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
-/// No thread changes its core later than this before a deadline.
+/// Minimum time before a deadline at which a thread may change its core.
 const STAY_FROM: Duration = Duration::from_millis(2);
-/// How long others may run after a movement before this thread sleeps.
+/// Time for which a thread yields to others after a movement, before it sleeps.
 const TURNS: Duration = Duration::from_micros(60);
 
-/// Why a wait ended.
+/// Reason why a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Woken<T> {
     /// A message arrived.
@@ -36,17 +37,18 @@ pub enum Woken<T> {
     Closed,
 }
 
-/// Waits for one thread, and adapts to its previous waits.
+/// Waits on behalf of one thread, and adapts to the thread's previous waits.
 #[derive(Debug)]
 pub struct PreciseWait {
     approach: Approach,
     machine: Machine,
-    /// Only under real-time scheduling. A thread without priority over all others would wait for every program on its core.
+    /// The thread's core; only set under real-time scheduling. Without priority over all other threads, a thread that stays on one core
+    /// would wait for every program on that core.
     place: Option<Place>,
 }
 
 impl PreciseWait {
-    /// Creates the wait of this thread, with the scheduling that it was granted.
+    /// Creates the waiting state of the current thread. `scheduling` is the scheduling that the thread was granted.
     #[must_use]
     pub fn new(scheduling: &Scheduling) -> Self {
         let scheduled = if scheduling.is_realtime() { Scheduled::First } else { Scheduled::Fairly };
@@ -54,7 +56,7 @@ impl PreciseWait {
         Self { approach, machine, place: scheduling.is_realtime().then(Place::of_this_thread) }
     }
 
-    /// Waits for the next message, until the deadline if there is one.
+    /// Waits for the next message or, if there is a deadline, at most until the deadline.
     pub fn wait<T>(&mut self, messages: &Receiver<T>, deadline: Option<Instant>) -> Woken<T> {
         let Some(deadline) = deadline else {
             return messages.recv().map_or(Woken::Closed, Woken::Message);
@@ -62,7 +64,7 @@ impl PreciseWait {
         let chance = fastrand::f64();
         if let Some(look_at) = self.approach.look_at(Instant::now(), deadline, chance) {
             let mut cores = Cores::Busy;
-            // A short load spike does not make the machine busy.
+            // Because of the second check, a short load spike does not make the cores count as busy.
             for look_at in [look_at, look_at + LOOK_AGAIN] {
                 match sleep(messages, look_at) {
                     Woken::Deadline => cores = self.machine.cores(),
@@ -94,12 +96,12 @@ impl PreciseWait {
         woken
     }
 
-    /// The same for a deadline without a movement: sleeps, and wakes with the system's delay.
+    /// Like [`PreciseWait::wait`], for a deadline without a movement: sleeps, and wakes with the system's delay.
     pub fn wait_roughly<T>(&self, messages: &Receiver<T>, deadline: Instant) -> Woken<T> {
         sleep(messages, deadline)
     }
 
-    /// Messages wait meanwhile: an order that takes long would delay the start.
+    /// Spins until the deadline. Messages wait meanwhile, because an order that takes long would delay the start.
     fn spin(&mut self, deadline: Instant) {
         let begun = Instant::now();
         loop {
@@ -111,12 +113,12 @@ impl PreciseWait {
         }
     }
 
-    /// Lets other processes move their robots at the same instant: first by yielding, then by sleeping, or for less time if a deadline is
-    /// near. Under real-time scheduling, yielding is sufficient.
+    /// Lets other processes move their robots at the same instant: first by yielding, then by sleeping. `next` is the next deadline; if
+    /// it is near, the time is shorter. Under real-time scheduling, yielding is sufficient.
     pub fn let_others_move(&mut self, next: Option<Instant>) {
         let begun = Instant::now();
         let rest = self.approach.rest(begun, next);
-        // Falling asleep takes longer than the turns of others on this core.
+        // The thread yields first, because falling asleep takes longer than other threads on this core need.
         let (mut now, turns) = (begun, begun + rest.min(TURNS));
         while self.approach.yields(now) {
             self.pause(now);
@@ -153,10 +155,10 @@ fn sleep<T>(messages: &Receiver<T>, until: Instant) -> Woken<T> {
     }
 }
 
-/// The kernel's load figures of the machine.
+/// Load of the machine, as the kernel reports it.
 #[derive(Debug)]
 struct Machine {
-    /// Kept open: a check is one read.
+    /// The file `/proc/loadavg`. It is kept open, so that a check needs only one read.
     loads: Option<File>,
     cores: usize,
 }
@@ -167,7 +169,7 @@ impl Machine {
         Self { loads: File::open("/proc/loadavg").ok(), cores }
     }
 
-    /// If the load is unknown, cores are considered free until a yield shows otherwise.
+    /// Returns the load of the cores. If it is unknown, the cores are considered free until a yield shows otherwise.
     fn cores(&self) -> Cores {
         let mut text = [0; 64];
         let read = self.loads.as_ref().and_then(|loads| loads.read_at(&mut text, 0).ok()).unwrap_or(0);
@@ -230,7 +232,7 @@ mod tests {
         let (sender, receiver) = channel();
         let mut waits = waits();
         waits.approach.looked(Instant::now(), Cores::Free);
-        // Sent during the spinning time.
+        // The message is sent during the spinning time.
         let deadline = Instant::now() + Duration::from_micros(150);
         sender.send(1).unwrap();
         assert!(matches!(waits.wait(&receiver, Some(deadline)), Woken::Deadline));

@@ -1,8 +1,10 @@
-//! The core on which a thread under real-time scheduling waits, if more threads of this host wait for their instants than it has cores.
+//! Determines the core on which a thread under real-time scheduling waits, if more threads of this host wait for deadlines than the host
+//! has cores.
 //!
-//! The kernel does not distribute waiting threads evenly: of six on two cores, five may share one, and move their robots one after
-//! another. Each thread therefore takes the lowest free number of this host, and stays on the corresponding core: the numbers of threads
-//! per core differ by at most one. The number is an abstract socket, which the kernel frees when the process ends.
+//! The kernel does not distribute waiting threads evenly: of six threads on two cores, five may share one core and move their robots one
+//! after another. Each thread therefore reserves the lowest free number of this host, and stays on the corresponding core. Thus the
+//! numbers of threads per core differ by at most one. A number is reserved by an abstract socket, which the kernel frees when the process
+//! ends.
 
 use std::io::ErrorKind;
 use std::os::linux::net::SocketAddrExt;
@@ -11,20 +13,20 @@ use std::time::{Duration, Instant};
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// Further threads choose no core.
+/// Count of numbers on a host. Further threads get no number and choose no core.
 const NUMBERS: usize = 256;
-/// How long the result is cached whether more threads wait than there are cores.
+/// Time for which a result is cached: whether more threads wait than there are cores.
 const REMEMBERED: Duration = Duration::from_secs(1);
 
-/// The number of a thread on its host, and its core.
+/// The number of a thread on its host, and the cores that it may use.
 #[derive(Debug)]
 pub(super) struct Place {
-    /// With the socket that reserves it.
+    /// The thread's number, and the socket that reserves it. `None` if the thread chooses no core.
     number: Option<(usize, UnixDatagram)>,
     /// The cores on which the thread may run.
     cores: Vec<usize>,
     is_kept: bool,
-    /// Whether more threads wait than there are cores, and when that was determined.
+    /// Whether more threads wait than there are cores, and the time of this result.
     crowded: Option<(bool, Instant)>,
 }
 
@@ -33,12 +35,12 @@ impl Place {
     pub(super) fn of_this_thread() -> Self {
         let allowed = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
         let cores: Vec<_> = (0..CpuSet::MAX_CPU).filter(|core| allowed.is_set(*core)).collect();
-        // On a single core there is no choice.
+        // On a single core, the thread has no choice.
         let number = if cores.len() > 1 { take_lowest() } else { None };
         Self { number, cores, is_kept: false, crowded: None }
     }
 
-    /// Keeps the thread on its core while there are more threads than cores; otherwise it may run on any core.
+    /// Keeps the thread on its core while more threads wait than there are cores. Otherwise the thread may run on any permitted core.
     pub(super) fn choose(&mut self, now: Instant) {
         let Some((number, _)) = self.number else { return };
         let stays = self.is_crowded(now, number);
@@ -51,7 +53,7 @@ impl Place {
         cores.iter().for_each(|core| set.set(*core));
         match sched_setaffinity(None, &set) {
             Ok(()) => self.is_kept = stays,
-            // The permitted cores have changed: the choice is left to the kernel.
+            // The permitted cores have changed, so the kernel chooses the core.
             Err(_) => self.number = None,
         }
     }
@@ -75,7 +77,7 @@ fn core_of(number: usize, cores: &[usize]) -> Option<usize> {
     cores.get(number.checked_rem(cores.len())?).copied()
 }
 
-/// `None` if the system does not support such sockets, or if all numbers are taken.
+/// Reserves the lowest free number. `None` if the system does not support abstract sockets, or if all numbers are taken.
 fn take_lowest() -> Option<(usize, UnixDatagram)> {
     for number in 0..NUMBERS {
         match take(number) {
@@ -110,7 +112,8 @@ mod tests {
 
     #[test]
     fn a_number_is_free_again_once_its_thread_is_gone() {
-        // Far from the numbers of robots in other tests, and unique to this process: the names are shared by the whole host.
+        // The number is far from those of robots in other tests, and unique to this process: the whole host shares the names of the
+        // sockets.
         let number = 100_000 + std::process::id() as usize;
         let held = take(number).unwrap();
         assert!(is_taken(number));

@@ -1,4 +1,4 @@
-//! The work that a driver's thread receives, and the orders that it skips.
+//! Tests which work a driver's thread receives, and which orders it skips.
 
 use super::*;
 use crate::tolerance::STALE;
@@ -34,7 +34,7 @@ fn confirm(ticket: u64, device: &str) -> Order {
     Order::Confirm(Ticket(ticket), id(device))
 }
 
-/// Returns a cancellation, which is ordered among the values, like a script.
+/// Returns an order to cancel a script. Like a script, it keeps its position among the values.
 fn plan(device: &str) -> Order {
     let (plan, then) = (crate::PlanId(1), crate::Then::Keep);
     let cancel = PlanCancel { plan, device: id(device), then, why: String::new() };
@@ -51,7 +51,7 @@ fn empty() -> Mailbox {
     Mailbox::stopped_at(Instant::now())
 }
 
-/// Returns a mailbox with a first connection and these orders.
+/// Returns a mailbox with its first connection and these orders.
 fn with<const N: usize>(orders: [Order; N]) -> Mailbox {
     let mailbox = empty();
     mailbox.connected(1, MANNERS);

@@ -1,11 +1,11 @@
-//! The values that reach the hardware, their order, and the effects of failures on scripts and devices.
+//! Tests which values reach the hardware, in which order, and which effects failures have on scripts and devices.
 
 use super::*;
 
 #[tokio::test]
 async fn values_reach_the_hardware_in_order_and_in_the_end_the_wheel_stops() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
-    // Each is done before the next one is due, so that none replaces another.
+    // Each script is done before the next one is due, so that none replaces another.
     for (id, value) in [("a", 4.0), ("b", -4.0), ("c", 2.0)] {
         rig.script("wheel", id, &[(0.0, value)], ControlType::Speed);
         rig.responses(&PLAYED).await;
@@ -21,7 +21,7 @@ async fn the_steps_of_a_script_reach_the_hardware_in_order_and_the_last_one_in_a
     rig.script_in("wheel", "a", 3_000.0, &[(0.0, 4.0), (300.0, -4.0), (600.0, 2.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
     let done = rig.stop();
-    // A machine that stalls for longer than a step skips the values that are out of date.
+    // If the machine stalls for longer than a step, values that are out of date are skipped.
     let told: Vec<_> = done.iter().filter_map(|what| value_of("wheel", what)).collect();
     let mut steps = [4.0, -4.0, 2.0].into_iter();
     let played = &told[..told.len() - 1];
@@ -74,8 +74,8 @@ async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
 
 #[tokio::test]
 async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
-    // One sample every three seconds, on a way of six seconds. The first is near the start, though it may be a second late, and the third
-    // is at the end.
+    // One sample every three seconds, during a movement of six seconds. The first sample is near the start, though it may be a second
+    // late; the third is at the end.
     let options = DriverOptions { samples_per_second: Some(1.0 / 3.0), ..DriverOptions::default() };
     let mut rig = Rig::new(Bench::default(), options);
     rig.script("arm", "a", &[(6_000.0, 30.0)], ControlType::Position);
@@ -88,7 +88,7 @@ async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
 
 #[tokio::test]
 async fn an_edge_that_ends_lets_its_devices_slow_down_where_they_are() {
-    // It would take ramps, but this movement is not one.
+    // The driver would take ramps, but this movement is not a ramp.
     let bench = Bench { takes_ramps: true, ..Bench::default() };
     let options = DriverOptions { samples_per_second: Some(200.0), ..DriverOptions::default() };
     let mut rig = Rig::of(LIFT, bench, options);
@@ -97,7 +97,7 @@ async fn an_edge_that_ends_lets_its_devices_slow_down_where_they_are() {
     rig.next_done(&["connect", "lift ramp to 100"]);
     let done = rig.stop();
     let values: Vec<f64> = done.iter().filter_map(|what| value_of("lift", what)).collect();
-    // From 20 per second, it continues for another 2 in 0.2 s, and does not reverse.
+    // From a speed of 20 per second, the movement continues for another 2 in 0.2 s, and does not reverse.
     assert!(values.len() > 1 && values.is_sorted(), "{done:?}");
     assert!(values.last().is_some_and(|last| (2.0..100.0).contains(last)), "{done:?}");
 }
@@ -157,7 +157,7 @@ async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait()
     rig.script("wheel", "a", &[(0.0, 0.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
     rig.next_done(&["connect", "wheel 0"]);
-    // The machine continues while the first value still hangs in the driver, but does not report an end.
+    // While the first value still hangs in the driver, the machine continues, but does not report an end.
     let steps: Vec<_> = (1..8_u32).map(|i| (f64::from(i) * 10.0, f64::from(i))).collect();
     rig.script("wheel", "b", &steps, ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
@@ -171,7 +171,7 @@ async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait()
 
 #[tokio::test]
 async fn a_value_that_waited_too_long_for_the_hardware_is_not_set_and_its_script_fails_as_late() {
-    // Long enough that a slow machine is in time for the first value.
+    // The limit is long enough that even a slow machine sets the first value in time.
     let late_max = Span::from_millis(5_000);
     let tolerance = Tolerance { step: late_max, ..Tolerance::AN_HOUR };
     let (host, options) = (HostOptions::default(), DriverOptions::default());
@@ -206,7 +206,7 @@ async fn hardware_that_fails_under_a_script_fails_it_and_turns_no_more_when_it_i
     rig.responses(&PLAYED[..2]).await;
     rig.next_done(&["connect", "wheel 4"]);
     rig.bench.broken.store(true, Ordering::SeqCst);
-    // Detected by a ping, since no further step is due.
+    // A ping detects the failure, since no further step is due.
     let failed = rig.response().await;
     assert_eq!(failed.status, Status::Failed);
     let error = failed.error.unwrap();
@@ -325,7 +325,7 @@ async fn a_host_tells_whether_the_hardware_of_its_robots_answers() {
     let figures = rig.host.figures();
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
-    // The robot reports a start before the driver's thread has the value.
+    // The robot reports a start before the driver's thread has received the value.
     rig.next_done(&["connect", "wheel 4"]);
     assert!(figures.robots()[0].hardware_answers());
     rig.bench.broken.store(true, Ordering::SeqCst);

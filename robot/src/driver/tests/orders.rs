@@ -1,10 +1,10 @@
-//! The orders that wait between the robot and its driver's thread.
+//! Tests the orders that wait between the robot and its driver's thread.
 
 use std::time::Instant;
 
 use super::*;
 
-/// A mailbox whose clock is stopped at this instant, so that no ping becomes due while a test runs.
+/// Returns a mailbox whose clock is stopped, and the time of this clock, so that no ping becomes due while a test runs.
 #[expect(clippy::disallowed_methods, reason = "an instant for a stopped clock")]
 fn stopped() -> (Mailbox, Instant) {
     let now = Instant::now();

@@ -1,4 +1,4 @@
-//! A driver with only the required methods, and simulated hardware.
+//! Tests a driver that has only the required methods, and simulated hardware.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! A driver's thread alone: its reports about hardware that fails, comes back, and sends unsolicited reports.
+//! Tests a driver's thread alone: its reports about hardware that fails, returns, and sends unsolicited reports.
 
 use std::time::Instant;
 
@@ -63,7 +63,7 @@ fn in_words(news: &News) -> String {
     }
 }
 
-/// Runs a driver's thread here, until its mailbox is closed. `on` handles each report.
+/// Runs a driver's thread in the current thread until its mailbox is closed. `on` handles each report.
 fn driven(
     block: &str,
     frames: bool,
@@ -73,7 +73,7 @@ fn driven(
     driven_within(Tolerance::default(), block, frames, answer, on)
 }
 
-/// The same, with these limits of lateness.
+/// Like `driven`, with these maximum delays.
 fn driven_within(
     tolerance: Tolerance,
     block: &str,
@@ -243,7 +243,7 @@ fn a_confirmation_that_a_driver_cannot_give_comes_with_the_next_answer() {
     assert!(pings.try_iter().count() >= 1);
 }
 
-/// Returns steps of a script of the arm; the first is due this many milliseconds from now.
+/// Returns an order to take steps of a script of the arm. The first of them is due `due` milliseconds from now.
 fn take(first: usize, due: i64) -> mailbox::Order {
     let clock = HostClock::anchored();
     let at = |millis: i64| (clock.now() + Span::from_millis(millis)).assume_clock();
@@ -265,7 +265,7 @@ fn take(first: usize, due: i64) -> mailbox::Order {
 fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
     let refused = "this driver does not time scripts";
     let late = "s too late to be played";
-    // A first step must not begin too late; a later one may be an hour late.
+    // A first step must not start too late. A later step may be an hour late.
     for (first, due, expected) in [
         (0, 60_000, refused),
         (0, -1_000, late),
@@ -315,7 +315,7 @@ fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
     for plan in [0, 2, 9] {
         let answer = move |what: &str, pushes: &Pushes| {
             if what == "wheel 4" {
-                // The first plan was refused: reports about it are permitted.
+                // The first script was refused, and reports about it are permitted.
                 for plan in [1, plan] {
                     pushes.plan(crate::PlanId(plan), Timestamp::from_nanos(0), PlanEvent::Done);
                 }
@@ -394,7 +394,7 @@ fn hardware_that_is_away_or_fails_at_once_is_connected_to_ever_more_rarely() {
         let between = |pair: &[(String, Instant)]| (pair[0].0.starts_with("there"), pair[1].1 - pair[0].1);
         let (connected, pauses): (Vec<_>, Vec<_>) =
             times.windows(2).map(between).partition(|(is_there, _)| *is_there);
-        // Hardware that was connected for long is connected again at once.
+        // Hardware that was connected for a long time is connected again at once.
         if connected.iter().any(|(_, lasted)| *lasted > Duration::from_secs(5)) {
             return;
         }

@@ -1,4 +1,5 @@
-//! Scripts that the hardware times by itself: handed over ahead of their steps, and reported as the hardware reports them.
+//! Tests scripts that the hardware times by itself: the driver receives them ahead of their steps, and the robot reports what the
+//! hardware reports.
 
 use super::*;
 
@@ -35,7 +36,8 @@ async fn a_script_that_the_driver_does_not_take_fails_and_the_hardware_stays() {
     assert_eq!(failed.error.unwrap().message, "the hardware refused a script of `arm`: too hot");
 }
 
-/// Times scripts by itself, and logs each value with the time at which it is set, in nanoseconds. 66 makes it fail, 77 ends it.
+/// A driver program that times scripts by itself, and logs each value with the time at which it is set, in nanoseconds. The value 66
+/// makes it fail; 77 ends it.
 const AHEAD: &str = r#"
 import os, sys, time
 from downbeat_driver import Driver
@@ -54,7 +56,8 @@ class Ahead(Driver):
 Ahead().run()
 "#;
 
-/// Starts a host with the program `AHEAD`, and returns the folder of its log. `None` if Python is missing.
+/// Starts a host with the program `AHEAD`. Also returns a link to the robot and the folder of the program's log. `None` if Python is
+/// missing.
 fn ahead(mode: &str) -> Option<(Host, RobotLink, std::path::PathBuf)> {
     use std::sync::atomic::AtomicU32;
     static COUNT: AtomicU32 = AtomicU32::new(0);
@@ -103,7 +106,7 @@ async fn responses(link: &mut RobotLink, count: usize) -> Vec<ControlResponse> {
 
 #[tokio::test]
 async fn a_program_that_times_scripts_reports_what_it_logs() {
-    // With a horizon, the last step is handed over two seconds before the previous step is due.
+    // With a horizon, the driver receives the last step two seconds before the previous step is due.
     for (mode, apart) in [("script", 300.0), ("horizon", 2_000.0)] {
         let Some((host, mut link, folder)) = ahead(mode) else { return };
         let steps = [(0.0, 4.0), (apart, 5.0), (2.0 * apart, 6.0)];
@@ -115,7 +118,7 @@ async fn a_program_that_times_scripts_reports_what_it_logs() {
         let values: Vec<_> = log.iter().map(|(_, what)| what.as_str()).collect();
         assert_eq!(values, ["wheel 4", "wheel 5", "wheel 6"]);
         let at = |index: usize| all[index].event_timestamp.unwrap().as_nanos();
-        // It reports its start right before the first value, and its end right after the last one.
+        // The driver reports the start right before the first value, and the end right after the last value.
         assert!(at(1) <= log[0].0 && log[2].0 <= at(2), "{mode}: {all:?} {log:?}");
         assert!(host.stop().is_empty());
         let _left = std::fs::remove_dir_all(folder);
@@ -145,7 +148,7 @@ async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
 #[tokio::test]
 async fn a_stop_ends_the_script_of_a_program_before_it_is_confirmed() {
     let Some((host, mut link, folder)) = ahead("script") else { return };
-    // It runs for a minute, so that the stop comes before its end.
+    // The script runs for a minute, so that the stop comes before its end.
     let mut steps: Vec<_> = (0..7_u32).map(|i| (f64::from(i) * 500.0, f64::from(i + 1))).collect();
     steps.push((60_000.0, 8.0));
     link.send(request("wheel", "wheel", Some(3_000.0), &steps, ControlType::Speed));

@@ -1,4 +1,4 @@
-//! Robots whose hardware may be away, fail and come back, and whose sensors are slow.
+//! Tests robots whose hardware may be away, fail and return, and whose sensors are slow.
 
 use super::*;
 use crate::hardware::READINGS_MAX;
@@ -38,7 +38,7 @@ fn open_reading(bench: &Bench) -> crate::hardware::ReadingId {
     }
 }
 
-/// Returns the rest values of devices.
+/// Returns the devices that were brought to rest, with their control types and values.
 fn rests(bench: &Bench) -> Vec<(String, f64)> {
     let value = |set: &&SetValue| match &set.motion {
         Motion::Rest(rest) => Some((format!("{} {}", set.device, rest.control_type), rest.value)),
@@ -255,7 +255,7 @@ fn readings_that_are_refused_or_no_numbers_or_cut_off_fail_with_the_reason() {
     assert!(bench.robot.is_idle());
 }
 
-/// Requests a reading on behalf of a session, and returns whether it was opened.
+/// Requests a reading on behalf of a session. Returns whether the robot has sent the request to the hardware.
 fn opens(bench: &mut Bench, link: u64, session: Option<&str>) -> bool {
     let request = ControlRequest::immediate(DeviceId::new("thermometer").unwrap(), Command::ReadSensor);
     let session = session.and_then(|session| urrcp::SessionId::new(session).ok());
@@ -285,7 +285,7 @@ fn strangers_however_many_leave_the_owner_room_for_its_readings() {
     let opened: Vec<_> =
         (10..20).map(|link| (0..20).filter(|_| opens(&mut bench, link, None)).count()).collect();
     assert_eq!(opened, [4, 4, 0, 0, 0, 0, 0, 0, 0, 0]);
-    // Its link has named the session before.
+    // The session was named on this link before.
     let own = (0..READINGS_MAX).filter(|i| opens(&mut bench, 1, Some("show").filter(|_| i % 2 == 0))).count();
     assert_eq!(own, READINGS_MAX - 8);
 }

@@ -1,4 +1,4 @@
-//! Inquiries, which cannot act.
+//! Tests inquiries, which cannot act.
 
 use urrcp::{DeviceReport, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
 
@@ -33,7 +33,7 @@ impl Bench {
         self.inquire_on(LINK, inquiry)
     }
 
-    /// Returns the report about one request.
+    /// Returns the robot's report about one request.
     fn state(&mut self, id: &str) -> RequestReport {
         let [report] = &self.inquire(about(&[id])).requests[..] else { panic!() };
         assert_eq!(report.request_id.as_str(), id);
@@ -241,7 +241,7 @@ fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
         bench.request(ControlRequest { pending_until: Some(at(pending_until)), ..request });
         bench
     };
-    // The robot receives messages of the server, but no inquiry confirms the request.
+    // The robot receives messages from the server, but no inquiry confirms the request.
     let mut heard = requested(10, 900);
     heard.until(850);
     heard.inquire(Inquiry::default());
@@ -265,7 +265,7 @@ fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
 
 #[test]
 fn a_question_that_was_overtaken_on_its_link_takes_back_nothing_of_the_later_one() {
-    // Two questions of the same instant are handled in the order of their arrival.
+    // Two inquiries of the same instant are handled in the order of their arrival.
     for (overtaken_on, first, plays) in [(LINK, 20, true), (LINK, 10, false), (LinkId(9), 20, false)] {
         let mut bench = Bench::new();
         let of_session = ControlRequest { session: session("show"), ..timed("arm", "a", 1_000.0, paper()) };

@@ -1,4 +1,4 @@
-//! Events at the same instant, the applicable leases, and the remembered answers.
+//! Tests events at the same instant, the leases that apply, and the responses that are remembered.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -389,7 +389,7 @@ enum Move {
 }
 
 fn any_move() -> impl Strategy<Value = Move> {
-    // Coarse times, so that many events fall on the same instant.
+    // Times are multiples of 50 ms, so that many events occur at the same instant.
     let tick = |max: u16| (0..max).prop_map(|ticks| ticks * 50);
     let steps = prop::collection::vec((tick(8), 0u8..10), 0..4);
     prop_oneof![
@@ -465,7 +465,7 @@ proptest! {
         for moved in bench.sets() {
             let Some(id) = moved.request_id.as_ref().map(RequestId::as_str) else { continue };
             let Sent { link, start, first_offset, lease, .. } = &sent[id];
-            // Messages at the instant itself come after the movement, so only earlier ones count. However, a command that starts on
+            // Messages at the instant of a movement come after it, so only earlier ones count. However, a command that starts at its
             // receipt is started by that very message.
             let last = heard[link].iter().filter(|at| **at < moved.due || **at <= *start && *start == moved.due).max();
             let silence = moved.due - *last.unwrap();
@@ -585,7 +585,7 @@ fn a_device_that_is_stopped_keeps_its_position_and_turns_no_more_and_goes_home_o
                 ..at_once(device, device, Command::Script(Script::cancel()))
             });
         }
-        // The way home takes 3.5 s at the speed that the arm declares.
+        // The movement to the default state takes 3.5 s at the speed that the arm declares.
         bench.until(4_000);
         assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(position));
         assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
@@ -599,7 +599,7 @@ fn a_device_comes_to_rest_and_goes_home_within_the_tighter_of_its_own_and_the_op
         [(DeviceId::new(device).unwrap(), MotionLimits { speed, acceleration })].into()
     };
     let end = |device: &str| at_once(device, "end", Command::Script(Script::cancel()));
-    // The arm declares a speed of 10 and has a distance of 35 left.
+    // The arm declares a speed of 10, and its remaining distance is 35.
     for (limit, millis) in [(Some(5.0), 7_000), (Some(20.0), 3_500), (None, 3_500)] {
         let mut bench = Bench::new();
         bench.robot = bench.robot.with_limits(&limits("arm", limit, None));

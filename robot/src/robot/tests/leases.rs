@@ -1,4 +1,4 @@
-//! A pending lease ends only what is pending.
+//! Tests that the end of a pending lease ends only pending commands.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! Devices whose driver times scripts by itself: handing over scripts, and reporting what the driver reports.
+//! Tests devices whose driver times scripts by itself: handing the scripts to the driver, and forwarding its reports.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, Then};
 pub(super) const P1: PlanId = PlanId(1);
 const P2: PlanId = PlanId(2);
 
-/// Returns a robot whose driver times the scripts of these devices, this far ahead.
+/// Returns a robot whose driver receives the scripts of these devices ahead of time and times them by itself.
 fn planned(devices: &[(&str, Lookahead)]) -> Bench {
     let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
     let mut bench = Bench { robot: Robot::driven(block).confirmed_by_its_driver(), ..Bench::new() };
@@ -41,7 +41,7 @@ impl Bench {
         self.out.iter().filter_map(cancel).collect()
     }
 
-    /// Reports an event of the driver at this time, in milliseconds.
+    /// Reports an event to the robot as its driver would. `at_ms` is the time of the event in milliseconds.
     fn says(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) -> Result<(), String> {
         let at = at(at_ms);
         self.robot.plan_reported(self.now, id, at, &event, &mut self.out)
@@ -395,7 +395,7 @@ fn a_horizon_hands_over_each_step_that_far_before_the_device_sets_out_for_it() {
     bench.until(599);
     assert!(bench.parts().is_empty());
     bench.until(600);
-    // The movement to the second step begins with the first.
+    // The movement to the second step starts with the first step.
     let told = |bench: &Bench| -> Vec<_> {
         bench.parts().iter().map(|part| (part.first, part.steps.len(), part.is_last)).collect()
     };
@@ -471,7 +471,7 @@ fn an_inquiry_tells_the_steps_that_the_driver_has_done() {
 fn each_step_that_the_driver_says_late_is_counted_once() {
     let mut bench = whole("arm");
     bench.paper();
-    // A millisecond after its deadline is on time. Repeated reports, and reports after a later step, are ignored.
+    // A step that is done a millisecond after its deadline is on time. Repeated reports, and reports after a later step, are ignored.
     for (at_ms, event) in [
         (1_000, PlanEvent::Began),
         (1_001, PlanEvent::Step(0)),
@@ -487,7 +487,7 @@ fn each_step_that_the_driver_says_late_is_counted_once() {
     assert_eq!((bench.last().steps_done, bench.last().late_steps), (Some(3), Some(2)));
 }
 
-/// Slows down within its acceleration.
+/// A robot whose arm slows down within its declared acceleration.
 const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "arm", "name": "arm", "interpolation": "linear", "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
@@ -745,7 +745,7 @@ fn steps_are_named_up_to_the_last_that_was_handed_over() {
     bench.paper();
     bench.until(1_000);
     bench.hears(P1, 1_000, PlanEvent::Began);
-    // Two of the three steps were handed over.
+    // The driver has received two of the three steps.
     bench.hears(P1, 1_000, PlanEvent::Step(1));
     assert!(bench.says(P1, 1_000, PlanEvent::Step(2)).is_err_and(|why| why.contains("2 were handed over")));
 }

@@ -1,4 +1,4 @@
-//! Seizing: an operator takes a robot from the session that owns it.
+//! Tests seizures: an operator takes a robot from the session that owns it.
 
 use super::sessions::{OTHER, hello, of, operator, stop_of};
 use super::*;
@@ -8,7 +8,7 @@ use urrcp::SessionId;
 const DRIVES: [Role; 2] = [Role::Observe, Role::Drive];
 const SEIZES: [Role; 3] = [Role::Observe, Role::Drive, Role::Seize];
 
-/// A proven name and roles; `None` if nothing is proven.
+/// A proven name and its roles. `None` if nothing is proven.
 type Proven<'a> = Option<(&'a str, &'a [Role])>;
 
 fn seize(session: Option<&str>) -> Message {
@@ -16,7 +16,8 @@ fn seize(session: Option<&str>) -> Message {
     Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session, seize: true })
 }
 
-/// Anna's arm plays, and her ramp waits; the other link belongs to an operator with these roles.
+/// Returns a robot on which Anna's command for the arm runs and another one for the device `ramp` waits. The other link belongs to an
+/// operator with these roles.
 fn anna_plays(other: Proven<'_>) -> Bench {
     let mut bench = Bench::new();
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
@@ -63,7 +64,7 @@ fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_a
     }
     assert!(bench.robot.is_idle());
     assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(0.0), "it stays");
-    // Eva now owns it. Only Anna is informed who took it.
+    // Eva now owns the robot. Only Anna is informed who took it.
     bench.send_on(LINK, hello("anna's"));
     assert_eq!(bench.last_said(), "1 Failed `r` was taken over by operator eva");
     let third = LinkId(3);
@@ -167,7 +168,7 @@ fn what_was_left_moving_slows_down_when_the_robot_is_seized_and_the_next_session
     bench.robot = Robot::new(serde_json::from_str(TROLLEY).unwrap());
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
     bench.robot.handle(bench.now, OTHER, operator("operator eva", &SEIZES), &mut bench.out);
-    // Its command ends at once, without a lease, and the wheel continues to turn.
+    // The command ends at once and leaves no lease, and the wheel continues to turn.
     bench.send_on(LINK, of("anna's", timed("wheel", "a", 100.0, script(ControlType::Speed, &[(0.0, 10.0)]))));
     bench.until(1_000);
     assert!(bench.robot.is_idle());

@@ -1,4 +1,4 @@
-//! The session that owns a robot, and how the robot comes to rest on a stop.
+//! Tests the session that owns a robot, and how the robot comes to rest at a stop.
 
 use super::*;
 use urrcp::SessionId;
@@ -191,7 +191,7 @@ fn a_cancel_leaves_the_device_where_it_is_and_one_that_says_home_does_not() {
     bench.request(cancel.clone());
     assert_eq!(bench.robot.value("arm", ControlType::Position, at(600)), Some(45.0));
     bench.request(ControlRequest { home: true, ..cancel });
-    // At its declared speed, 10 per second.
+    // The arm moves at its declared speed of 10 per second.
     assert_eq!(bench.robot.value("arm", ControlType::Position, at(1_500)), Some(35.0));
     assert_eq!(bench.robot.value("arm", ControlType::Position, at(4_000)), Some(10.0));
 }
@@ -220,7 +220,7 @@ fn where_an_acceleration_is_declared_a_stop_decelerates() {
         ));
     }
     let speed = |bench: &Bench, millis| bench.robot.value("wheel", ControlType::Speed, at(millis)).unwrap();
-    // From 10, at 5 per second squared: two seconds.
+    // The speed decreases from 10 at 5 per second squared, which takes two seconds.
     assert_eq!([4_000, 5_000, 6_000].map(|millis| speed(&bench, millis)), [10.0, 5.0, 0.0]);
     let position = |millis| bench.robot.value("arm", ControlType::Position, at(millis)).unwrap();
     assert!((position(4_400) - 33.6).abs() < 1e-9, "{}", position(4_400));
@@ -267,7 +267,7 @@ fn strangers_however_many_end_no_lease_of_a_link_that_stands() {
 #[test]
 fn no_session_renews_the_lease_of_another_however_many_have_been() {
     let mut bench = Bench::new();
-    // The first session also uses a link of its own, so that it is not forgotten.
+    // The first session also uses another link, so that it is not forgotten.
     for link in [OTHER, LINK] {
         bench.send_on(link, hello("s0"));
     }
@@ -286,7 +286,7 @@ fn no_session_renews_the_lease_of_another_however_many_have_been() {
     assert_eq!(bench.values(), [], "the owner was silent from 9 s on");
 }
 
-/// Returns all messages of the robot, as encoded on the wire.
+/// Returns all messages of the robot in their encoding on the wire, as text.
 fn all_said(bench: &Bench) -> String {
     let mut bytes = Vec::new();
     for output in &bench.out {
@@ -364,7 +364,7 @@ fn a_session_belongs_to_the_name_that_its_peer_has_proven() {
     request.stop_condition = lease(500.0, 500.0);
     bench.send_on(LINK, of("show", request));
     let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
-    // Neither another name nor an unproven peer can use the same session.
+    // Neither a peer with another name nor an unproven peer can use this session.
     for link in [OTHER, LinkId(3)] {
         bench.send_on(link, of("show", stop.clone()));
         let refused = format!("{} Failed `r` belongs to another session until that session ends", link.0);
@@ -410,7 +410,7 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     );
     bench.send_on(LINK, of("show", sent_at("c", 11)));
     assert_eq!(bench.last_said(), "1 Accepted ");
-    // Commands that the sender of the stop had sent earlier, by a clock that is ahead, are still taken back.
+    // A stop also cancels commands that its sender has sent earlier by a clock that is ahead.
     let mut bench = Bench::new();
     let ahead = Some(Timestamp::from_nanos(BEGIN + 4_000_000_000));
     bench.send_on(LINK, of("show", ControlRequest { timestamp: ahead, ..stop }));
@@ -422,7 +422,7 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     assert_eq!(bench.statuses(), ["OK", "Failed cancelled"]);
 }
 
-/// Checks the robot's answer to a script of the arm with this start and end, under this lease.
+/// Checks the robot's response to a script of the arm with this start, end and lease.
 #[track_caller]
 fn check_reach(start_ms: f64, last_ms: f64, lease: Option<StopCondition>, expected: &str) {
     let mut bench = Bench::new();
@@ -443,7 +443,7 @@ fn one_line_does_not_occupy_a_robot_for_years() {
     check_reach(1_000.0, 23.9 * HOUR, None, "Accepted");
     check_reach(1_000.0, 24.1 * HOUR, None, "Failed out_of_range");
     check_reach(1_000.0, 1e11, short, "Accepted");
-    // A limit that is too long is no limit.
+    // A limit that is too long does not count as a limit.
     check_reach(1_000.0, 1e11, lease(1_000.0, 1e11), "Failed out_of_range");
     check_reach(2.0 * HOUR, 0.0, lease(1e11, 1_000.0), "Failed out_of_range");
 }

@@ -1,19 +1,19 @@
-//! The connections that have a place, and those that give way.
+//! Tests which connections have a place, and which are closed for others.
 
 use super::*;
 
-/// Returns the places of a robot. Connections give way as soon as they are silent.
+/// Returns the places of a robot. A connection may be closed for another one as soon as it is silent.
 fn places(host: &Host) -> Arc<Places> {
     Places::new(host.handle(), 0, Duration::ZERO).unwrap()
 }
 
-/// Admits connections from `count` hosts.
+/// Admits one connection from each of `count` remote hosts.
 fn tickets(places: &Arc<Places>, count: usize) -> Vec<Ticket> {
     let peer = |i| Remote::at(format!("192.0.2.{}:1000", i + 1).parse().unwrap());
     (0..count).map(|i| places.admit(&peer(i)).unwrap()).collect()
 }
 
-/// Returns the indices of those that were asked to give way.
+/// Returns the indices of the connections that were asked to end.
 async fn hung_up(tickets: &[Ticket]) -> Vec<usize> {
     let mut gone = Vec::new();
     for (i, ticket) in tickets.iter().enumerate() {
@@ -63,7 +63,7 @@ async fn beyond_all_connections_the_oldest_without_a_place_gives_way_once_it_is_
     tokio::time::sleep(Duration::from_millis(60)).await;
     let admitted = places.admit(&late);
     assert!(admitted.is_some());
-    // A connection without a message gives way before one with a message, and one with a place last.
+    // A connection without a message is closed before a connection with a message. A connection with a place is closed last.
     assert_eq!(hung_up(&tickets).await, [2]);
 }
 
@@ -78,7 +78,7 @@ async fn connections_that_are_told_to_go_and_do_not_are_not_joined_by_ever_more(
     assert!(one_host().is_some(), "they have gone");
 }
 
-/// Claims the robot from within this process, until the link is dropped.
+/// Claims the robot from within this process. The claim lasts until the link is dropped.
 async fn claimed(host: &Host) -> (crate::host::RobotLink, crate::parties::Claimant) {
     let mut link = host.handle().connect(0).unwrap();
     let session = urrcp::SessionId::new("show").unwrap();
@@ -100,7 +100,7 @@ async fn a_connection_stands_to_the_robot_as_the_session_that_it_speaks_for() {
     assert_eq!(ticket.standing(Some(&owner)), Standing::Owner);
     assert_eq!(ticket.standing(Some(&of("other"))), Standing::Stranger);
     assert_eq!(ticket.standing(None), Standing::Stranger);
-    // A connection that waits for the claim continues at once.
+    // A task that waits for the claim continues at once.
     ticket.await_claim(&owner, Duration::from_secs(3_600)).await;
 }
 

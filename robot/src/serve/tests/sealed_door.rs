@@ -1,10 +1,10 @@
-//! A robot that shares a secret: unproven peers, and altered data.
+//! Tests a robot that shares a secret with operators' passes: unproven peers, and altered data.
 
 use super::*;
 use downbeat_sealed::{Claim, Guard, Held, Secret, connect};
 use urrcp::Role;
 
-/// Starts a robot behind a secret, and returns a pass to it.
+/// Starts a robot that requires a pass. Returns its host, its address, and a pass.
 async fn sealed(patience: Patience) -> (Host, SocketAddr, Held) {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let secret = Secret::generate().unwrap();

@@ -13,49 +13,49 @@ use super::{Change, Presence, matched, out_of_order};
 /// The differences between two plans.
 #[derive(Clone, Debug, Serialize)]
 pub struct PlanDifferences {
-    /// Whether both are equal: the hashes match.
+    /// Whether the plans are equal, that is, their hashes match.
     pub same: bool,
-    /// Hashes over everything that is compared.
+    /// The hash of each plan, over everything that is compared.
     pub(crate) hash: Both<ContentHash>,
     pub(crate) scenario: Option<Change<String>>,
-    /// Robots that play in no act of the first plan.
+    /// Robots that play in the second plan, but in no act of the first.
     pub(crate) robots_added: Vec<RobotId>,
     pub(crate) robots_removed: Vec<RobotId>,
-    /// The acts that differ, in the order of the second plan, followed by those that are removed.
+    /// The acts that differ, in the order of the second plan, followed by the acts that only the first plan has.
     pub(crate) acts: Vec<ActDifferences>,
 }
 
-/// A value of both plans, equal or not.
+/// A pair of values, one of each plan, which may be equal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Both<T> {
     pub(crate) a: T,
     pub(crate) b: T,
 }
 
-/// An act with a difference. If an act is added or removed, so are all its cues and scripts.
+/// An act that differs between two plans. If an act is added or removed, all its cues and scripts also count as added or removed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct ActDifferences {
-    /// Its name; empty if the scenario has no acts of its own.
+    /// The name of the act; empty if the scenario does not define acts.
     pub(crate) act: String,
     pub(crate) presence: Presence,
-    /// Its position among the acts of each plan, from 1, if its order changed.
+    /// The position of the act in each plan, from 1; `None` if the order is unchanged.
     pub(crate) place: Option<Change<usize>>,
     pub(crate) duration_ms: Option<Change<Span>>,
     pub(crate) settings: Vec<Setting>,
     pub(crate) robots_added: Vec<RobotId>,
     pub(crate) robots_removed: Vec<RobotId>,
-    /// In order of time.
+    /// The cues that differ, in order of time.
     pub(crate) cues: Vec<CueDifference>,
-    /// In order of the time of their first difference.
+    /// The devices that differ, ordered by the time of their first difference.
     pub(crate) devices: Vec<DeviceDifferences>,
     pub(crate) readings_added: Vec<PlannedReading>,
     pub(crate) readings_removed: Vec<PlannedReading>,
     pub(crate) closest: Option<Change<Option<Closest>>>,
-    /// Speeds of bodies, by robot.
+    /// Differences in the speeds of robots' bodies, by robot.
     pub(crate) bodies: Vec<Change<Option<BodyUse>>>,
 }
 
-/// A key of an act with a different value, as in the JSON of `downbeat plan`.
+/// A setting of an act whose value differs; keys and values are as in the JSON of `downbeat plan`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Setting {
     pub(crate) setting: String,
@@ -63,12 +63,12 @@ pub(crate) struct Setting {
     pub(crate) change: Change<Value>,
 }
 
-/// A cue with a difference.
+/// A cue that differs between two plans.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct CueDifference {
     pub(crate) cue: String,
     pub(crate) presence: Presence,
-    /// Its start in the second plan, or in the first if it is removed.
+    /// The start of the cue in the second plan, or in the first plan if only that has the cue; from the act's start.
     pub(crate) at_ms: Span,
     pub(crate) start_ms: Option<Change<Span>>,
     pub(crate) duration_ms: Option<Change<Span>>,
@@ -101,7 +101,7 @@ fn without<T: Clone + PartialEq>(all: &[T], others: &[T]) -> Vec<T> {
     all.iter().filter(|one| !others.contains(one)).cloned().collect()
 }
 
-/// The readings that the first list contains more often than the second.
+/// Returns the readings in `all` that have no counterpart in `others`.
 fn beyond(all: &[PlannedReading], others: &[PlannedReading]) -> Vec<PlannedReading> {
     let pairs = matched(all, others, |reading| (&reading.robot, &reading.sensor, reading.at));
     pairs.into_iter().filter_map(|(one, other)| one.filter(|_| other.is_none()).cloned()).collect()
@@ -115,7 +115,7 @@ fn acts(a: (&Choreography, &Fleet), b: (&Choreography, &Fleet)) -> Vec<ActDiffer
     let place = |choreography: &Choreography, act: &Act| {
         choreography.acts.iter().position(|other| std::ptr::eq(other, act)).unwrap_or_default()
     };
-    // In the order of the second plan.
+    // The acts are in the order of the second plan.
     let pairs = matched(&b.0.acts, &a.0.acts, |act| act.name.as_str());
     let common: Vec<usize> = pairs
         .iter()
@@ -187,7 +187,7 @@ fn closest(act: &Act) -> Option<Closest> {
     Some(closest)
 }
 
-/// The counterpart of an act that only one plan has.
+/// Creates an empty act, with which an act that only one plan has is compared.
 fn empty_act() -> Act {
     let plan = downbeat_scripts::Plan {
         scenario: String::new(),
@@ -237,10 +237,10 @@ fn cue(a: Option<&PlannedCue>, b: Option<&PlannedCue>) -> Option<CueDifference> 
     })
 }
 
-/// Prefix of the settings that contain the path of a body as a hash: the steps show the details.
+/// Prefix of the names of settings that contain the path of a body as a hash. The differences of steps show the details.
 pub(super) const PATH: &str = "path of ";
 
-/// The properties of an act other than its cues and scripts. Acts that it leads to are given by name.
+/// The properties of an act other than its cues and scripts. References to following acts are given by name.
 fn settings(act: &Act, choreography: &Choreography) -> BTreeMap<String, Value> {
     let named = |index: usize| choreography.acts.get(index).map(|act| act.name.clone());
     let way = |way: Way| match way {
@@ -288,7 +288,7 @@ fn changed(a: BTreeMap<String, Value>, b: &BTreeMap<String, Value>) -> Vec<Setti
     all.into_iter().map(|(setting, change)| Setting { setting, change }).collect()
 }
 
-/// SHA-256 over everything that is compared, in an order that is independent of the fleet file's.
+/// SHA-256 over everything that is compared, independent of the order in the fleet file.
 pub(crate) fn hash(choreography: &Choreography) -> ContentHash {
     let acts: Vec<Value> = choreography.acts.iter().map(|act| content(act, choreography)).collect();
     ContentHash::of(json!({ "scenario": choreography.scenario, "acts": acts }).to_string().as_bytes())

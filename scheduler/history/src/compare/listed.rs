@@ -1,4 +1,4 @@
-//! The differences between two missions that were played, as one list for a page.
+//! Lists the differences between two missions that were played, for a page.
 
 use urrcp::Span;
 
@@ -6,10 +6,10 @@ use super::Presence;
 use super::runs::{RunAct, RunDifferences, RunRobot, ScriptDifferences};
 use super::text::{Entry, change, figure, outcome, robot_row, script_row, word};
 
-/// A difference, and the repetition of its act that it belongs to, from 1.
+/// A difference, after the number of the act's repetition that it belongs to, from 1.
 pub(crate) type Listed = (usize, Entry);
 
-/// All differences; those without an act come first.
+/// Lists all differences. Those that belong to no act come first.
 pub(crate) fn listed(found: &RunDifferences) -> Vec<Listed> {
     let plain = |subject: &str, text: String| entry(None, subject, text);
     let mut all = Vec::new();
@@ -63,7 +63,7 @@ fn script_text(script: &ScriptDifferences) -> String {
     labelled(&["", "start", "steps", "added", "removed", "changed"], &script_row(script)[1..])
 }
 
-/// Cells with content, each after its label.
+/// Joins the cells that are not empty, each after its label.
 fn labelled(labels: &[&str], cells: &[String]) -> String {
     let says = labels.iter().zip(cells).filter(|(_, cell)| !matches!(cell.as_str(), "-" | ""));
     says.map(|(label, cell)| format!("{label} {cell}").trim_start().to_owned()).collect::<Vec<_>>().join(", ")

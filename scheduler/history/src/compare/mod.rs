@@ -1,5 +1,4 @@
-//! The differences between two plans, or between two missions that were played. Everything is compared exactly; `text` formats it for
-//! people.
+//! Compares two plans, or two missions that were played. Values are compared exactly; `text` formats the differences for people.
 
 mod acts;
 pub(crate) mod listed;
@@ -14,7 +13,7 @@ use serde::Serialize;
 pub use acts::{PlanDifferences, plans};
 pub use runs::{RunDifferences, runs};
 
-/// A value in the first and in the second.
+/// A value that differs between the first plan or mission, `a`, and the second, `b`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Change<T> {
     pub(crate) a: T,
@@ -22,21 +21,21 @@ pub(crate) struct Change<T> {
 }
 
 impl<T: PartialEq> Change<T> {
-    /// `None` for two equal values.
+    /// Creates a change; `None` if the values are equal.
     fn of(a: T, b: T) -> Option<Self> {
         (a != b).then_some(Self { a, b })
     }
 }
 
-/// Which of both has it.
+/// Which of two plans or missions contains an item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Presence {
-    /// Both have it, and it differs.
+    /// Both contain the item, but it differs.
     Changed,
-    /// Only the second has it.
+    /// Only the second contains the item.
     Added,
-    /// Only the first has it.
+    /// Only the first contains the item.
     Removed,
 }
 
@@ -50,8 +49,8 @@ impl Presence {
     }
 }
 
-/// Pairs the items of two lists by key: first all items of `a` in order with their counterparts, then those that only `b` has. Among
-/// items with equal keys, the first is paired with the first, the second with the second, and so on.
+/// Pairs the items of two lists by key. Returns all items of `a` in order with their counterparts, then the items that only `b` has.
+/// Among items with equal keys, the nth item of `a` is paired with the nth item of `b`.
 fn matched<'a, T, K: Ord>(
     a: &'a [T],
     b: &'a [T],
@@ -75,9 +74,9 @@ fn matched<'a, T, K: Ord>(
     pairs
 }
 
-/// Which of these distinct numbers are out of order: all except a longest increasing subsequence.
+/// For each of the distinct `numbers`: whether it is out of order, that is, not in a longest increasing subsequence.
 fn out_of_order(numbers: &[usize]) -> Vec<bool> {
-    // The last index of the best sequence of each length, and the predecessor of each number in its best sequence.
+    // `rows`: the last index of the best sequence of each length. `before`: the predecessor of each number in its best sequence.
     let mut rows: Vec<usize> = Vec::new();
     let mut before: Vec<Option<usize>> = Vec::with_capacity(numbers.len());
     for (index, number) in numbers.iter().enumerate() {

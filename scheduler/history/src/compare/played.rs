@@ -9,26 +9,26 @@ use urrcp::{ContentHash, Millis, RequestId, Server, Setpoint, Span, Timestamp};
 use super::steps::{Movement, TimedStep};
 use crate::history::History;
 
-/// An act that was sent or skipped.
+/// An act of a mission that was played: it was sent or skipped.
 #[derive(Debug)]
 pub(super) struct PlayedAct<'a> {
     pub(super) name: String,
-    /// Number of earlier acts with this name.
+    /// Number of earlier acts with the same name.
     pub(super) before: usize,
     pub(super) fate: String,
     pub(super) report: Option<&'a ActReport>,
-    /// By robot and device, in order of time.
+    /// The scripts that were sent, by robot and device, in order of time.
     pub(super) scripts: BTreeMap<(String, String), Vec<SentScript>>,
 }
 
-/// A script that a robot was sent.
+/// A script that was sent to a robot.
 #[derive(Clone, Debug)]
 pub(super) struct SentScript {
-    /// From the act's start.
+    /// The start of the script, from the act's start.
     pub(super) start: Millis,
     pub(super) content_hash: ContentHash,
     request: RequestId,
-    /// When the act starts, by the clock with which its steps are recorded.
+    /// The start of the act, by the clock with which the steps of the script are recorded.
     origin: Timestamp<Server>,
 }
 
@@ -44,9 +44,9 @@ pub(super) fn acts(history: &History) -> Vec<PlayedAct<'_>> {
     for (_, record) in &history.records {
         match record {
             Record::Prepared(promise) => {
-                // After a crash there may be several ends; the last one applies.
+                // After a crash, the journal may contain several ends of the act; the last one applies.
                 let ended = history.ended_acts().rfind(|ended| ended.report.number == promise.number);
-                // An attempt that was withdrawn and repeated.
+                // Skips an attempt that was withdrawn and repeated.
                 if ended.is_some_and(|ended| ended.again) {
                     continue;
                 }
@@ -112,7 +112,7 @@ fn scripts(history: &History, promise: &Promise) -> BTreeMap<(String, String), V
     scripts
 }
 
-/// The steps of a device in a recording; `None` if any are missing.
+/// The steps of a device in an act, from a recording; `None` if the recording lacks any of them.
 pub(super) fn movement(
     history: &History,
     robot: &str,

@@ -15,17 +15,17 @@ use crate::history::History;
 /// The differences between two missions that were played.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunDifferences {
-    /// Whether both are equal.
+    /// Whether the missions are equal.
     pub same: bool,
     pub(crate) scenario: Option<Change<Option<String>>>,
-    /// How the mission ended; `null` if unknown.
+    /// The outcomes, if they differ; an unknown outcome is `null`.
     pub(crate) outcome: Option<Change<Option<Outcome>>>,
-    /// In the order of the first mission, followed by those that only the second one has.
+    /// The acts that differ, in the order of the first mission, followed by the acts that only the second mission has.
     pub(crate) acts: Vec<RunAct>,
-    /// Robots that were left out.
+    /// Robots that only the second mission left out.
     pub(crate) dropped_added: Vec<String>,
     pub(crate) dropped_removed: Vec<String>,
-    /// Reasons why robots failed.
+    /// Differences in the reasons why robots failed.
     pub(crate) failures: FailureDifferences,
 }
 
@@ -41,36 +41,36 @@ pub(crate) struct RobotFailure {
     pub(crate) text: String,
 }
 
-/// An act with a difference.
+/// An act that differs between two missions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct RunAct {
     pub(crate) act: String,
-    /// Which repetition of an act that was played several times, from 1.
+    /// The repetition of an act that was played several times, from 1.
     pub(crate) time: usize,
     pub(crate) presence: Presence,
     pub(crate) fate: Option<Change<String>>,
     pub(crate) spread_ms: Option<Figure>,
     pub(crate) robots: Vec<RunRobot>,
-    /// Devices that received different scripts.
+    /// The devices that received different scripts in the two missions.
     pub(crate) scripts: Vec<ScriptDifferences>,
 }
 
-/// A number of milliseconds that is better the closer it is to 0.
+/// A measurement in milliseconds of two missions. The closer it is to 0, the better.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Figure {
     pub(crate) a: Option<f64>,
     pub(crate) b: Option<f64>,
-    /// Whether the second is better. `None` if one is unknown, or both are equally far from 0.
+    /// Whether the second value is better. `None` if a value is unknown, or if both are equally far from 0.
     pub(crate) better: Option<bool>,
 }
 
-/// The differences in a robot's behaviour.
+/// The differences in a robot's behaviour in an act.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct RunRobot {
     pub(crate) robot: String,
     pub(crate) presence: Presence,
     pub(crate) left_out: Option<Change<bool>>,
-    /// The start error with the largest absolute value among its scripts.
+    /// The start error with the largest absolute value among the robot's scripts.
     pub(crate) start_error_ms: Option<Figure>,
     pub(crate) steps_done: Option<Change<u64>>,
     pub(crate) late_steps: Option<Change<u64>>,
@@ -80,7 +80,7 @@ pub(crate) struct RunRobot {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct StateChange {
     pub(crate) device: String,
-    /// One per script.
+    /// The states of the device's scripts, one per script.
     #[serde(flatten)]
     pub(crate) states: Change<Vec<DeviceState>>,
 }
@@ -90,9 +90,9 @@ pub(crate) struct ScriptDifferences {
     pub(crate) robot: String,
     pub(crate) device: String,
     pub(crate) presence: Presence,
-    /// When the first script starts, in milliseconds from the act's start.
+    /// When the device's first script starts, in milliseconds from the act's start.
     pub(crate) start_ms: Option<Change<f64>>,
-    /// `None` if a file does not contain the steps.
+    /// The differences in the steps; `None` if a file does not contain the steps.
     pub(crate) steps: Option<StepDifferences>,
 }
 
@@ -123,7 +123,7 @@ pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
     found
 }
 
-/// The items that the first list contains more often than the second.
+/// Returns the items in `all` that have no counterpart in `others`.
 fn beyond<T: Clone + Ord>(all: &[T], others: &[T]) -> Vec<T> {
     let pairs = matched(all, others, |one| one);
     pairs.into_iter().filter_map(|(one, other)| one.filter(|_| other.is_none()).cloned()).collect()

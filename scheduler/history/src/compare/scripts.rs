@@ -9,30 +9,30 @@ use urrcp::{DeviceId, Interpolation, Millis, RobotId, Span, StopCondition};
 use super::steps::{Movement, StepDifferences, TimedStep, compare};
 use super::{Change, Presence};
 
-/// A device with a difference.
+/// A device whose scripts differ between two plans.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct DeviceDifferences {
     pub(crate) robot: RobotId,
     pub(crate) device: DeviceId,
     pub(crate) presence: Presence,
-    /// Its unit, if the fleet file has one.
+    /// The unit of the device, if the fleet file states one.
     pub(crate) unit: Option<String>,
-    /// When its first script starts, from the act's start.
+    /// When the device's first script starts, from the act's start.
     pub(crate) start_ms: Option<Change<Millis>>,
-    /// Number of scripts.
+    /// The numbers of scripts, if they differ.
     pub(crate) scripts: Option<Change<usize>>,
     /// Whether the steps are the same, but divided differently into scripts.
     pub(crate) divided: bool,
-    /// The leases of its scripts.
+    /// The leases of the device's scripts, if they differ.
     pub(crate) leases: Option<Change<Vec<StopCondition>>>,
     #[serde(flatten)]
     pub(crate) steps: StepDifferences,
-    /// The origin of the steps.
+    /// The origins of the steps, if they differ.
     #[serde(rename = "use")]
     pub(crate) used: Option<Change<Option<DeviceUse>>>,
 }
 
-/// The scripts of the devices of an act, and their uses.
+/// The scripts of an act by device, and the uses of the devices.
 pub(super) struct Devices<'a> {
     act: &'a Act,
     scripts: HashMap<(&'a RobotId, &'a DeviceId), Vec<&'a DeviceScript>>,
@@ -74,7 +74,7 @@ impl<'a> Devices<'a> {
     }
 }
 
-/// The devices with differences, by the time of their first difference.
+/// Returns the devices that differ, ordered by the time of their first difference.
 pub(super) fn devices(a: &Devices<'_>, b: &Devices<'_>) -> Vec<DeviceDifferences> {
     let keys = [a, b].into_iter().flat_map(|of| of.scripts.keys().chain(of.uses.keys()));
     let mut keys: Vec<(&RobotId, &DeviceId)> = keys.copied().collect();
@@ -123,7 +123,7 @@ fn device(key: (&RobotId, &DeviceId), of_a: &Devices<'_>, of_b: &Devices<'_>) ->
 }
 
 impl DeviceDifferences {
-    /// The time of the first difference, from the act's start.
+    /// The time of the first step that differs, from the act's start; zero if no step differs.
     pub(crate) fn at(&self) -> Span {
         let step = self.steps.first().and_then(|step| step.b.as_ref().or(step.a.as_ref()));
         step.map_or(Span::ZERO, |step| step.at_ms)

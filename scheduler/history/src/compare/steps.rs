@@ -5,41 +5,41 @@ use urrcp::{ControlType, Setpoint, Span, StopCondition};
 
 use super::Change;
 
-/// The steps of a device over an act, across all of its scripts in order.
+/// The steps of a device in an act, from all its scripts in order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Movement {
     pub(super) steps: Vec<TimedStep>,
-    /// Whether it interpolates linearly between steps, instead of jumping.
+    /// Whether the device interpolates linearly between steps instead of holding each value.
     pub(super) linear: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TimedStep {
-    /// From the act's start.
+    /// Time from the act's start.
     pub(super) at: Span,
     pub(super) setpoint: Setpoint,
     pub(super) lease: Option<StopCondition>,
-    /// Whether it ends a script: the device stays there until the next one.
+    /// Whether the step ends a script. The device holds its value until the next script.
     pub(super) ends: bool,
 }
 
-/// How the steps of a device differ.
+/// The differences between the steps of a device.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(crate) struct StepDifferences {
-    /// Number of steps.
+    /// The numbers of steps, if they differ.
     pub(crate) count: Option<Change<usize>>,
     pub(crate) added: usize,
     pub(crate) removed: usize,
-    /// At the same time, with a different value, control type or lease.
+    /// Number of steps at the same time, but with a different value, control type or lease.
     pub(crate) value_changed: usize,
-    /// With the same value, at a different time.
+    /// Number of steps with the same value, but at a different time.
     pub(crate) time_changed: usize,
-    /// With a different time and a different value, in place of a single step between two equal ones.
+    /// Number of steps with a different time and value, where both sides have a single step between two equal ones.
     pub(crate) both_changed: usize,
-    /// Set if all steps are the same except for this delay.
+    /// The delay by which all steps are shifted; `None` unless they are otherwise equal.
     pub(crate) shifted_by_ms: Option<Span>,
     pub(crate) largest: Option<Largest>,
-    /// In order of time.
+    /// The steps that differ, in order of time.
     pub(crate) steps: Vec<StepDifference>,
 }
 
@@ -51,7 +51,7 @@ pub(crate) struct StepDifference {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct ShownStep {
-    /// From the act's start.
+    /// Time from the act's start.
     pub(crate) at_ms: Span,
     pub(crate) control_type: ControlType,
     pub(crate) values: Vec<f64>,
@@ -59,10 +59,10 @@ pub(crate) struct ShownStep {
     pub(crate) stop_condition: Option<StopCondition>,
 }
 
-/// The point at which two movements are furthest apart.
+/// The point in time at which two movements are furthest apart.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Largest {
-    /// From the act's start.
+    /// Time from the act's start.
     pub(crate) at_ms: Span,
     /// Index of the value within a step, from 1.
     pub(crate) value: usize,
@@ -77,7 +77,7 @@ impl Largest {
 }
 
 impl StepDifferences {
-    /// The first step that differs.
+    /// The first step that differs; `None` if no step differs.
     pub(crate) fn first(&self) -> Option<&StepDifference> {
         self.steps.first()
     }
@@ -118,8 +118,8 @@ impl TimedStep {
     }
 }
 
-/// Compares step by step. Skips an equal beginning, then an end that is equal except for a shift in time. In between, steps that are due
-/// at the same time correspond.
+/// Compares two movements step by step. Skips the steps at the start that are equal, then the steps at the end that are equal except for
+/// a shift in time. Among the remaining steps, those that are due at the same time correspond.
 pub(super) fn compare(a: &Movement, b: &Movement) -> StepDifferences {
     let mut found = StepDifferences {
         count: Change::of(a.steps.len(), b.steps.len()),
@@ -144,7 +144,8 @@ pub(super) fn compare(a: &Movement, b: &Movement) -> StepDifferences {
     found
 }
 
-/// Steps at the same time correspond. Between two of those, steps with equal values correspond, in their order.
+/// Matches the steps that differ. Steps at the same time correspond. Between two such times, steps with equal values correspond, in their
+/// order.
 fn by_time(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDifferences) {
     while !left.is_empty() || !right.is_empty() {
         let (until_left, until_right) = next_common(left, right);
@@ -159,7 +160,7 @@ fn by_time(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDiff
     }
 }
 
-/// Number of steps on each side before the next time that both sides have.
+/// Number of steps on each side before the next time at which both sides have a step.
 fn next_common(left: &[TimedStep], right: &[TimedStep]) -> (usize, usize) {
     let (mut i, mut j) = (0, 0);
     while let Some((a, b)) = left.get(i).zip(right.get(j)) {
@@ -190,7 +191,8 @@ fn between(mut left: &[TimedStep], mut right: &[TimedStep], found: &mut StepDiff
     right.iter().for_each(|b| found.note(None, Some(b)));
 }
 
-/// Between two consecutive steps of either movement, both are straight, so they are furthest apart at a step or right before one.
+/// Finds the point at which two movements are furthest apart. Both are straight between consecutive steps, so this is at a step or right
+/// before one.
 fn largest(a: &Movement, b: &Movement) -> Option<Largest> {
     let mut best: Option<Largest> = None;
     let (mut of_a, mut of_b) = (Cursor::new(a), Cursor::new(b));
@@ -226,10 +228,10 @@ fn consider(best: &mut Option<Largest>, at: Span, a: Option<&Values>, b: Option<
     }
 }
 
-/// A movement that is followed in time.
+/// A position in a movement that advances with time.
 struct Cursor<'a> {
     movement: &'a Movement,
-    /// Number of steps that have passed.
+    /// Number of steps whose time has passed.
     passed: usize,
 }
 
@@ -238,7 +240,7 @@ impl<'a> Cursor<'a> {
         Self { movement, passed: 0 }
     }
 
-    /// Values right before this time; all steps before it must have passed. `None` before the first step.
+    /// The values right before the time `at`; `None` before the first step. All steps before `at` must have passed.
     fn before(&self, at: Span) -> Option<Values> {
         let last = self.movement.steps.get(self.passed.checked_sub(1)?)?;
         let next = self.movement.steps.get(self.passed).filter(|_| self.movement.linear && !last.ends);
@@ -252,7 +254,7 @@ impl<'a> Cursor<'a> {
         Some((last.setpoint.control_type, reached.collect()))
     }
 
-    /// Values at this time, including the steps that are due exactly then.
+    /// The values at the time `at`, including the steps that are due exactly then.
     fn at_step(&self, at: Span) -> Option<Values> {
         let last = self.movement.steps.get(self.passed.checked_sub(1)?)?;
         if last.at == at {
@@ -277,7 +279,8 @@ mod tests {
         Movement { steps: points.iter().map(step).collect(), linear: true }
     }
 
-    /// The expected numbers: added, removed, value, time, both.
+    /// Compares two movements and checks the numbers of differences. `expected`: added, removed, changed value, changed time, both
+    /// changed.
     #[track_caller]
     fn check(a: &[(i64, f64)], b: &[(i64, f64)], expected: [usize; 5]) -> StepDifferences {
         let found = compare(&movement(a), &movement(b));

@@ -1,4 +1,4 @@
-//! Differences as text for people.
+//! Formats differences as text for people.
 
 use downbeat_mission::report::{DeviceState, Outcome};
 use downbeat_scripts::shown::shown;
@@ -13,10 +13,10 @@ use super::steps::{Largest, ShownStep, StepDifference, StepDifferences};
 use super::{Change, PlanDifferences, Presence, RunDifferences};
 use downbeat_show::table::{Rows, wrapped};
 
-/// Maximum number of rows per table; further ones are only counted. JSON contains all.
+/// Maximum number of rows per table; further rows are only counted. The JSON output contains all.
 const ROWS_MAX: usize = 20;
 
-/// Differences of two plans, in lines of at most this many columns.
+/// Formats the differences between two plans, in lines of at most `columns` characters.
 pub fn plan_text(found: &PlanDifferences, columns: usize) -> String {
     let hash = |hash: urrcp::ContentHash| hash.to_string()[..12].to_owned();
     if found.same {
@@ -35,7 +35,7 @@ pub fn plan_text(found: &PlanDifferences, columns: usize) -> String {
     text.lines
 }
 
-/// Differences of two missions that were played, in lines of at most this many columns.
+/// Formats the differences between two missions, in lines of at most `columns` characters.
 pub fn run_text(found: &RunDifferences, columns: usize) -> String {
     if found.same {
         return "the same\n".to_owned();
@@ -178,7 +178,7 @@ impl Text {
         }
     }
 
-    /// The first and the largest difference between the steps of devices.
+    /// Adds a table with the first and the largest step difference of each device.
     fn steps<'a>(&mut self, devices: impl Iterator<Item = (String, &'a str, &'a StepDifferences)>) {
         let differing = devices.filter(|(_, _, steps)| steps.first().is_some());
         self.table(
@@ -378,7 +378,7 @@ fn largest(largest: &Largest, unit: &str) -> String {
     format!("{}{unit} at {}: {a} → {b}{which}", number(largest.difference()), largest.at_ms)
 }
 
-/// Formats with at most six decimals.
+/// Formats a number with at most six decimals.
 fn number(value: f64) -> String {
     ((value * 1e6).round() / 1e6).to_string()
 }
@@ -399,18 +399,18 @@ pub(super) fn outcome(outcome: Option<&Outcome>) -> String {
     outcome.map_or_else(|| "not known".to_owned(), |outcome| shown(&outcome.to_string()).into_owned())
 }
 
-/// A difference in words, for a list.
+/// A difference between two plans or missions in words, for a list.
 pub(crate) struct Entry {
-    /// The act that it concerns.
+    /// The act that the difference belongs to, if any.
     pub(crate) act: Option<String>,
-    /// From the act's start.
+    /// Time of the difference from the act's start, if it has a time.
     pub(crate) at: Option<Span>,
     pub(crate) device: Option<(urrcp::RobotId, urrcp::DeviceId)>,
     pub(crate) subject: String,
     pub(crate) text: String,
 }
 
-/// All differences of two plans, act by act.
+/// Lists all differences between two plans, act by act.
 pub(crate) fn entries(found: &PlanDifferences) -> Vec<Entry> {
     let mut all = Vec::new();
     let plain = |subject: &str, text: String| Entry {

@@ -1,4 +1,4 @@
-//! How an act ended, according to its report and to messages or records.
+//! Determines how and when an act ended, from its report and from messages or records.
 
 use downbeat_mission::report::{ActReport, ActRobot, DeviceReport, DeviceState};
 use downbeat_mission::{Progress, Record};
@@ -7,19 +7,19 @@ use urrcp::{Server, Timestamp};
 
 use super::Happened;
 
-/// The fate of an act.
+/// How an act of a mission ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Fate {
-    /// All its robots except those that were left out completed all their steps.
+    /// All robots of the act except those that were left out completed all their steps.
     Played,
-    /// It began and ended prematurely.
+    /// The act began and ended prematurely.
     Stopped,
-    /// No script of it began.
+    /// No script of the act began.
     Withdrawn,
-    /// It began, and a robot has not reported its end.
+    /// The act began, and a robot has not reported the end of its scripts.
     Unknown,
-    /// Its end is not known.
+    /// The act has no report, so its end is not known.
     Open,
 }
 
@@ -46,7 +46,7 @@ fn scripts<'a>(robots: &[&'a ActRobot]) -> impl Iterator<Item = &'a DeviceReport
     robots.iter().flat_map(|robot| &robot.devices)
 }
 
-/// The fate of an act as text, from its report.
+/// Describes how an act ended, according to its report.
 #[must_use]
 pub fn fate_text(report: &ActReport) -> &'static str {
     match Fate::of(Some(report)) {
@@ -57,7 +57,7 @@ pub fn fate_text(report: &ActReport) -> &'static str {
     }
 }
 
-/// When an act that was sent at `sent` was over, or a stop of everything began.
+/// When the act that was sent at `sent` was over, or a stop of all robots began.
 pub(crate) fn over<'a>(
     mut happened: impl Iterator<Item = (Timestamp<Server>, Happened<'a>)>,
     name: &str,

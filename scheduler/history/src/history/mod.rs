@@ -26,28 +26,28 @@ pub(crate) use self::fate::{Fate, over};
 /// The first bytes of every MCAP file.
 const MCAP_MAGIC: &[u8] = b"\x89MCAP";
 
-/// Number of bytes that identify the kind of a file.
+/// Number of bytes to read from the start of a file to determine its kind.
 const FIRST_BYTES: u64 = 16;
 
-/// The preserved data of a mission.
+/// The data of a past mission, as read from its journal or recording.
 #[derive(Clone, Debug, Default)]
 pub struct History {
-    /// The scenario's name, if it is known.
+    /// The scenario's name; `None` if it is not known.
     pub scenario: Option<String>,
-    /// The kind of file.
+    /// The kind of file that the data was read from.
     pub source: HistorySource,
-    /// The reason why the file is incomplete, if it is.
+    /// The reason why the file is incomplete; `None` if it is complete.
     pub cut_off: Option<String>,
-    /// The decisions, as in the journal.
+    /// The recorded decisions of the mission, with their times.
     pub records: Vec<(Timestamp<Server>, Record)>,
-    /// The messages to the operator.
+    /// The messages to the operator, with their times; empty for a journal.
     pub(crate) told: Vec<(Timestamp<Server>, Progress)>,
     pub(crate) robots: Vec<KnownRobot>,
-    /// The subject of each topic.
+    /// The subject of each topic of the recording; `None` for topics without one.
     routes: HashMap<String, Option<Route>>,
 }
 
-/// The subject of a topic's messages.
+/// The robot, the device and the kind of data that a topic of a recording is about.
 #[derive(Clone, Debug)]
 struct Route {
     robot: usize,
@@ -67,33 +67,33 @@ enum Kind {
 /// The kind of file that a mission was read from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HistorySource {
-    /// The journal: only decisions.
+    /// The journal, which contains only decisions.
     #[default]
     Journal,
-    /// A recording: also messages, values and clocks.
+    /// A recording, which also contains messages, values and clock measurements.
     Recording,
 }
 
-/// The known data of a robot.
+/// The known data of a robot in a past mission.
 #[derive(Clone, Debug)]
 pub(crate) struct KnownRobot {
     pub(crate) id: RobotId,
     pub(crate) init: Option<InitializationBlock>,
-    /// Steps of scripts at their due times, by device and request.
+    /// Steps of scripts with their due times, by device and request id.
     pub(crate) planned: BTreeMap<(String, String), Vec<PlannedStep>>,
-    /// The reported values of its devices, at their arrival.
+    /// The reported values with their arrival times, by device.
     pub(crate) reported: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
-    /// Offset and round trip of each exchange, in milliseconds.
+    /// Clock measurements: the time, and the offset and the round trip in milliseconds.
     pub(crate) clock: Vec<(Timestamp<Server>, f64, f64)>,
-    /// Questions that it answered with its timestamps.
+    /// The exchanges of a question and an answer with the robot's timestamps.
     pub(crate) exchanges: Vec<Exchange>,
-    /// Send times of unanswered questions, by their kind and own timestamp.
+    /// Recorded send times of unanswered questions, by the kind and the own timestamp of the question.
     open: HashMap<(Question, Timestamp<Server>), VecDeque<Timestamp<Server>>>,
-    /// The readings of its sensors, by device, at their arrival.
+    /// The readings of sensors with their arrival times, by device.
     pub(crate) readings: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
 }
 
-/// A question and its answer: the four times of RFC 5905, section 8.
+/// The four timestamps of a question and its answer, as in RFC 5905, section 8.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Exchange {
     /// T1: departure of the question.
@@ -106,18 +106,18 @@ pub(crate) struct Exchange {
     pub(crate) received: Timestamp<Server>,
 }
 
-/// Older recordings noted a message after it was passed to its link, which may already have sent it. Unless the machine was busy, it
-/// departed at most this much earlier.
+/// Maximum time by which a message may have departed before it was recorded, unless the machine was busy. Older recordings noted a
+/// message after it was passed to its link, which may already have sent it.
 const NOTED_WITHIN: Span = Span::from_millis(1);
 
-/// Messages whose answers carry the times of an exchange.
+/// The kinds of messages whose answers contain the timestamps of an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Question {
     Availability,
     Inquiry,
 }
 
-/// A step of a script.
+/// A script step that was sent to a robot.
 #[derive(Clone, Debug)]
 pub(crate) struct PlannedStep {
     pub(crate) due: Timestamp<Server>,
@@ -125,15 +125,15 @@ pub(crate) struct PlannedStep {
     pub(crate) control_type: ControlType,
 }
 
-/// Why a file shows no mission.
+/// Why no mission can be read from a file.
 #[derive(Debug, thiserror::Error)]
 pub enum NoHistory {
     /// The file cannot be read.
     #[error("cannot read `{}`: {error}", path.display())]
     Io {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The error of the system.
+        /// The error that the operating system reports.
         error: io::Error,
     },
     /// The file is neither a journal nor a recording.
@@ -142,7 +142,7 @@ pub enum NoHistory {
          folder of a mission", path.display()
     )]
     Unknown {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
     },
     /// The file was written by another version of Downbeat.
@@ -151,44 +151,44 @@ pub enum NoHistory {
         path.display(), found.map_or_else(|| "no version".to_owned(), |found| format!("version {found}"))
     )]
     OtherVersion {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// Its version; `None` if it has none.
+        /// The version of the file; `None` if it states none.
         found: Option<u32>,
     },
 }
 
-/// An event of a mission: from the messages to the operator or, if there is only the journal, from its records.
+/// An event of a mission: a message to the operator or, if only the journal is available, a record of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Happened<'a> {
     Told(&'a Progress),
     Recorded(&'a Record),
 }
 
-/// An act that has ended.
+/// An act of a past mission that has ended.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EndedAct<'a> {
     pub(crate) report: &'a ActReport,
     pub(crate) fate: &'a ActFate,
-    /// Whether it was withdrawn in order to be prepared again.
+    /// Whether the act was withdrawn in order to be prepared again.
     pub(crate) again: bool,
 }
 
-/// The known part of the report of a mission.
+/// The report of a past mission, as far as it is known.
 #[derive(Debug, Serialize)]
 pub struct HistoryReport<'a> {
     /// The scenario's name.
     pub scenario: Option<&'a str>,
-    /// `None` if the end is not known.
+    /// The outcome of the mission; `None` if its end is not known.
     pub outcome: Option<&'a Outcome>,
-    /// Planned start of the first act.
+    /// The planned start of the first act; `None` if there was none.
     pub start: Option<Timestamp<Server>>,
-    /// Largest spread of the starts of any act.
+    /// The largest spread of starts in an act; `None` if it is not known.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
-    /// The acts that have ended. Attempts that were withdrawn and repeated are left out.
+    /// The reports of the acts that have ended, without attempts that were withdrawn and repeated.
     pub acts: Vec<&'a ActReport>,
-    /// The failures of robots, in order.
+    /// The failures of robots, in order of time.
     pub failures: Vec<&'a Failure>,
 }
 
@@ -208,7 +208,7 @@ impl History {
         }
     }
 
-    /// `None` if the end of the mission is not known.
+    /// The outcome of the mission; `None` if its end is not known.
     pub(crate) fn outcome(&self) -> Option<&Outcome> {
         self.records.iter().rev().find_map(|(_, record)| match record {
             Record::Ended { outcome } => Some(outcome),
@@ -216,7 +216,7 @@ impl History {
         })
     }
 
-    /// The acts that were promised, each with the instant of its record.
+    /// The promised acts, each with the time of its record.
     pub(crate) fn promises(&self) -> impl Iterator<Item = (Timestamp<Server>, &Promise)> {
         self.records.iter().filter_map(|(at, record)| match record {
             Record::Prepared(promise) => Some((*at, promise)),
@@ -233,14 +233,14 @@ impl History {
         })
     }
 
-    /// Everything that happened, in order.
+    /// All events of the mission, in order of time.
     pub(crate) fn happened(&self) -> impl Iterator<Item = (Timestamp<Server>, Happened<'_>)> {
         let told = self.told.iter().map(|(at, told)| (*at, Happened::Told(told)));
         let records = if self.told.is_empty() { &self.records[..] } else { &[] };
         told.chain(records.iter().map(|(at, record)| (*at, Happened::Recorded(record))))
     }
 
-    /// Reads the intact part of a journal, a mission's folder, or a recording.
+    /// Reads the intact part of a mission from its journal, its folder or a recording.
     ///
     /// # Errors
     /// [`NoHistory`] if nothing can be read.
@@ -284,7 +284,7 @@ impl History {
         }
     }
 
-    /// The failures of robots, in order.
+    /// The failures of robots, in order of time.
     pub(crate) fn failures(&self) -> Vec<&Failure> {
         let failure = |(_, happened)| match happened {
             Happened::Told(Progress::Failed(failure)) | Happened::Recorded(Record::Failed(failure)) => {
@@ -314,7 +314,7 @@ impl History {
         Ok(history)
     }
 
-    /// Whether a file or folder belongs to a mission: a recording, a journal, or a folder. Inspects the first bytes of a file.
+    /// Whether `path` is a folder, a journal or a recording. Inspects the first bytes of a file.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -328,20 +328,20 @@ impl History {
         Ok(first.starts_with(MCAP_MAGIC) || sum.is_some_and(|(_, line)| line.starts_with(b" {")))
     }
 
-    /// Creates a history from these records.
+    /// Creates a history from `records`.
     #[cfg(test)]
     pub(crate) fn of_records(records: Vec<(Timestamp<Server>, Record)>) -> Self {
         Self { records, ..Self::default() }
     }
 
-    /// Whether a device interpolates linearly between steps, according to its robot's description.
+    /// Whether a device interpolates linearly between steps, according to the robot's description.
     pub(crate) fn is_linear(&self, robot: &str, device: &str) -> bool {
         let robot = self.robots.iter().find(|known| known.id.as_str() == robot);
         let mut devices = robot.into_iter().flat_map(|robot| &robot.init).flat_map(|init| &init.devices);
         devices.any(|known| known.id.as_str() == device && known.interpolation == Interpolation::Linear)
     }
 
-    /// The steps of a request to a device in order of time, each with its value and its control type. Only recordings contain them.
+    /// The steps of a request to a device in order of time, each with its value and its control type. Only recordings contain steps.
     pub(crate) fn steps_of(
         &self,
         robot: &str,
@@ -364,7 +364,7 @@ impl History {
         self.records.is_empty() && self.told.is_empty()
     }
 
-    /// Reads messages up to the first one that is unreadable.
+    /// Reads messages up to the first unreadable message.
     fn take_all(&mut self, messages: MessageStream<'_>) -> Result<(), OtherVersion> {
         for (count, message) in messages.enumerate() {
             let taken = match message {
@@ -386,7 +386,7 @@ impl History {
         Ok(())
     }
 
-    /// The scenario's name is the part of the session before the `@`.
+    /// Determines the scenario's name from the first request id: it is the part of the session before the `@`.
     fn first_name(&self) -> Option<String> {
         let id = self.promises().next()?.1.scripts.first()?.request_id.as_str();
         Some(id.split(['@', '/']).next()?.to_owned())
@@ -456,7 +456,8 @@ impl History {
         Some(Route { robot, device, kind })
     }
 
-    /// The robot that a topic belongs to. Names may contain slashes; a robot's own messages precede those of its devices.
+    /// Determines the robot that a topic belongs to, although robot ids may contain slashes. The robot is already known, because its own
+    /// messages precede those of its devices.
     fn named<'t>(&self, of_robot: &'t str) -> &'t str {
         let begins = |id: &str| of_robot.strip_prefix(id).is_some_and(|rest| rest.starts_with('/'));
         let known = self.robots.iter().map(|robot| robot.id.as_str()).filter(|id| begins(id));
@@ -479,7 +480,7 @@ impl KnownRobot {
         Self { id, init, planned, reported, clock, exchanges, open, readings }
     }
 
-    /// Notes a request that the robot may answer with its timestamps.
+    /// Stores the send time of a request that the robot may answer with its timestamps.
     fn is_asked(&mut self, at: Timestamp<Server>, request: &Message) {
         let question = match request {
             Message::AvailabilityRequest(request) => (Question::Availability, request.timestamp),
@@ -491,7 +492,7 @@ impl KnownRobot {
         }
     }
 
-    /// Notes a description, or an answer with timestamps.
+    /// Stores a robot's description, or evaluates an answer with timestamps.
     fn says(&mut self, at: Timestamp<Server>, response: Message) {
         match response {
             Message::AvailabilityResponse(answer) => {
@@ -507,7 +508,7 @@ impl KnownRobot {
         }
     }
 
-    /// Pairs an answer with its question. If the question waited on this machine, its departure is used, as far as that is certain.
+    /// Pairs an answer with its question. If the question waited on this machine, uses the departure time, as far as that is certain.
     fn answers(
         &mut self,
         question: Question,
@@ -538,19 +539,19 @@ fn is_ours(message: &mcap::Message<'_>) -> bool {
     ["/mission/", "/robots/"].iter().any(|prefix| message.channel.topic.starts_with(prefix))
 }
 
-/// The version in a recording's metadata; `None` if it is missing.
+/// The version in a recording's metadata; `None` if the metadata states none.
 fn version_of(message: &mcap::Message<'_>) -> Option<u32> {
     message.channel.metadata.get(VERSION_KEY)?.parse().ok()
 }
 
-/// The version of a recording that is not supported.
+/// A recording has an unsupported version. Contains the version; `None` if the recording states none.
 struct OtherVersion(Option<u32>);
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A recording that contains the end of a mission, with this metadata.
+    /// Writes a recording that contains the end of a mission, with `metadata`.
     fn recording(path: &Path, metadata: &BTreeMap<String, String>) {
         let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
         let channel_id = writer.add_channel(0, "/mission/decisions", "json", metadata).unwrap();

@@ -1,4 +1,4 @@
-//! A robot's clock, from its exchanges and from the shifts of its promised scripts.
+//! Measures a robot's clock from its exchanges and from the time shifts of its promised scripts.
 
 use serde::Serialize;
 use urrcp::{RobotId, Server, Span, Timestamp};
@@ -7,31 +7,32 @@ use super::line::{ClockLine, counts_in};
 use crate::history::{Exchange, History};
 use downbeat_mission::clock::{ClockEstimate, ClockSample};
 
-/// A drift is reported if zero is impossible, or if it is known this well: half of the drift that any clock may have.
+/// Largest uncertainty, as a fraction, with which a drift is reported even if it may be zero: half of the drift that any clock may have.
 const DRIFT_KNOWN: f64 = 50e-6;
 
 /// The measured properties of a robot's clock.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClockMeasured {
-    /// How its time is reconciled with the server's, according to the shifts of its timestamps; `None`: it received no script.
+    /// How the robot's time is reconciled with the server's, according to the shifts of timestamps in its scripts. `None`: the robot
+    /// received no script.
     pub follows: Option<Follows>,
-    /// The robot's clock minus the server's when the mission began.
+    /// The robot's clock minus the server's clock when the mission began.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// Uncertainty of the offset, regardless of the asymmetry of the path; `None`: unknown, because the source is a journal.
+    /// Uncertainty of the offset, for any asymmetry of the network path. `None`: unknown, because the source is a journal.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Option<Span>,
-    /// Lower bound of the offset's size at its largest, if an exchange rules out an offset of zero; `None` if none does.
+    /// Lower bound on the largest absolute offset. `None` if no exchange rules out an offset of zero.
     #[serde(rename = "surely_off_ms")]
     pub surely_off: Option<Span>,
-    /// Drift relative to the server's clock; `None`: the exchanges do not determine it.
+    /// Drift relative to the server's clock. `None`: the exchanges do not determine the drift.
     #[serde(flatten)]
     pub drift: Option<DriftMeasured>,
-    /// Number of exchanges that it is based on.
+    /// Number of exchanges that the measurement is based on.
     pub exchanges: usize,
-    /// How often exchanges contradicted earlier ones, because the clock was set.
+    /// Number of times that an exchange contradicted earlier ones, because the clock was set.
     pub steps: u32,
-    /// The largest deviation of a script's start from its plan, by the robot's own clock.
+    /// The largest deviation of a script's start from its planned start, by the robot's own clock.
     #[serde(rename = "start_error_ms")]
     pub start_error: Option<Span>,
 }
@@ -40,22 +41,22 @@ pub struct ClockMeasured {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Follows {
-    /// It follows NTP: its timestamps were not shifted.
+    /// The robot's clock follows NTP, so the timestamps sent to it were not shifted.
     Ntp,
-    /// Messages to it were translated into its own time.
+    /// The scheduler measured the robot's clock and translated the times in its messages to it.
     Measured,
 }
 
-/// A drift in parts per million, with its bounds.
+/// A measured drift in parts per million, with its bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DriftMeasured {
-    /// The value with the most room to all bounds.
+    /// The most likely drift: the value with the largest distance from the bounds of all exchanges.
     #[serde(rename = "drift_ppm")]
     pub ppm: f64,
-    /// The true drift is at least this,
+    /// Lower bound on the true drift.
     #[serde(rename = "drift_least_ppm")]
     pub least: f64,
-    /// and at most this.
+    /// Upper bound on the true drift.
     #[serde(rename = "drift_most_ppm")]
     pub most: f64,
 }
@@ -69,7 +70,7 @@ impl DriftMeasured {
 }
 
 impl ClockMeasured {
-    /// `None` if neither exchanges nor shifts of timestamps give information about it.
+    /// Measures a clock; `None` if neither exchanges nor shifts of timestamps give information about it.
     pub(super) fn of(
         exchanges: &[Exchange],
         line: Option<&ClockLine>,
@@ -88,7 +89,7 @@ impl ClockMeasured {
             // A journal contains the shifts of timestamps, if any.
             (None, None) => (told.shift.filter(|shift| *shift != Span::ZERO)?, None),
         };
-        // The best rate for a short recording may be far from the true one, so the ends of the line are ignored here.
+        // In a short recording, the best rate may be far from the true rate, so the ends of the line are ignored here.
         let surely = samples.iter().map(|sample| sample.offset.abs() - sample.delay / 2 - resolution).max();
         let surely = surely.filter(|surely| *surely > Span::ZERO);
         let surely_off = surely.zip(best).map(|(surely, best)| surely.max(best.offset.abs()));
@@ -115,7 +116,7 @@ fn sample(exchange: &Exchange) -> ClockSample {
 /// Information about a robot's clock from the decisions of a mission.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Told {
-    /// The first shift of its timestamps, or zero if it received scripts and none of them was shifted.
+    /// The first shift of the timestamps in the robot's scripts; zero if none was shifted. `None` if the robot received no script.
     shift: Option<Span>,
     start_error: Option<Span>,
 }

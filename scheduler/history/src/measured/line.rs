@@ -8,37 +8,39 @@ use urrcp::{Server, Span, Timestamp};
 use crate::history::Exchange;
 use downbeat_mission::clock::resolution;
 
-/// Fastest drift that the search covers, as a fraction: beyond any real clock, and the maximum of a simulated one.
+/// Fastest drift that the search covers, as a fraction. It exceeds the drift of any real clock, and is the maximum for a simulated clock.
 const RATE_MAX: f64 = 0.1;
-/// With fewer exchanges, or exchanges over less time, a drift is indistinguishable from varying delays: none is assumed.
+/// Minimum number of exchanges, and minimum time that they cover, to measure a drift. With less data, a drift is indistinguishable from
+/// varying delays and is assumed to be zero.
 const EXCHANGES_FOR_DRIFT: usize = 20;
 const TIME_FOR_DRIFT: Span = Span::from_millis(1_000);
-/// Number of ternary-search steps: the remaining range moves a clock by less than a nanosecond in an hour.
+/// Number of steps of the ternary search. The remaining range of rates moves a clock by less than a nanosecond per hour.
 const CUTS: usize = 100;
 
 /// The offset of a robot's clock from the server's, as a line over time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ClockLine {
     origin: Timestamp<Server>,
-    /// Offset at the origin, in nanoseconds.
+    /// Offset of the clock at `origin`, in nanoseconds.
     offset: f64,
-    /// Drift as a fraction.
+    /// Drift of the clock as a fraction.
     pub(super) rate: f64,
-    /// The range of rates with which a line is possible; `None`: there was no search.
+    /// The range of rates for which a line fits between the bounds. `None`: no search took place.
     pub(super) rates: Option<(f64, f64)>,
-    /// Smallest distance between the two bounds, in nanoseconds: twice the minimum delay.
+    /// Smallest distance between the upper and the lower bounds, in nanoseconds: twice the minimum delay.
     gap: f64,
 }
 
-/// Bounds of the offset: upper ones from the trips to the robot, lower ones from the trips back; instants and offsets in nanoseconds.
+/// Bounds on the offset as pairs of instant and offset in nanoseconds. Messages to the robot give upper bounds, messages from it give
+/// lower bounds.
 struct Bounds {
     upper: Vec<(f64, f64)>,
     lower: Vec<(f64, f64)>,
 }
 
 impl ClockLine {
-    /// Fits the line with the most room to the bounds on both sides; this assumes equal minimum delays in both directions. `None`: no
-    /// line fits between them, because the clock was set or runs unevenly.
+    /// Fits the line with the largest distance from the bounds on both sides, assuming equal minimum delays in both directions. `None`:
+    /// no line fits between the bounds, because the clock was set or runs unevenly.
     pub(super) fn fit(exchanges: &[Exchange]) -> Option<Self> {
         let first = exchanges.first()?;
         let origin = first.sent;
@@ -58,24 +60,24 @@ impl ClockLine {
         (gap >= step).then_some(Self { origin, offset, rate, rates, gap: gap.max(0.0) })
     }
 
-    /// The robot's clock minus the server's at an instant, in nanoseconds.
+    /// The robot's clock minus the server's clock at an instant, in nanoseconds.
     fn at(&self, at: Timestamp<Server>) -> f64 {
         self.offset + self.rate * nanos(at - self.origin)
     }
 
-    /// The robot's clock minus the server's at an instant.
+    /// The robot's clock minus the server's clock at an instant.
     pub(super) fn offset_at(&self, at: Timestamp<Server>) -> Span {
         span(self.at(at))
     }
 
-    /// Travel times of a question and of its answer.
+    /// The one-way travel times of a question and of its answer.
     pub(super) fn ways(&self, exchange: &Exchange) -> [Span; 2] {
         let there = nanos(exchange.robot_received.assume_clock() - exchange.sent) - self.at(exchange.sent);
         let back = nanos(exchange.received - exchange.robot_sent.assume_clock()) + self.at(exchange.received);
         [there, back].map(|way| span(way.max(0.0)))
     }
 
-    /// Uncertainty of the offset, if the minimum delays of the two directions differ as much as possible.
+    /// Uncertainty of the offset: the error if the minimum delays of the two directions differ as much as possible.
     pub(super) fn uncertainty(&self) -> Span {
         span(self.gap / 2.0)
     }
@@ -102,12 +104,13 @@ impl Bounds {
         self.lower.iter().map(|(at, bound)| bound - rate * at).fold(f64::INFINITY.neg(), f64::max)
     }
 
-    /// Room for a line of this rate. It is concave in the rate: the minimum of some lines minus the maximum of others.
+    /// Distance between the upper and the lower bounds along a line with the given rate. It is concave in the rate, because it is the
+    /// minimum of lines minus the maximum of lines.
     fn gap(&self, rate: f64) -> f64 {
         self.least_upper(rate) - self.greatest_lower(rate)
     }
 
-    /// The rate with the most room.
+    /// The rate at which the distance between the bounds is largest.
     fn widest(&self) -> f64 {
         let (mut least, mut most) = (-RATE_MAX, RATE_MAX);
         for _ in 0..CUTS {
@@ -118,7 +121,7 @@ impl Bounds {
         f64::midpoint(least, most)
     }
 
-    /// The range of rates with any room.
+    /// The range of rates for which a line fits between the bounds.
     fn possible(&self, widest: f64) -> Option<(f64, f64)> {
         let end = |far: f64| {
             let (mut inside, mut outside) = (widest, far);

@@ -1,4 +1,4 @@
-//! Delays and losses of one robot's link, from its exchanges.
+//! Measures the delays and losses of a robot's link from its exchanges.
 
 use serde::Serialize;
 use urrcp::{Server, Span, Timestamp};
@@ -6,13 +6,13 @@ use urrcp::{Server, Span, Timestamp};
 use super::line::{ClockLine, counts_in};
 use crate::history::Exchange;
 
-/// A message that takes longer than the minimum by this was lost and retransmitted. The minimum retransmission timeout of Linux is 200
-/// ms, in addition to the round trip; a twentieth is subtracted for coarse timers.
+/// Delay beyond the minimum from which a message counts as lost and retransmitted. The minimum retransmission timeout of Linux is 200 ms
+/// in addition to the round trip; a twentieth is subtracted for coarse timers.
 const RESENT_AFTER: Span = Span::from_millis(190);
-/// Alternative threshold as a multiple of the median deviation, if that is longer: on a link with widely varying delays, the timeout is
-/// also longer (RFC 6298, section 2).
+/// Alternative to `RESENT_AFTER`, as a multiple of the median deviation; the larger of both applies. On a link with widely varying
+/// delays, the retransmission timeout is also longer (RFC 6298, section 2).
 const DEVIATIONS: i64 = 4;
-/// The delay of a message that is lost three times in a row (200 + 400 + 800 ms): from this delay, the link was interrupted.
+/// Additional delay from which the link counts as interrupted: that of a message that is lost three times in a row (200 + 400 + 800 ms).
 const INTERRUPTED: Span = Span::from_millis(1_400);
 
 /// The measured properties of a robot's link.
@@ -20,18 +20,18 @@ const INTERRUPTED: Span = Span::from_millis(1_400);
 pub struct LinkMeasured {
     /// How the two directions of an exchange were separated.
     pub method: Method,
-    /// Number of answered questions.
+    /// Number of questions that the robot answered.
     pub exchanges: usize,
-    /// Number of one-way delays behind the quantiles, without messages that were lost or queued behind a lost one.
+    /// Number of one-way delays that the quantiles are based on, without messages that were lost or queued behind a lost one.
     pub samples: usize,
     /// Quantiles of the one-way delay.
     #[serde(rename = "delay_ms")]
     pub delay: Quantiles,
-    /// The packet loss.
+    /// The packet loss of the link.
     pub loss: Loss,
-    /// Periods in which nothing passed while the connection persisted.
+    /// Periods in which no message passed although the connection persisted.
     pub interruptions: Vec<Interruption>,
-    /// Mean time between two interruptions: from the first question to the last answer, divided by their number.
+    /// Mean time between interruptions: the time from the first question to the last answer, divided by the number of interruptions.
     #[serde(rename = "interruption_every_ms")]
     pub interruption_every: Option<Span>,
 }
@@ -40,9 +40,10 @@ pub struct LinkMeasured {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// Each direction separately: the clocks differ by a line, and the minimum delays of both directions are assumed to be equal.
+    /// Each direction was measured separately. This assumes that the clock offset is a line over time, and that both directions have
+    /// equal minimum delays.
     EachWay,
-    /// Half of each round trip: the robot's clock was set, or its timestamps are too coarse.
+    /// Each delay is half of a round trip, because the robot's clock was set or its timestamps are too coarse.
     HalfRoundTrip,
 }
 
@@ -51,11 +52,11 @@ pub enum Method {
 pub struct Quantiles {
     /// The smallest delay.
     pub least: Span,
-    /// Median.
+    /// The median delay.
     pub p50: Span,
-    /// 90th percentile.
+    /// The 90th percentile of the delay.
     pub p90: Span,
-    /// 99th percentile.
+    /// The 99th percentile of the delay.
     pub p99: Span,
     /// The largest delay.
     pub largest: Span,
@@ -64,25 +65,26 @@ pub struct Quantiles {
 /// The packet loss of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Loss {
-    /// Packets that were delayed by a retransmission. Packets queued behind one are counted with it.
+    /// Number of lost packets, recognized by the delay of their retransmission. Packets queued behind a lost one are not counted
+    /// separately.
     pub lost: usize,
-    /// Packets that were evaluated.
+    /// Number of packets that were evaluated.
     pub packets: usize,
-    /// Their ratio, from 0 to 1.
+    /// `lost` divided by `packets`, from 0 to 1.
     pub share: f64,
-    /// If no packet was lost: the upper bound of the loss with 95 % confidence, by the rule of three.
+    /// Upper bound on the loss with 95 % confidence, by the rule of three. `None` if a packet was lost.
     pub below: Option<f64>,
-    /// Median of the additional delay of the lost packets.
+    /// Median additional delay of the lost packets; `None` if no packet was lost.
     #[serde(rename = "resent_after_ms")]
     pub resent_after: Option<Span>,
 }
 
-/// A period in which nothing passed.
+/// A period in which no message passed a link.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interruption {
-    /// When the first message was delayed.
+    /// Departure of the first message that was delayed.
     pub from: Timestamp<Server>,
-    /// Its duration.
+    /// The duration of the interruption.
     #[serde(rename = "lasted_ms")]
     pub lasted: Span,
 }
@@ -93,14 +95,14 @@ impl Interruption {
     }
 }
 
-/// Departure and travel time of a message, or of a question with its answer.
+/// Departure and travel time of a message, or departure and round trip of a question with its answer.
 #[derive(Clone, Copy)]
 struct Trip {
     sent: Timestamp<Server>,
     took: Span,
 }
 
-/// The trips in one direction, classified.
+/// The trips, classified as usual, lost or interrupted.
 #[derive(Default)]
 struct Sorted {
     usual: Vec<Span>,
@@ -109,7 +111,7 @@ struct Sorted {
 }
 
 impl LinkMeasured {
-    /// `None` if no question was answered.
+    /// Measures a link; `None` if no question was answered.
     pub(super) fn of(exchanges: &[Exchange], line: Option<&ClockLine>) -> Option<Self> {
         let trips: Vec<Span> = exchanges.iter().map(round_trip).collect();
         let coarse = counts_in(exchanges) * 4 > Quantiles::of(trips)?.p50;
@@ -160,7 +162,8 @@ fn each_way(exchanges: &[Exchange], line: &ClockLine) -> Vec<Vec<Trip>> {
 }
 
 impl Sorted {
-    /// Links keep the order: a message that departs while another one is delayed waits behind it and gives no information.
+    /// Classifies the trips in one direction. Links keep the order of messages, so a message that departs while another is delayed waits
+    /// behind it and gives no information.
     fn take(&mut self, mut lane: Vec<Trip>, limit: Span, usual: Span) {
         lane.sort_by_key(|trip| trip.sent);
         let mut held_until = None;
@@ -181,7 +184,7 @@ impl Sorted {
     }
 }
 
-/// Merges interruptions that both directions of a link show.
+/// Merges overlapping interruptions, which both directions of a link show.
 fn merged(mut held: Vec<Interruption>) -> Vec<Interruption> {
     held.sort_by_key(|one| one.from);
     let mut merged: Vec<Interruption> = Vec::new();
@@ -195,7 +198,7 @@ fn merged(mut held: Vec<Interruption>) -> Vec<Interruption> {
 }
 
 impl Quantiles {
-    /// Interpolates linearly between order statistics; `None` without values.
+    /// Computes quantiles, interpolated linearly between order statistics; `None` without values.
     fn of(mut sample: Vec<Span>) -> Option<Self> {
         sample.sort_unstable();
         let (least, largest) = (*sample.first()?, *sample.last()?);

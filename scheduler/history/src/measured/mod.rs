@@ -1,5 +1,5 @@
-//! The network, the clocks and the sensors of a recorded mission, as a world file needs them so that trials use the same network. Reads
-//! no files and prints nothing. `docs/measured.md` describes the methods and their limits.
+//! Measures the network, the clocks and the sensors of a recorded mission for a world file, so that trials can use the same network. This
+//! module reads no files and prints nothing. `docs/measured.md` describes the methods and their limits.
 
 mod clock;
 mod line;
@@ -21,23 +21,23 @@ pub use self::link::{Interruption, LinkMeasured, Loss, Method, Quantiles};
 pub use self::told::{Break, OperatorMeasured, SensorMeasured};
 pub use self::written::world_text;
 
-/// The measurements of a mission.
+/// The measurements of a recorded mission.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
-    /// The scenario's name, if it is known.
+    /// The scenario's name; `None` if it is not known.
     pub scenario: Option<String>,
     /// The first instant in the file.
     pub began: Timestamp<Server>,
     /// Time from the first to the last instant in the file.
     #[serde(rename = "duration_ms")]
     pub duration: Span,
-    /// The reason why the file is incomplete, if it is.
+    /// The reason why the file is incomplete; `None` if it is complete.
     pub cut_off: Option<String>,
-    /// Sorted by id.
+    /// The measurements of each robot, sorted by robot id.
     pub robots: Vec<RobotMeasured>,
-    /// Sorted by robot and device.
+    /// The measurements of each sensor, sorted by robot and device.
     pub sensors: Vec<SensorMeasured>,
-    /// The waits of acts for the operator.
+    /// How long acts waited for the operator.
     pub operator: OperatorMeasured,
     #[serde(skip)]
     source: HistorySource,
@@ -46,26 +46,26 @@ pub struct Measured {
 /// The measurements of a robot.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotMeasured {
-    /// Its id.
+    /// The id of the robot.
     pub robot: RobotId,
-    /// Its link; `None` if it answered no question.
+    /// The robot's link; `None` if the robot answered no question.
     pub link: Option<LinkMeasured>,
-    /// Connections that broke.
+    /// The connections to the robot that broke.
     pub breaks: Vec<Break>,
-    /// Its clock; `None` without information about it.
+    /// The robot's clock; `None` without information about it.
     pub clock: Option<ClockMeasured>,
 }
 
 /// Why a file contains no measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NothingMeasured {
-    /// A journal contains only decisions.
+    /// The file is a journal, which contains only decisions.
     #[error(
         "a journal contains no messages to measure delays and losses, and this one contains no clock offset; \
          record a mission with `downbeat run --record FILE`"
     )]
     Journal,
-    /// A recording without measurements.
+    /// The file is a recording that contains nothing to measure.
     #[error(
         "no robot answered a question in this recording, no sensor was read and no act waited for the operator, so nothing was \
          measured"
@@ -107,7 +107,7 @@ impl Measured {
     }
 }
 
-/// The first and the last instant of a file.
+/// The first and the last instant in the data of a file.
 fn bounds(history: &History) -> (Timestamp<Server>, Timestamp<Server>) {
     let records = history.records.iter().map(|(at, _)| *at);
     let written = records.chain(history.told.iter().map(|(at, _)| *at));

@@ -1,4 +1,4 @@
-//! Recordings with known true values: the measurements come close to them.
+//! Tests that measurements come close to the true values, which are known for the recordings used here.
 
 use fastrand::Rng;
 use urrcp::{Robot, Server, Span, Timestamp};
@@ -11,20 +11,20 @@ use urrcp::Command;
 
 const BEGAN: Timestamp<Server> = Timestamp::from_nanos(1_800_000_000_000_000_000);
 
-/// A robot that is queried repeatedly, and the true properties of its link and clock.
+/// The true properties of the link and the clock of a robot that is queried repeatedly.
 struct Truth {
     questions: i64,
     every: Span,
-    /// One-way delay in milliseconds.
+    /// The one-way delay to the robot in milliseconds; `back` is that from the robot.
     there: fn(&mut Rng) -> f64,
     back: fn(&mut Rng) -> f64,
     /// Probability that a packet is lost.
     loss: f64,
     offset: Span,
     drift_ppm: f64,
-    /// Start and duration of an interruption.
+    /// Start and duration of an interruption of the link, if any.
     held: Option<(Span, Span)>,
-    /// Resolution of its timestamps.
+    /// The resolution of the robot's timestamps.
     counts_in: Span,
 }
 
@@ -32,12 +32,12 @@ fn constant(_: &mut Rng) -> f64 {
     5.0
 }
 
-/// From 0.5 to 1.5 ms.
+/// Draws a delay from 0.5 to 1.5 ms.
 fn short(rng: &mut Rng) -> f64 {
     0.5 + rng.f64()
 }
 
-/// From 2 to 10 ms.
+/// Draws a delay from 2 to 10 ms.
 fn uniform(rng: &mut Rng) -> f64 {
     2.0 + 8.0 * rng.f64()
 }
@@ -66,7 +66,7 @@ impl Truth {
         Timestamp::from_nanos(shows.as_nanos().div_euclid(step) * step)
     }
 
-    /// When a message that departs now arrives; it keeps its order behind earlier messages.
+    /// When a message that is sent at `sent` arrives: not before earlier messages.
     fn arrives(
         &self,
         sent: Timestamp<Server>,
@@ -94,7 +94,7 @@ impl Truth {
             let sent = BEGAN + self.every * question;
             let took = (self.there)(&mut rng);
             let there = self.arrives(sent, took, &mut last_there, &mut rng);
-            // The robot's own processing time is no delay of the link. It answers in order.
+            // The robot's processing time does not count as a delay of the link. The robot answers in order.
             answered = answered.max(there + Span::from_millis_f64(30.0 * rng.f64()));
             let took = (self.back)(&mut rng);
             let received = self.arrives(answered, took, &mut last_back, &mut rng);
@@ -138,8 +138,8 @@ fn a_constant_delay_is_found_whatever_the_clock_shows() {
 }
 
 /// The standard error of a quantile at p of n samples is sqrt(p (1 - p) / n) / density, here 8 ms times that: 0.14 ms for the median of
-/// 800, 0.085 ms for the 90th percentile. The tolerance is four of them plus the error of the line: the minimum of 400 delays exceeds the
-/// true one by 8 ms / 400 = 0.02 ms on average.
+/// 800, 0.085 ms for the 90th percentile. The tolerance is four standard errors plus the error of the line: the minimum of 400 delays
+/// exceeds the true minimum by 8 ms / 400 = 0.02 ms on average.
 #[test]
 fn quantiles_of_each_way_are_those_of_one_way_and_not_of_half_a_round_trip() {
     for seed in 0..20 {
@@ -165,7 +165,7 @@ fn the_clock_of_a_robot_is_found_with_its_drift() {
         assert!((drift.ppm - drift_ppm).abs() < 1.0, "{drift:?}");
         assert!(drift.least <= drift_ppm && drift_ppm <= drift.most, "{drift:?}");
         let moved = drift_ppm.abs() * 1e-6 * 300_000.0;
-        // Minus the uncertainty of the exchange, which is at most 10 ms.
+        // The result is reduced by the uncertainty of the exchange, which is at most 10 ms.
         let most = if drift_ppm < 0.0 { 120.0 } else { 120.0 + moved };
         near(clock.surely_off.unwrap(), most - 5.0, 5.5);
     }
@@ -212,7 +212,7 @@ fn a_clock_that_is_set_leaves_half_of_each_round_trip() {
         exchange.robot_sent = exchange.robot_sent + Span::from_millis(500);
     }
     let robot = Measured::of(&history).unwrap().robots.remove(0);
-    // A line of 0.5 s over 100 s, which is 5,000 ppm, does not fit between bounds that are 10 ms apart.
+    // A line that rises by 0.5 s over 100 s (5,000 ppm) does not fit between bounds that are 10 ms apart.
     let link = robot.link.unwrap();
     assert_eq!(link.method, Method::HalfRoundTrip);
     near(link.delay.p50, 5.0, 1e-5);
@@ -264,14 +264,14 @@ fn few_exchanges_tell_no_drift() {
     near(clock.offset, 7.0, 4.0);
 }
 
-/// An act whose scripts have these offsets, in milliseconds.
+/// The record of an act whose scripts are shifted by `millis`, in milliseconds.
 fn shifted(millis: &[f64]) -> Record {
     let hash = Command::ReadSensor.content_hash();
     let shifted = |millis| PromisedScript { shift: Span::from_millis_f64(millis), ..script("s", hash) };
     prepared(0, millis.iter().copied().map(shifted).collect())
 }
 
-/// The decisions of the mission and its messages to the operator.
+/// Adds the decisions of a mission and its messages to the operator.
 fn told(history: &mut History) {
     let at = |ms| BEGAN + Span::from_millis(ms);
     history.records.push((at(0), shifted(&[120.0, 120.1])));
@@ -310,7 +310,7 @@ fn text(truth: &Truth) -> String {
     text_of(&truth.history(1), "show.mcap")
 }
 
-/// The world file, which is read back and checked.
+/// Writes the world file, reads it back, and checks it. Returns its text.
 #[track_caller]
 fn text_of(history: &History, file: &str) -> String {
     let text = world_text(&Measured::of(history).unwrap(), file);
@@ -414,7 +414,8 @@ fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_no
     );
 }
 
-/// As on one host: 5 s of fast exchanges, some of them delayed by the system. The best fit has a drift that does not exist.
+/// The recording covers 5 s of fast exchanges, as on one host, some of them delayed by the system. The best fit has a drift that does not
+/// exist.
 #[test]
 fn no_error_of_a_clock_is_claimed_because_of_the_drift_that_fits_a_short_recording_best() {
     let quick = |rng: &mut Rng| 0.02 + 0.1 / (rng.f64() + 0.07);

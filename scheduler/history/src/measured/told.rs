@@ -1,4 +1,4 @@
-//! The links, sensors and waits, from the messages to the operator.
+//! Measures connection breaks, sensor readings and waits from the messages to the operator.
 
 use downbeat_mission::Progress;
 use serde::Serialize;
@@ -6,13 +6,13 @@ use urrcp::{ControlType, RobotId, Server, Span, Timestamp};
 
 use crate::history::{History, KnownRobot};
 
-/// The text with which an act announces that it waits for the operator.
+/// The text in the message of an act that waits for the operator.
 const OPERATOR: &str = "the operator's go";
 
-/// A connection that broke.
+/// A connection to a robot that broke.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Break {
-    /// Time since the beginning of the mission.
+    /// When the connection broke, as the time since the start of the mission.
     #[serde(rename = "at_ms")]
     pub at: Span,
     /// Time until the robot returned on a new connection, or until the end of the file.
@@ -25,23 +25,23 @@ pub struct Break {
 /// The readings of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SensorMeasured {
-    /// The sensor's robot.
+    /// The id of the robot that has the sensor.
     pub robot: String,
     /// The id of the sensor's device.
     pub sensor: String,
-    /// Number of readings.
+    /// Number of all readings, including repeated ones.
     pub readings: usize,
-    /// The readings that differ from the previous one, with their times since the beginning of the mission; in milliseconds in JSON.
+    /// The readings that differ from the previous reading, each with the time since the start of the mission (milliseconds in JSON).
     pub values: Vec<(Span, f64)>,
 }
 
 /// How long acts waited for the operator's go.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct OperatorMeasured {
-    /// Waits that ended with a go.
+    /// The durations of the waits that ended with a go.
     #[serde(rename = "waits_ms")]
     pub waits: Vec<Span>,
-    /// Waits without a go.
+    /// Number of waits that ended without a go.
     pub unanswered: usize,
 }
 
@@ -66,7 +66,7 @@ pub(super) fn breaks(
     breaks
 }
 
-/// The readings of pure sensors: the reading of a device that moves is its position.
+/// The readings of devices that only sense. The reading of a device that moves is its position and is left out.
 pub(super) fn sensors(robot: &KnownRobot, began: Timestamp<Server>) -> Vec<SensorMeasured> {
     let moves = |device: &str| {
         let described = robot.init.as_ref().and_then(|init| init.device(device));
@@ -78,7 +78,7 @@ pub(super) fn sensors(robot: &KnownRobot, began: Timestamp<Server>) -> Vec<Senso
     let measured = |(device, values): (&String, &Vec<(Timestamp<Server>, f64)>)| {
         let mut changes: Vec<(Span, f64)> = values.iter().map(|(at, value)| (*at - began, *value)).collect();
         changes.dedup_by(|(_, value), (_, before)| value == before);
-        // The file has a resolution of microseconds: of several readings within one, the first is used.
+        // The file has a resolution of one microsecond. Of several readings within one microsecond, the first is used.
         changes.dedup_by_key(|(at, _)| at.as_nanos() / 1_000);
         SensorMeasured {
             robot: robot.id.to_string(),

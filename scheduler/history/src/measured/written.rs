@@ -1,4 +1,4 @@
-//! The measurements as a world file, with comments on how they were measured. The same recording gives the same bytes.
+//! Writes measurements as a world file, with comments on how they were measured. The same recording always gives the same bytes.
 
 use downbeat_import::scalar;
 use downbeat_scripts::{counted, written};
@@ -10,12 +10,12 @@ use super::told::{Break, OperatorMeasured, SensorMeasured};
 use super::{Measured, RobotMeasured};
 use crate::history::HistorySource;
 
-/// With fewer samples, a percentile hardly differs from the largest value.
+/// Minimum number of samples to state the 99th percentile. With fewer samples, it hardly differs from the largest value.
 const SAMPLES_FOR_P99: usize = 100;
-/// Number of readings per line.
+/// Number of sensor readings per line of the file.
 const READINGS_ON_A_LINE: usize = 4;
 
-/// The world file with the measurements of the file of this name.
+/// Creates the text of a world file from measurements. `file` is the name of the measured file.
 #[must_use]
 pub fn world_text(measured: &Measured, file: &str) -> String {
     let mut text = head(measured, file);
@@ -30,7 +30,7 @@ pub fn world_text(measured: &Measured, file: &str) -> String {
     text
 }
 
-/// Lines under a key, if there are any.
+/// Appends `entries` under `key`, if any entry contains more than comments.
 fn section(text: &mut String, key: &str, entries: impl Iterator<Item = String>) {
     let entries: String = entries.collect();
     let says_something = entries.lines().any(|line| !line.trim_start().starts_with('#'));
@@ -214,7 +214,7 @@ fn incidents(robot: &RobotMeasured) -> Vec<String> {
     robot.breaks.iter().map(incident).collect()
 }
 
-/// A single time, or a range.
+/// Formats a range of times, or a single time if both ends are equal.
 fn from_to(least: Span, most: Span) -> String {
     if micros(least) == micros(most) {
         micros(least)
@@ -223,13 +223,13 @@ fn from_to(least: Span, most: Span) -> String {
     }
 }
 
-/// Rounds to microseconds, the resolution of robots' timestamps.
+/// Formats a time, rounded to microseconds, the resolution of robots' timestamps.
 fn micros(span: Span) -> String {
     let half = if span < Span::ZERO { -500 } else { 500 };
     written(Span::from_micros((span.as_nanos() + half) / 1_000))
 }
 
-/// Formats with three significant digits.
+/// Formats a share as a percentage with three significant digits.
 fn percent(share: f64) -> String {
     let percent = share * 100.0;
     let digits = (0..6).find(|digits| percent * 10f64.powi(*digits) >= 100.0).unwrap_or(6);

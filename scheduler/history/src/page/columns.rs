@@ -1,34 +1,35 @@
-//! Numbers in the page's format: bytes after the JSON, compact if numbers are decimal and change little.
+//! Encodes columns of numbers for the page, as bytes after the JSON. The encoding is compact if the numbers have few decimals and change
+//! little.
 
 use std::collections::HashMap;
 
 use serde::Serialize;
 
-/// Integers up to this limit are exact in a 64-bit float.
+/// Limit up to which a 64-bit float represents integers exactly.
 const EXACT_MAX: f64 = 9_007_199_254_740_992.0;
-/// More decimals than any device has.
+/// Maximum number of decimals, which is more than any device needs.
 const DECIMALS_MAX: u8 = 9;
 
 /// The location and format of a column's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Column {
-    /// Offset of its first byte.
+    /// Offset of the column's first byte.
     at: usize,
-    /// Number of numbers.
+    /// Number of entries.
     n: usize,
-    /// Numbers are integers divided by 10 to the power of this, stored as differences from the prediction; `None`: 64-bit floats,
-    /// little-endian.
+    /// Number of decimals. Each number is stored as an integer, the number times 10 to the power of `decimals`, minus its prediction.
+    /// `None`: numbers are stored as little-endian 64-bit floats.
     decimals: Option<u8>,
     order: Order,
 }
 
-/// How the next integer is predicted.
+/// How an integer of a column is predicted from earlier ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "u8")]
 pub(super) enum Order {
-    /// As the previous integer.
+    /// The prediction is the previous integer.
     Level,
-    /// As the previous integer plus its difference from the one before.
+    /// The prediction is the previous integer plus its difference from the one before.
     Trend,
 }
 
@@ -41,7 +42,7 @@ impl From<Order> for u8 {
     }
 }
 
-/// Values over time.
+/// The location of values over time: a column of times and a column of values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Series {
     t: Column,
@@ -74,7 +75,7 @@ impl FromIterator<(f64, f64)> for Points {
     }
 }
 
-/// The bytes of all columns. Equal columns are stored once: robots that dance in unison play the same steps.
+/// The bytes of all columns. Equal columns are stored once, because robots that move in unison play the same steps.
 #[derive(Debug, Default)]
 pub(super) struct Columns {
     bytes: Vec<u8>,
@@ -110,15 +111,15 @@ fn power(decimals: u8) -> f64 {
     10.0_f64.powi(i32::from(decimals))
 }
 
-/// The scaled integer for a number, if dividing it reproduces the number exactly.
+/// The number times 10 to the power of `decimals` as an integer; `None` if the division does not reproduce the number exactly.
 fn scaled(number: f64, decimals: u8) -> Option<i64> {
     let integer = (number * power(decimals)).round();
     let integer = Some(integer).filter(|integer| integer.abs() < EXACT_MAX)? as i64;
-    // No integer is minus zero.
+    // The bits are compared because no integer represents minus zero.
     ((integer as f64 / power(decimals)).to_bits() == number.to_bits()).then_some(integer)
 }
 
-/// The minimum number of decimals with which all numbers are exact.
+/// The minimum number of decimals with which all numbers are exact; `None` if no number of decimals suffices.
 fn decimals(numbers: &[f64]) -> Option<u8> {
     let mut decimals = 0;
     for number in numbers {
@@ -141,7 +142,7 @@ fn differences(numbers: &[f64], decimals: u8, order: Order) -> Vec<u8> {
     bytes
 }
 
-/// A zigzag LEB128 varint.
+/// Appends a number as a zigzag LEB128 varint.
 fn put(bytes: &mut Vec<u8>, difference: i64) {
     let mut rest = ((difference << 1) ^ (difference >> 63)).cast_unsigned();
     while rest >= 0x80 {
@@ -156,7 +157,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Reads a column as the page does.
+    /// Decodes a column in the same way as the page.
     fn read(columns: &Columns, column: Column) -> Vec<f64> {
         let bytes = &columns.bytes()[column.at..];
         let Some(decimals) = column.decimals else {

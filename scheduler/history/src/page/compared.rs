@@ -1,5 +1,5 @@
-//! The comparison that a page shows in the background, and the differences in words. It compares with another plan, with its curves and
-//! cues as ghosts, or with another mission that was played, with the values that its robots were sent.
+//! The comparison on a page: the other side in the background, and the differences in words. The other side is a plan with its curves and
+//! cues, or a mission that was played with the values that were sent to its robots.
 
 use downbeat_scripts::{Act, Choreography};
 use urrcp::Span;
@@ -13,14 +13,14 @@ use crate::compare::text::{Entry, entries};
 use crate::compare::{PlanDifferences, RunDifferences};
 use crate::history::History;
 
-/// The plan that a page is compared with.
+/// The plan that a page of a dry run is compared with.
 #[derive(Debug)]
 pub struct OtherPlan<'a> {
-    /// The name of its file.
+    /// The name of the file that contains the other plan or mission.
     pub name: String,
-    /// The result of compilation.
+    /// The compiled plan.
     pub choreography: &'a Choreography,
-    /// The differences, from it to the plan of the page.
+    /// The differences, with this plan as the first and the plan of the page as the second.
     pub found: &'a PlanDifferences,
 }
 
@@ -61,7 +61,7 @@ fn ghost((plan, act): (usize, &Act), before: &Act, places: &Places, columns: &mu
     Ghost { plan, cues: cues.collect(), lanes }
 }
 
-/// The lanes that differ: equal ones would be hidden behind the others.
+/// The lanes that differ from the page's own lanes. Equal lanes would be hidden behind those.
 fn others(own: &[Lane], mut lanes: Vec<Lane>) -> Vec<Lane> {
     let key = |lane: &Lane| (lane.robot, lane.device, lane.value);
     lanes.retain(|lane| {
@@ -75,14 +75,14 @@ fn others(own: &[Lane], mut lanes: Vec<Lane>) -> Vec<Lane> {
     lanes
 }
 
-/// The mission that the page of another one is compared with.
+/// The mission that a page of another mission is compared with.
 #[derive(Debug)]
 pub struct OtherRun<'a> {
-    /// The name of its file.
+    /// The name of the file that contains the other plan or mission.
     pub name: String,
-    /// Its preserved data.
+    /// The data of the mission.
     pub history: &'a History,
-    /// The differences, from it to the mission of the page.
+    /// The differences, with this mission as the first and the mission of the page as the second.
     pub found: &'a RunDifferences,
 }
 
@@ -93,7 +93,7 @@ pub(super) fn compared_runs(
 ) -> Compared {
     let (history, mission) = own;
     let places = history.places();
-    // The same repetition of the act of this name.
+    // Finds the repetition number `time` of the act `name`.
     let playing = |name: &str, time: usize| {
         let mut plans = mission.plans.iter().enumerate().filter(|(_, plan)| plan.name == name);
         plans.nth(time.saturating_sub(1)).map(|(index, _)| index)

@@ -1,4 +1,4 @@
-//! The page's data format: `viewer/src/mission.ts` is the counterpart of these types, and a test of the viewer compares both.
+//! The page's data format. `viewer/src/mission.ts` is the counterpart of these types, and a test of the viewer compares both.
 
 use downbeat_scripts::WrittenRelation;
 use serde::Serialize;
@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::columns::Series;
 use crate::history::Fate;
 
-/// The version of this format.
+/// The version of the page's data format.
 pub(super) const VERSION: u32 = 1;
 
 #[derive(Debug, Serialize)]
@@ -15,10 +15,10 @@ pub(super) struct Mission {
     pub(super) version: u32,
     pub(super) program: &'static str,
     pub(super) kind: Kind,
-    /// The reason why the file of the mission is incomplete, if it is.
+    /// The reason why the file of the mission is incomplete; `None` if it is complete.
     pub(super) cut_off: Option<String>,
     pub(super) scenario: String,
-    /// The instant at 0 ms.
+    /// The instant that corresponds to 0 ms on the page.
     pub(super) epoch: String,
     pub(super) from: f64,
     pub(super) to: f64,
@@ -34,15 +34,15 @@ pub(super) struct Mission {
     pub(super) set: Vec<DeviceSeries>,
     pub(super) read: Vec<DeviceSeries>,
     pub(super) clocks: Vec<Clock>,
-    /// The comparison, if requested.
+    /// The comparison with another plan or mission, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) compared: Option<Compared>,
 }
 
-/// Another plan or mission that this one is compared with.
+/// The plan or mission that the page's own plan or mission is compared with.
 #[derive(Debug, Serialize)]
 pub(super) struct Compared {
-    /// Its file.
+    /// The name of the file that contains the other plan or mission.
     pub(super) with: String,
     pub(super) differences: Vec<Difference>,
     pub(super) ghosts: Vec<Ghost>,
@@ -51,9 +51,9 @@ pub(super) struct Compared {
 /// A difference in words.
 #[derive(Debug, Serialize)]
 pub(super) struct Difference {
-    /// The plan of the act; `None` if only the other has the act, or the difference concerns no act.
+    /// Index of the act's plan on the page. `None` if only the other side has the act, or the difference concerns no act.
     pub(super) plan: Option<usize>,
-    /// Milliseconds from the act's start.
+    /// Time in milliseconds from the act's start; `None` if the difference has no time.
     pub(super) at: Option<f64>,
     pub(super) robot: Option<usize>,
     pub(super) device: Option<usize>,
@@ -61,18 +61,18 @@ pub(super) struct Difference {
     pub(super) text: String,
 }
 
-/// The content of the other plan for an act of this plan.
+/// The content of the other side for an act of the page's own side.
 #[derive(Debug, Serialize)]
 pub(super) struct Ghost {
     pub(super) plan: usize,
-    /// Cues of this plan that have other times in the other plan.
+    /// Cues of the page's own plan that have different times in the other plan.
     pub(super) cues: Vec<GhostCue>,
     pub(super) lanes: Vec<Lane>,
 }
 
 #[derive(Debug, Serialize)]
 pub(super) struct GhostCue {
-    /// Index into the cues of the plan.
+    /// Index of the cue in the page's own plan.
     pub(super) cue: usize,
     pub(super) start: f64,
     pub(super) end: f64,
@@ -128,7 +128,7 @@ pub(super) struct Body {
     pub(super) joints: Vec<Joint>,
 }
 
-/// `offset + scale * value of the device`; without a device always `offset`.
+/// A coordinate: `offset + scale * value of the device`. Without a device it is always `offset`.
 #[derive(Debug, Serialize)]
 pub(super) struct Coordinate {
     pub(super) device: Option<usize>,
@@ -172,7 +172,7 @@ pub(super) struct Cue {
     pub(super) start: f64,
     pub(super) end: f64,
     pub(super) slack: f64,
-    /// Whether it is on the critical path, which determines when the act ends.
+    /// Whether the cue is on the critical path, which determines when the act ends.
     pub(super) critical: bool,
     pub(super) robots: Vec<usize>,
     pub(super) source: usize,
@@ -186,7 +186,7 @@ pub(super) struct Lane {
     pub(super) robot: usize,
     pub(super) device: usize,
     pub(super) control: String,
-    /// Index of the value within a step, from 0.
+    /// Index of the lane's value within a step, from 0.
     pub(super) value: usize,
     pub(super) worst_error: f64,
     pub(super) worst_at: f64,
@@ -219,7 +219,7 @@ pub(super) struct Played {
     pub(super) no_return: Option<f64>,
     pub(super) lease: Option<f64>,
     pub(super) fate: Fate,
-    /// When it was over, or a stop of everything began.
+    /// When the act was over, or a stop of all robots began.
     pub(super) over: Option<f64>,
     pub(super) robots: Vec<PlayedRobot>,
 }

@@ -1,4 +1,4 @@
-//! The events of a mission in words: from the messages to the operator, or from the journal if those are not known.
+//! Describes the events of a mission in words: from the messages to the operator or, without those, from the journal.
 
 use downbeat_mission::report::ActFate;
 use downbeat_mission::{Progress, Record};
@@ -9,7 +9,7 @@ use super::planned::Places;
 use super::played::{Epoch, Told};
 use crate::history::Happened;
 
-/// The events of a mission, from the messages to the operator.
+/// Describes the events of a mission from the messages to the operator.
 pub(super) fn of_told(told: &[Told], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
     of_happened(told.iter().map(|(at, told)| (*at, Happened::Told(told))), places, epoch)
 }
@@ -30,10 +30,10 @@ pub(super) fn of_happened<'a>(
     happened.filter_map(event).collect()
 }
 
-/// The kind of an event, its robot, and its text.
+/// The kind of an event, the robot that it concerns, and its text.
 type Event<'a> = (&'static str, Option<&'a RobotId>, String);
 
-/// `None` for frequent events that the page shows elsewhere.
+/// Describes a message to the operator; `None` for frequent messages that the page shows elsewhere.
 fn told(progress: &Progress) -> Option<Event<'_>> {
     let of_mission = |kind, text: String| Some((kind, None, text));
     match progress {
@@ -87,7 +87,7 @@ fn told(progress: &Progress) -> Option<Event<'_>> {
     }
 }
 
-/// `None` for records that the page does not show.
+/// Describes a record of the journal; `None` for records that the page does not show.
 fn recorded(record: &Record) -> Option<Event<'_>> {
     let of_mission = |kind, text: String| Some((kind, None, text));
     let named = |number: u32| format!("act {}", number + 1);

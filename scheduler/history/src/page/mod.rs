@@ -1,5 +1,5 @@
-//! A mission, or trials of one, as a page for a browser: one file, which needs neither a network nor this program. `viewer/` contains the
-//! code of the page, this module its data.
+//! Creates a page for a browser from a mission or from trials: one file that needs neither a network nor this program. `viewer/` contains
+//! the code of the page; this module creates its data.
 
 mod columns;
 mod compared;
@@ -34,11 +34,11 @@ pub use self::compared::{OtherPlan, OtherRun};
 pub use self::played::Told;
 pub use self::written::{OtherScenario, Written};
 
-/// The page without a mission.
+/// The page without data.
 const TEMPLATE: &str = include_str!("page.html");
-/// The program and its version.
+/// The name and version of the program that wrote the page.
 const PROGRAM: &str = concat!("downbeat ", env!("CARGO_PKG_VERSION"));
-/// Placeholder for the mission.
+/// Placeholder in the template for the page's data.
 const PLACE: &str = "@@MISSION@@";
 
 /// The data of a dry run for a page.
@@ -46,32 +46,32 @@ const PLACE: &str = "@@MISSION@@";
 pub struct Rehearsed<'a> {
     /// The choreography that was played.
     pub choreography: &'a Choreography,
-    /// Its source locations.
+    /// The source locations of the choreography.
     pub outline: &'a Outline,
-    /// Its robots and their bodies.
+    /// The robots of the choreography and their bodies.
     pub fleet: &'a Fleet,
-    /// The findings in its files.
+    /// The findings in the files of the choreography.
     pub findings: &'a [Finding],
-    /// The result, with the values that each robot set.
+    /// The result of the dry run, with the values that each robot set.
     pub played: &'a dry_run::Played,
-    /// The messages to the operator.
+    /// The messages to the operator with their times.
     pub told: &'a [Told],
 }
 
 /// Creates the page of a dry run. The same mission gives the same bytes.
 ///
 /// # Errors
-/// JSON cannot be written, which does not happen unless memory runs out.
+/// An error if the JSON cannot be written, which happens only if memory runs out.
 pub fn of_dry_run(rehearsed: &Rehearsed<'_>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mission = rehearsed.mission(&mut columns);
     page(&mission, &columns)
 }
 
-/// Creates the page of a dry run in comparison with another plan, which it shows in the background.
+/// Creates the page of a dry run that is compared with another plan. The page shows the other plan in the background.
 ///
 /// # Errors
-/// As for [`of_dry_run`].
+/// The same errors as [`of_dry_run`].
 pub fn of_difference(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mut mission = rehearsed.mission(&mut columns);
@@ -79,20 +79,20 @@ pub fn of_difference(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>) -> io::Re
     page(&mission, &columns)
 }
 
-/// Creates the page of a mission that was played, with the cues and bodies of its scenario if that is given.
+/// Creates the page of a mission that was played. If its scenario is given, the page shows the cues and bodies.
 ///
 /// # Errors
-/// As for [`of_dry_run`].
+/// The same errors as [`of_dry_run`].
 pub fn of_history(history: &History, written: Option<&Written<'_>>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mission = history.mission(written, &mut columns);
     page(&mission, &columns)
 }
 
-/// Creates the page of a mission that was played in comparison with another one, which it shows in the background.
+/// Creates the page of a mission that is compared with another mission. The page shows the other mission in the background.
 ///
 /// # Errors
-/// As for [`of_dry_run`].
+/// The same errors as [`of_dry_run`].
 pub fn of_run_difference(history: &History, other: &OtherRun<'_>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mut mission = history.mission(None, &mut columns);
@@ -100,11 +100,11 @@ pub fn of_run_difference(history: &History, other: &OtherRun<'_>) -> io::Result<
     page(&mission, &columns)
 }
 
-/// Creates the page of trials. `replay` is the command that plays one of them again, as words without `--trial K`. The same results give
-/// the same bytes.
+/// Creates the page of trials. `replay` contains the words of the command that replays a trial, without `--trial K`. The same results
+/// give the same bytes.
 ///
 /// # Errors
-/// As for [`of_dry_run`].
+/// The same errors as [`of_dry_run`].
 pub fn of_trials(results: &Results, replay: &[String]) -> io::Result<String> {
     page(&Tried::of(results, replay), &Columns::default())
 }
@@ -146,12 +146,12 @@ impl Rehearsed<'_> {
     }
 }
 
-/// Writes a page atomically: if that fails, the previous content is preserved.
+/// Writes a page to a file atomically: if writing fails, the previous content of the file is preserved.
 ///
 /// # Errors
-/// The file cannot be written.
+/// An error if the file cannot be written.
 pub fn save(path: &Path, page: &str) -> io::Result<()> {
-    // Resolves a link to write its target instead; a pipe or a device is written directly.
+    // Resolves a symbolic link, so that its target is replaced. A pipe or a device is written directly.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
     if path.exists() && !path.is_file() || ["/dev", "/proc"].iter().any(|system| path.starts_with(system)) {
         return fs::write(&path, page);
@@ -165,7 +165,7 @@ pub fn save(path: &Path, page: &str) -> io::Result<()> {
     written
 }
 
-/// Writes a new file with the permissions of the one that it will replace.
+/// Writes the new file `part` with the permissions of the file `replaced`, which it will replace.
 fn write_new(part: &Path, page: &str, replaced: &Path) -> io::Result<()> {
     let mut file = fs::File::create_new(part)?;
     if let Ok(known) = fs::metadata(replaced) {
@@ -175,8 +175,8 @@ fn write_new(part: &Path, page: &str, replaced: &Path) -> io::Result<()> {
     file.sync_all()
 }
 
-/// Inserts the mission or the trials into the template. Base64 of gzip of the JSON's length, the JSON and the columns: no name can escape
-/// from it.
+/// Inserts the data into the template: the length of the JSON, the JSON and the columns, compressed with gzip and encoded in Base64. So
+/// no name in the data can break the page.
 fn page(mission: &impl Serialize, columns: &Columns) -> io::Result<String> {
     let json = serde_json::to_vec(mission)?;
     let length =

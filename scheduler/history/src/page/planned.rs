@@ -1,4 +1,4 @@
-//! The plan: robots, groups, and every act with its cues and steps.
+//! Converts a plan for the page: robots, groups, and acts with their cues and steps.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,7 @@ use super::document::{
 };
 use downbeat_show::waits;
 
-/// The indices of robots and devices in the document.
+/// The indices of robots and devices in the page's data.
 #[derive(Debug, Default)]
 pub(super) struct Places {
     robots: HashMap<RobotId, usize>,
@@ -102,7 +102,7 @@ fn driven_lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> V
     lanes
 }
 
-/// Rounds to a tenth of a millimetre, which is small compared with the error of the path.
+/// Rounds metres to a tenth of a millimetre, which is small compared with the error of the path.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
@@ -161,7 +161,7 @@ fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
     Body { x, y, z, yaw, shape, joints }
 }
 
-/// The end of the last link, as a fixed joint.
+/// Represents the end of the last link as a fixed joint.
 fn tip(xyz: [f64; 3], radius: f64) -> Joint {
     let value = Coordinate { device: None, scale: 0.0, offset: 0.0 };
     let (rpy, axis) = ([0.0; 3], [0.0, 0.0, 1.0]);
@@ -186,7 +186,7 @@ pub(super) fn plans(
     choreography.acts.iter().map(|act| plan_of(act, outline, places, columns)).collect()
 }
 
-/// Finds the cues of an act by its name, because not all acts of the file need to be played.
+/// Converts an act for the page. Finds the act's cues by its name, because not all acts of the file need to be played.
 pub(super) fn plan_of(act: &scripts::Act, outline: &Outline, places: &Places, columns: &mut Columns) -> Plan {
     let written = outline.acts.iter().find(|written| written.name == act.name);
     plan(act, written.map_or(&[], |written| &written.cues), places, columns)
@@ -238,7 +238,7 @@ pub(super) fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) 
                 let of_device = |lane: &&mut Lane| {
                     lane.robot == robot && lane.device == device && lane.control == control
                 };
-                // The lanes of a robot are adjacent and at the end.
+                // The lanes of the current robot are adjacent and at the end of the list.
                 match lanes.iter_mut().rev().take_while(|lane| lane.robot == robot).find(of_device) {
                     Some(lane) => lane.scripts.push(script),
                     None => lanes.push(Lane {
@@ -265,7 +265,8 @@ fn named(control: ControlType, value: usize) -> String {
     }
 }
 
-/// The steps of each of their values, with the control type of the first step that has the value.
+/// The steps of a script as points, separately for each index of a value within a step. The control type is that of the first step with
+/// that index.
 fn values_of(script: &urrcp::Script) -> Vec<(ControlType, Points)> {
     let mut all: Vec<(ControlType, Points)> = Vec::new();
     for step in script.steps() {

@@ -1,4 +1,4 @@
-//! The course of a mission: acts, messages to the operator, and values that robots set.
+//! Converts the course of a mission for the page: acts, messages to the operator, and values that robots set.
 
 use std::collections::BTreeMap;
 
@@ -17,12 +17,12 @@ use downbeat_rehearsal::dry_run::{self, act_of};
 /// A message to the operator with its time.
 pub type Told = (Timestamp<Server>, Progress);
 
-/// The instant that is time zero of the page.
+/// The instant that corresponds to 0 ms on the page.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Epoch(pub(super) Timestamp<Server>);
 
 impl Epoch {
-    /// Milliseconds since the epoch.
+    /// Converts an instant to milliseconds since the epoch.
     pub(super) fn millis(self, at: Timestamp<Server>) -> f64 {
         (at - self.0).as_millis_f64()
     }
@@ -62,7 +62,7 @@ pub(super) fn acts(
     acts
 }
 
-/// When an act was decided and committed, and the instants that were reported with that.
+/// When an act was decided and committed, and the instants that the messages about this reported.
 #[derive(Debug, Default)]
 pub(super) struct Phases {
     pub(super) decided: Option<Timestamp<Server>>,
@@ -112,13 +112,13 @@ fn robots(
     act.robots.iter().filter_map(robot).collect()
 }
 
-/// When the first script of a robot really started, by the true clock.
+/// When the first script of a robot in an act really started, by the true clock.
 fn started(number: u32, log: &[LogEntry]) -> Option<Timestamp<Server>> {
     let of_act = |entry: &&LogEntry| entry.request_id.as_deref().and_then(act_of) == Some(number);
     Some(Timestamp::from_nanos(log.iter().find(of_act)?.true_ns))
 }
 
-/// When the operator was informed that a robot had ended all its scripts of an act.
+/// When the operator was informed that a robot had ended all its scripts in an act; `None` if that did not happen.
 pub(super) fn finished(told: &[Told], robot: &RobotId, number: u32) -> Option<Timestamp<Server>> {
     let of_robot = |told: &Progress| matches!(told, Progress::Finished { robot: of, number: act } if of == robot && *act == number);
     told.iter().find(|(_, told)| of_robot(told)).map(|(at, _)| *at)
@@ -156,7 +156,7 @@ pub(super) fn set(
     all
 }
 
-/// Readings that the scenario requested, at the times of the requests.
+/// The sensor readings that the scenario requested, at the times of the requests.
 pub(super) fn read(
     report: &Report,
     places: &Places,
@@ -183,7 +183,7 @@ pub(super) fn read(
     series.collect()
 }
 
-/// The final knowledge of the clocks, which applies to the whole mission.
+/// The clock measurements at the end of the mission, which the page shows for the whole mission.
 pub(super) fn clocks(
     report: &Report,
     places: &Places,

@@ -1,4 +1,4 @@
-//! A mission that was played, from its journal or its recording.
+//! Converts a mission that was played for the page, from its journal or its recording.
 
 use std::collections::BTreeMap;
 
@@ -65,12 +65,12 @@ impl History {
         }
     }
 
-    /// The robots and devices, according to the robots' descriptions.
+    /// The indices of robots and devices, according to the robots' descriptions.
     pub(super) fn places(&self) -> Places {
         self.described().0
     }
 
-    /// The scripts that were sent in each act, for the robots and devices of another mission.
+    /// The scripts that were sent in each act, with the robot and device indices of another mission.
     pub(super) fn plans_among(&self, places: &Places, columns: &mut Columns) -> Vec<Plan> {
         let epoch = self.epoch();
         let sent: Vec<Sent> = self.promises().map(|(_, promise)| Sent::of(promise)).collect();
@@ -79,7 +79,7 @@ impl History {
         self.plans(None, &sent, &acts, (places, columns))
     }
 
-    /// The robots, according to their descriptions.
+    /// The indices of robots and devices, and the robots themselves, according to the robots' descriptions.
     fn described(&self) -> (Places, Vec<Robot>) {
         let described: Vec<Described> = self.robots.iter().map(Described::of).collect();
         let mut places = Places::default();
@@ -121,7 +121,7 @@ impl History {
         let report = self.report_of(number);
         let name = self.name_of(act.promise);
         let phases = Phases::of(&self.told, &name, start);
-        // The commitment is recorded before it is made, so its actual time takes precedence if it is known.
+        // The commitment is recorded before it is made, so the actual time takes precedence if it is known.
         let committed = if self.told.is_empty() { self.recorded(committed) } else { phases.committed };
         let over = over(self.happened(), &name, number, timestamp);
         let robots = robots(act, report, &self.told, (places, epoch));
@@ -143,24 +143,24 @@ impl History {
         }
     }
 
-    /// When the first record of this kind was written.
+    /// When the first record that satisfies `is` was written.
     fn recorded(&self, is: impl Fn(&Record) -> bool) -> Option<Timestamp<Server>> {
         self.records.iter().find(|(_, record)| is(record)).map(|(at, _)| *at)
     }
 
-    /// The report of the act of this number.
+    /// The report of the act with the given number; `None` if the act has not ended.
     fn report_of(&self, number: u32) -> Option<&ActReport> {
         self.ended_acts().map(|act| act.report).rfind(|report| report.number == number)
     }
 
-    /// The name of an act: from its report or, without one, from the progress that was reported to the operator.
+    /// The name of an act: from its report or, without a report, from the messages to the operator.
     pub(super) fn name_of(&self, promise: &Promise) -> String {
         let name = self.report_of(promise.number).map(|report| report.act.as_str());
         let name = name.or_else(|| self.told_name(promise.timestamp));
         name.map_or_else(|| format!("act {}", promise.number + 1), str::to_owned)
     }
 
-    /// The name of the act with this sending timestamp, by the progress that was reported to the operator.
+    /// The name of the act with the sending timestamp `sent`, from the messages to the operator.
     pub(crate) fn told_name(&self, sent: Timestamp<Server>) -> Option<&str> {
         self.told.iter().find_map(|(_, told)| match told {
             Progress::Preparing { act, timestamp, .. } if *timestamp == sent => Some(act.as_str()),
@@ -201,7 +201,7 @@ impl History {
         all
     }
 
-    /// An exchange leaves an uncertainty of half of its round trip.
+    /// The measured clock offsets. The uncertainty of a measurement is half of its round trip.
     fn clocks(&self, places: &Places, epoch: Epoch, columns: &mut Columns) -> Vec<Clock> {
         let known = self.robots.iter().filter(|robot| !robot.clock.is_empty());
         let clock = |robot: &KnownRobot| {
@@ -217,12 +217,12 @@ impl History {
     }
 }
 
-/// An act that was sent.
+/// An act of a past mission that was sent to robots.
 struct Sent<'a> {
     promise: &'a Promise,
     duration: Span,
     robots: Vec<RobotId>,
-    /// The time added for the clock of each robot.
+    /// The time that was added to timestamps for each robot's clock.
     shifts: BTreeMap<RobotId, Span>,
 }
 
@@ -241,7 +241,7 @@ impl<'a> Sent<'a> {
     }
 }
 
-/// A robot with its described devices, and further ones that were driven.
+/// A robot with its described devices, and with further devices that were driven.
 struct Described {
     id: RobotId,
     devices: Vec<(DeviceId, Device)>,

@@ -1,5 +1,5 @@
-//! The page of trials with their combined results. Single trials become a histogram, so that the page of 100,000 is as small as the page
-//! of a hundred. `viewer/src/trials.ts` is the counterpart of these types.
+//! The page of trials with their combined results. Single trials are combined in a histogram, so that the page of 100,000 trials is as
+//! small as that of a hundred. `viewer/src/trials.ts` is the counterpart of these types.
 
 use serde::Serialize;
 use urrcp::{RobotId, Span};
@@ -8,9 +8,9 @@ use super::document::{Kind, VERSION};
 use downbeat_mission::requirements::Judged;
 use downbeat_rehearsal::trials::{ActResult, LeadResult, Quantiles, Reason, Results, RobotResult, Share};
 
-/// Maximum number of columns of a histogram, not counting the one for all larger values.
+/// Maximum number of columns of a histogram, not counting the column for all larger values.
 const COLUMNS_MAX: i64 = 60;
-/// A histogram ends at this multiple of the 99 % quantile, so that a few outliers do not squeeze all others into one column.
+/// Multiple of the 99 % quantile at which a histogram ends, so that a few outliers do not squeeze all other values into one column.
 const P99S_SHOWN: i64 = 3;
 
 #[derive(Debug, Serialize)]
@@ -21,9 +21,9 @@ pub(super) struct Tried<'a> {
     scenario: &'a str,
     world: &'a str,
     trials: usize,
-    /// As text, because JSON numbers in a browser have fewer than 64 bits.
+    /// The seed as text, because browsers read JSON numbers with fewer than 64 bits.
     seed: String,
-    /// The command that plays one of the trials again, without `--trial K`.
+    /// The words of the command that replays a trial, without `--trial K`.
     replay: &'a [String],
     starts: Share,
     finishes: Share,
@@ -41,13 +41,14 @@ pub(super) struct Tried<'a> {
     requirements: &'a [Judged],
 }
 
-/// The number of spreads in each of several intervals of equal width from 0, which include their lower and exclude their upper bound.
+/// A histogram of spreads: the number of values in each of several intervals of equal width, starting at 0. Each interval includes its
+/// lower bound and excludes its upper bound.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 struct Histogram {
     #[serde(rename = "width_ms")]
     width: Span,
     counts: Vec<usize>,
-    /// Number of trials beyond the last interval.
+    /// Number of spreads beyond the last interval.
     beyond: usize,
 }
 
@@ -100,7 +101,8 @@ impl Histogram {
     }
 }
 
-/// The smallest of 1, 2 and 5 times a power of 10 nanoseconds with which columns up to `end` do not exceed the maximum.
+/// The width of a column in nanoseconds: the smallest of 1, 2 and 5 times a power of 10 with which [`COLUMNS_MAX`] columns suffice up to
+/// `end`.
 fn width(end: i64) -> i64 {
     let powers = std::iter::successors(Some(1_i64), |power| power.checked_mul(10));
     let widths = powers.flat_map(|power| [1, 2, 5].map(|factor| power.saturating_mul(factor)));

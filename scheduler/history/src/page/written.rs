@@ -1,4 +1,4 @@
-//! The scenario of a mission that was played, if it is given: it contains the cues, lines and bodies, which no recording contains.
+//! The scenario of a mission that was played. It contains the cues, lines and bodies, which recordings lack.
 
 use std::collections::HashSet;
 
@@ -14,17 +14,17 @@ use crate::history::History;
 /// A compiled scenario and its files.
 #[derive(Clone, Copy, Debug)]
 pub struct Written<'a> {
-    /// The result of compilation.
+    /// The compiled choreography.
     pub choreography: &'a Choreography,
-    /// Its source locations.
+    /// The source locations of the choreography.
     pub outline: &'a Outline,
-    /// Its robots and their bodies.
+    /// The robots of the choreography and their bodies.
     pub fleet: &'a Fleet,
-    /// The findings in its files.
+    /// The findings in the files of the choreography.
     pub findings: &'a [Finding],
 }
 
-/// The scenario is not the one that was played.
+/// The error that a scenario is not the one that was played.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "the scenario is not the one that was played: the script of `{robot}/{device}` differs in every act; it may have changed since, or was \
@@ -36,11 +36,11 @@ pub struct OtherScenario {
 }
 
 impl Written<'_> {
-    /// Checks that every promised script belongs to this scenario, by its content hash. The approach act is exempt, because no scenario
+    /// Checks by content hash that every promised script belongs to this scenario. The approach act is exempt, because no scenario
     /// contains it.
     ///
     /// # Errors
-    /// [`OtherScenario`] names the first script of an act that does not.
+    /// [`OtherScenario`] names the first script of an act that does not belong to this scenario.
     pub fn check(&self, history: &History) -> Result<(), OtherScenario> {
         let approached = |promise: &Promise| Approach::may_be_named(&history.name_of(promise));
         let mut promises = history.promises().map(|(_, promise)| promise);
@@ -56,7 +56,7 @@ impl Written<'_> {
         })
     }
 
-    /// The act whose scripts were promised.
+    /// The act of this scenario whose scripts were promised; `None` if no act matches.
     fn act(&self, promise: &Promise) -> Option<&Act> {
         let promised = promised(promise);
         self.choreography.acts.iter().find(|act| {
@@ -70,7 +70,7 @@ impl Written<'_> {
     }
 }
 
-/// Robot, device and content hash.
+/// A script, identified by its robot, its device and its content hash.
 type Script = (RobotId, DeviceId, ContentHash);
 
 fn scripts(act: &Act) -> impl Iterator<Item = Script> + '_ {

@@ -1,5 +1,5 @@
-//! From the decision to the start: rounds of questions make all leases end just before the start, and the commitment extends all of them
-//! beyond it.
+//! An act from its decision to its start: rounds of questions make all leases end just before the start, and the commitment extends all
+//! of them beyond it.
 //!
 //! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler stops sending: its earlier messages
 //! let no robot start. A moment later, one message lets any robot start. The scheduler sends it, the commitment, once every robot has
@@ -17,7 +17,7 @@ use crate::record::Record;
 use crate::robot_state::RobotState;
 use crate::{Outcome, Progress};
 
-/// How long before the last instant for the commitment a failure is noted, so that the others can still be committed.
+/// A failure is noted this long before the last instant for the commitment, so that the other robots can still be committed.
 const FAIL_AHEAD: Span = Span::from_millis(5);
 
 /// State of the commitment record.
@@ -28,36 +28,36 @@ enum OnDisk {
     Commitment,
 }
 
-/// A decided act before its commitment.
+/// The approach of a decided act to its start, before its commitment.
 #[derive(Clone, Debug)]
 pub(crate) struct Approach {
-    /// The next round; after the critical instant, the time at which the act is given up.
+    /// The time of the next round; after the critical instant, the time at which the mission gives up the act.
     wakeup: Timestamp<Server>,
     /// Sending times of the last two rounds, the newer one last.
     rounds: [Timestamp<Server>; 2],
     on_disk: OnDisk,
-    /// The members before this place have answered one of the last two rounds.
+    /// The members before this index have answered one of the last two rounds.
     heard: usize,
     /// The time at which the robots were asked again after the critical instant, because this process had stalled during the last rounds.
     late_round: Option<Timestamp<Server>>,
-    /// The time at which this process took over from the one that decided.
+    /// The time at which this process took over the act from the process that decided it; `None` if this process decided it.
     taken_up: Option<Timestamp<Server>>,
 }
 
-/// A committed act that has not started on all robots.
+/// The commitment of an act that has not started on all robots.
 #[derive(Clone, Debug)]
 pub(crate) struct Commitment {
     next_round: Timestamp<Server>,
     since: Timestamp<Server>,
     /// The instant by which the last robot has started.
     begun: Timestamp<Server>,
-    /// The next instant at which a robot may have played a script and have room for more.
+    /// The next instant at which a robot may have played a script, and its device may have room for another one.
     room: Timestamp<Server>,
-    /// The members before this place have answered since the commitment.
+    /// The members before this index have answered since the commitment.
     heard: usize,
     told: Told,
-    /// The time of the check for missing answers, as late as a withdrawal permits. `None` if the others start in any case, or after the
-    /// check.
+    /// The time at which the mission checks for missing answers to the commitment, as late as a withdrawal permits. `None` if the others
+    /// start in any case, or after the check.
     doubt: Option<Timestamp<Server>>,
 }
 
@@ -69,7 +69,7 @@ enum Told {
 }
 
 impl Approach {
-    /// The approach of a new decision. The first round is sent at once.
+    /// The approach after a new decision. The first round is sent at once.
     pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
         let (rounds, on_disk) = ([now, now], OnDisk::Nothing);
         Self { wakeup: now, rounds, on_disk, heard: 0, late_round: None, taken_up: None }
@@ -87,8 +87,8 @@ impl Approach {
         in_time && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
     }
 
-    /// The time since which a question must have been asked that every robot has to answer: one of the last two rounds, but none before
-    /// the limit that was printed for silence.
+    /// Every robot must have answered a question that was sent at this time or later: one of the last two rounds, but none before the
+    /// limit that was printed for silence.
     fn since(&self, timing: &Timing) -> Timestamp<Server> {
         self.rounds[0].max(timing.doubtful_from())
     }
@@ -107,13 +107,13 @@ impl Approach {
             && timing.lets_through(now)
     }
 
-    /// Whether the robots are asked again at this instant.
+    /// Whether the robots are asked again, after a stall of this process, at the instant `now`.
     pub(super) fn asks_late(&self, now: Timestamp<Server>) -> bool {
         self.late_round == Some(now)
     }
 
-    /// Whether this process took over the act after the last instant at which it may ask robots, so that no robot can answer. It would
-    /// send nothing until the commitment is too late, and the leases of acts that play would end.
+    /// Whether this process took over the act after the last instant at which it may ask robots, so that no robot can answer. This
+    /// process would send nothing until the commitment is too late, and the leases of acts that play would end.
     fn was_taken_up_too_late(&self, timing: &Timing) -> bool {
         self.on_disk == OnDisk::Nothing && self.taken_up.is_some_and(|at| at >= timing.critical())
     }
@@ -126,8 +126,8 @@ impl Approach {
         timing.commit_by(self.rounds[1])
     }
 
-    /// Robots that have not answered by this instant have failed. It leaves enough time for the others: for the record and the commitment
-    /// itself.
+    /// The instant by which robots must have answered; others have failed. It leaves enough time to commit the other robots: for the
+    /// record and the commitment itself.
     fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
         let latest = self.commit_by(timing) - FAIL_AHEAD;
         let latest = timing.speak_by(self.rounds[1]).map_or(latest, |by| latest.min(by));
@@ -158,7 +158,7 @@ impl Commitment {
 }
 
 impl Act {
-    /// Performs a round of questions, the record of the commitment, or the commitment itself.
+    /// Performs the next step of the approach that is due: a round of questions, the record of the commitment, or the commitment itself.
     pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if self.present().next().is_none() {
             self.stage = Stage::Deserted;
@@ -199,7 +199,7 @@ impl Act {
         actions
     }
 
-    /// Whether one more round is needed and possible after the critical instant, because this process stalled during the last ones.
+    /// Whether one more round is needed and possible after the critical instant, because this process stalled during the last rounds.
     fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
         let since = approach.since(timing);
@@ -237,14 +237,16 @@ impl Act {
             (approach.since(timing), approach.commit_by(timing), approach.fail_by(timing));
         let held_up = approach.was_held_up(timing).then(|| timing.critical());
         approach.wakeup = fail_by;
-        // A member that has answered remains so while nothing new is asked. Each event checks from the first that has not.
+        // A member that has answered counts as such until a new question is asked. Each event checks only from the first member that has
+        // not answered.
         let holds =
             |member: &super::Member| !member.takes_part() || member.holds_since(&robots[member.robot], since);
         let heard = self.members[approach.heard..].iter().take_while(|member| holds(member)).count();
         approach.heard += heard;
         let all = approach.heard == self.members.len();
         let on_disk = approach.on_disk;
-        // If it is too late, robots may have lost their scripts. A process that takes over the act must not find it committed.
+        // If the commitment is too late, robots may have lost their scripts. A process that takes over the act must not find it
+        // committed.
         if all && on_disk == OnDisk::Nothing && now <= commit_by {
             approach.on_disk = OnDisk::Asked;
             return vec![ActAction::Record(Record::Committed { number: self.number })];
@@ -304,7 +306,7 @@ impl Act {
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
-    /// Keeps the leases beyond the start, and detects whether the commitment has reached every robot.
+    /// Keeps the leases extended beyond the start, and detects whether the commitment has reached every robot.
     pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let doubtful = self.doubtful(now, robots);
         if !doubtful.is_empty() {
@@ -336,7 +338,7 @@ impl Act {
         let actions = self.look_for_ends(now, robots);
         let next = self.next_watch(now, robots);
         if let Stage::Committed(commitment) = &mut self.stage {
-            // Also in the quiet around the start: a later script is refused as late.
+            // Scripts are also sent in the quiet around the start, because a robot would refuse a later one as late.
             commitment.room = next;
         }
         actions
@@ -382,7 +384,7 @@ impl Act {
     }
 }
 
-/// Whether a robot has answered a question that was sent at `since` or later. True for a robot that never answers any.
+/// Whether a robot has answered a question that was sent at `since` or later. Also true for a robot that has never answered a question.
 fn has_answered(robot: &RobotState, since: Timestamp<Server>) -> bool {
     robot.questions.answered().is_none_or(|at| at >= since)
 }

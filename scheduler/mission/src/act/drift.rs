@@ -1,4 +1,4 @@
-//! Clocks that drift while an act plays: later scripts are corrected when they are sent, and the act is judged at its end.
+//! Handles clocks that drift while an act plays: later scripts are corrected when they are sent, and the act is judged at its end.
 
 use urrcp::{Server, Span, Timestamp};
 
@@ -9,11 +9,12 @@ use crate::robot_state::RobotState;
 use crate::script::ScriptRef;
 use crate::{ClockMode, Record};
 
-/// A clock that has changed by more was set: a drift of 50 ppm would take more than five hours.
+/// The maximum change of a clock that counts as drift. A clock that has changed by more was set: a drift of 50 ppm would take more than
+/// five hours.
 const DRIFT_MAX: Span = Span::from_millis(1_000);
 
 impl Act {
-    /// Corrects the start of a later script for the drift of its robot's clock since the act was promised. `offset_at` is the time
+    /// Corrects the start of a later script for the drift of its robot's clock since the act was promised. `offset_at` returns the time
     /// by which that clock is ahead of the server's.
     pub(crate) fn translate(
         &mut self,
@@ -46,15 +47,15 @@ impl Act {
         member.change(script.script, |script| {
             script.translate(shift);
             if lost {
-                // Its robot may have it with another offset.
+                // The robot may have the script with another offset.
                 script.lose_shift();
             }
         });
         (shift != member.shift && !lost).then_some(Record::Translated { request_id, shift })
     }
 
-    /// How far apart, or off the plan, the robots that played it to its end certainly were because of clock drift. A robot whose clock
-    /// was set meanwhile is not judged, because its plan may not follow that clock.
+    /// How far apart, or off the plan, the robots that played the act to its end certainly were because of clock drift. A robot whose
+    /// clock was set meanwhile is not judged, because its plan may not follow that clock.
     pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
         let start = self.timing.as_ref()?.start;
         let deviation = |member: &Member| {
@@ -95,8 +96,8 @@ struct Deviation {
     by_plan: bool,
 }
 
-/// The largest time by which two of these robots were certainly apart. The robots are sorted by their ends, between which the clock of
-/// this machine may have drifted at `rate`. Its drift does not affect robots whose plans follow that clock.
+/// The largest time by which two of these robots were certainly apart. The robots are sorted by their ends. Between these ends, the clock
+/// of this machine may have drifted at `rate`. That drift does not affect robots whose plans follow that clock.
 fn apart<'a>(all: impl Iterator<Item = &'a Deviation>, rate: f64) -> Option<Span> {
     let mut all = all.peekable();
     let first = all.peek()?.end;

@@ -9,8 +9,8 @@ use crate::robot_state::RobotState;
 use crate::script::{Script, ScriptRef};
 
 impl Act {
-    /// The instant at which another process that may still run a script lost by the robot comes to rest. `None` if no process can run the
-    /// script, `Some(None)` if it may run forever.
+    /// The instant at which another process comes to rest that may still run a script that the robot has lost. `None` if no process can
+    /// run the script, `Some(None)` if it may run forever.
     pub(crate) fn runs_elsewhere(
         &self,
         script: ScriptRef,

@@ -8,7 +8,7 @@ use crate::robot_state::RobotState;
 use crate::script::Script;
 
 impl Act {
-    /// Panics if a statement about the act does not hold.
+    /// Panics if an invariant of the act does not hold.
     pub(crate) fn check(&self, robots: &[RobotState]) {
         self.check_members(robots);
         self.check_stage();

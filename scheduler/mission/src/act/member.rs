@@ -9,7 +9,7 @@ use crate::ClockMode;
 use crate::robot_state::{RobotState, Standing};
 use crate::script::{Script, ScriptState};
 
-/// The limit of a committed script lies this long after its start, so that it never drops a script that may begin.
+/// The limit `pending_until` of a committed script lies this long after its start, so that the robot never drops a script that may begin.
 const BEYOND_START: Span = Span::from_millis(1_000);
 
 /// Whether a robot still takes part in an act.
@@ -19,37 +19,37 @@ pub(crate) enum Part {
     Dropped,
 }
 
-/// A robot of an act.
+/// A robot with a part in an act.
 #[derive(Clone, Debug)]
 pub(crate) struct Member {
-    /// Its index in the mission.
+    /// Index of the robot in the mission.
     pub(crate) robot: usize,
     pub(super) part: Part,
     /// The offset added to the act's timestamp to convert it to the robot's clock.
     pub(super) shift: Span,
-    /// The number of times that its robot's clock had been set when the act was sent; `None` if another process sent it.
+    /// The number of times that the robot's clock had been set when the act was sent; `None` if another process sent it.
     pub(super) clock_steps: Option<u32>,
     scripts: Vec<Script>,
-    /// One for each device, in the order of their scripts.
+    /// One chain of scripts for each device, in the order of the scripts.
     pub(super) chains: Vec<Chain>,
-    /// The last time at which it was asked for overdue reports.
+    /// The last time at which the robot was asked for overdue reports.
     pub(super) asked: Option<Timestamp<Server>>,
-    /// The first time at which it was asked for its newest overdue report.
+    /// The first time at which the robot was asked for its newest overdue report.
     pub(super) asked_since: Option<Timestamp<Server>>,
 }
 
-/// Key of the requests in one question: requests whose lease the question does not shorten come last, the others in order of their start
-/// after the start of the act.
+/// Sort key of a group of requests in one question. Requests whose lease the question does not shorten come last. The others come in
+/// order of their start after the start of the act.
 type Group = (bool, Option<Span>);
 
-/// Progress of the scripts of one device, which are contiguous and in order of time. An event inspects only those under way, not all past
-/// and future ones.
+/// Progress of the scripts of one device. The scripts are contiguous and in order of time. An event inspects only the scripts under way,
+/// not all past and future ones.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chain {
     pub(super) first: usize,
-    /// The scripts before this one have completed.
+    /// The scripts before this index have completed.
     pub(super) completed: usize,
-    /// The scripts from this one on were never sent.
+    /// The scripts from this index on were never sent.
     pub(super) unsent: usize,
     pub(super) end: usize,
 }
@@ -87,8 +87,8 @@ impl Member {
         self.scripts[script].name(id);
     }
 
-    /// Takes over an id that another process gave, which may have sent the script with this offset. The record of another offset for a
-    /// later script may be lost if the clock of the robot is measured.
+    /// Takes over the id that another process gave to a script. That process may have sent the script with this offset. The record of
+    /// another offset for a later script may be lost if the robot's clock is measured.
     pub(super) fn taken_up(&mut self, script: usize, id: RequestId, (shift, clock): (Span, ClockMode)) {
         let follows = self.before(script).is_some();
         if !follows {
@@ -110,7 +110,7 @@ impl Member {
         self.chains.iter().flat_map(of_chain).map(|index| (index, &self.scripts[index]))
     }
 
-    /// For each device: its scripts that have not completed, in order of time.
+    /// For each device: the scripts that have not completed, in order of time.
     pub(crate) fn chains(&self) -> impl Iterator<Item = impl Iterator<Item = (usize, &Script)>> {
         self.chains
             .iter()
@@ -139,8 +139,8 @@ impl Member {
         self.unaccepted(timing).next().is_none()
     }
 
-    /// Scripts that it must still accept before the decision. A later script of a device that got room too late to be asked about again
-    /// may be answered later.
+    /// The scripts that the robot must still accept before the decision. A later script of a device that got room too late to be asked
+    /// about again may be answered later.
     pub(super) fn unaccepted(&self, timing: &Timing) -> impl Iterator<Item = (usize, &Script)> {
         let late = timing.ask_again();
         let follows = move |script: &Script| script.is_out() && !script.was_sent_since(late);
@@ -152,12 +152,12 @@ impl Member {
         self.chains.iter().all(|chain| chain.completed == chain.end)
     }
 
-    /// Whether no script of it remains to be sent or can still run.
+    /// Whether no script of this member remains to be sent or can still run.
     pub(super) fn is_over(&self) -> bool {
         self.under_way().all(|(_, script)| !script.is_out() && !script.is_planned())
     }
 
-    /// Its scripts on a device, in order of time.
+    /// The member's scripts on a device, in order of time.
     pub(crate) fn on<'a>(&'a self, device: &'a DeviceId) -> impl Iterator<Item = (usize, &'a Script)> {
         self.scripts.iter().enumerate().filter(move |(_, script)| script.plan.device == *device)
     }
@@ -167,13 +167,13 @@ impl Member {
         self.chains.iter().map(|chain| &self.scripts[chain.first])
     }
 
-    /// The previous script on its device. The scripts of one device are contiguous, in order of time.
+    /// The previous script on the device of this script. The scripts of one device are contiguous, in order of time.
     pub(super) fn before(&self, script: usize) -> Option<&Script> {
         let before = self.scripts.get(script.checked_sub(1)?)?;
         (before.plan.device == self.scripts[script].plan.device).then_some(before)
     }
 
-    /// Whether its device has accepted the first script of its chain, or another process may have sent the whole chain.
+    /// Whether the script's device has accepted the first script of its chain, or another process may have sent the whole chain.
     pub(super) fn may_follow(&self, script: usize) -> bool {
         let chain = self.chains.iter().find(|chain| (chain.first..chain.end).contains(&script));
         let first = chain.map(|chain| &self.scripts[chain.first]);
@@ -181,7 +181,8 @@ impl Member {
         self.before(script).is_none() || taken_up || first.is_some_and(Script::was_accepted)
     }
 
-    /// The maximum number of questions per round on the way to the start: one for each instant at which one of its devices begins.
+    /// The maximum number of questions to the robot per round of the approach: one for each instant at which a device of the robot
+    /// begins.
     pub(crate) fn questions(&self) -> usize {
         let mut begins: Vec<Span> = self.firsts().map(|script| script.plan.start.span()).collect();
         begins.sort_unstable();
@@ -189,7 +190,7 @@ impl Member {
         begins.len()
     }
 
-    /// Whether further scripts of its device wait to be sent after this one.
+    /// Whether this script is the first of its device, and further scripts of the device wait to be sent.
     pub(super) fn waits_for(&self, script: usize) -> bool {
         self.chains.iter().any(|chain| chain.first == script && chain.unsent < chain.end)
     }
@@ -211,13 +212,14 @@ impl Member {
         (timing.brink() + offset + ahead).assume_clock()
     }
 
-    /// The same instant for a committed act: after the start of the script.
+    /// Like `brink_of`, but for a committed act: the robot may wait for the start of the script until this instant, which is after that
+    /// start.
     pub(super) fn beyond_start(&self, script: usize, timing: &Timing) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
         (timing.start + offset + self.shift_of(&self.scripts[script]) + BEYOND_START).assume_clock()
     }
 
-    /// The requests that the robot may have, grouped by the lease that an inquiry gives them.
+    /// The requests that the robot may have, grouped by the lease that an inquiry gives to the requests.
     pub(super) fn names(
         &self,
         timing: &Timing,
@@ -280,9 +282,9 @@ impl Member {
         pending.into_iter().chain(self.scripts[script].shortest_lease()).min()
     }
 
-    /// Whether it has confirmed that it holds the first script of every device, in answer to a question sent at `since` or later. The
-    /// following scripts cannot begin without them, and may be sent until their turn. For a robot that takes no inquiries, answers to
-    /// other questions are required, if it ever gave one.
+    /// Whether the robot has confirmed that it holds the first script of every device, in answer to a question sent at `since` or later.
+    /// The following scripts cannot begin without these, and may be sent until shortly before they begin. For a robot that takes no
+    /// inquiries, answers to other questions are required, if it ever gave one.
     pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
         let answered = robot.questions.answered();
         if !robot.is_up() || !self.firsts().all(Script::was_accepted) {
@@ -296,12 +298,12 @@ impl Member {
     }
 }
 
-/// The members of an act: its robots that take part in the mission.
+/// The members of an act: the robots of the act that take part in the mission.
 pub(crate) fn members(plan: &downbeat_plan::Plan, robots: &[RobotState]) -> Vec<Member> {
     members_among(plan, robots, |robot| robot.standing == Standing::In)
 }
 
-/// The members of an act: its robots for which `has_part` holds.
+/// The members of an act: the robots of the act for which `has_part` holds.
 pub(super) fn members_among(
     plan: &downbeat_plan::Plan,
     robots: &[RobotState],

@@ -1,7 +1,7 @@
 //! One act as a state machine: it waits, is prepared, decided, committed, plays and is over.
 //!
-//! It receives events and returns actions. It sends nothing itself, and only events change its state. Each stage has a file. It reads
-//! the mission's state of the robots.
+//! An act receives events and returns actions. It sends nothing itself, and only events change its state. Each stage has a file. An act
+//! reads the states of the robots from the mission.
 
 mod approaching;
 mod drift;
@@ -39,34 +39,35 @@ pub(crate) use timing::Timing;
 /// Stage of an act.
 #[derive(Clone, Debug)]
 enum Stage {
-    /// Its condition does not hold yet.
+    /// The act's condition does not hold yet.
     Waiting(waiting::Waiting),
-    /// It may be sent as soon as it fits.
+    /// The act may be sent as soon as its time has come and the devices have room for it.
     Ready {
         /// The intended start: the end of the previous act, or the time that the act waits for.
         target: Option<Timestamp<Server>>,
-        /// Next check whether the act fits; `None`: at the next change.
+        /// The time of the next check whether the act can be sent; `None`: check at the next change.
         look: Option<Timestamp<Server>>,
     },
     /// The promise is being written; requests are sent once it is on disk.
     Promised,
     /// Requests are sent; the decision is pending.
     Preparing(preparing::Preparing),
-    /// All have accepted; the leases are shortened towards the start, and the commitment is pending.
+    /// All robots have accepted; the leases are shortened towards the start, and the commitment is pending.
     Approaching(Approach),
     /// The leases extend beyond the start.
     Committed(Commitment),
     /// The start has passed.
     Playing(playing::Playing),
-    /// It will not be committed, and another act still plays. Its robots drop it. Once the other act has ended, this one is withdrawn.
+    /// The act will not be committed, and another act still plays. The robots drop the lapsing act. Once the other act has ended, this
+    /// one is withdrawn.
     Lapsing(Outcome),
-    /// No robot was left to play it before its commitment.
+    /// No robot was left to play the act before its commitment.
     Deserted,
-    /// All has ended.
+    /// All scripts of the act have ended.
     Over,
 }
 
-/// Stage of an act without its data.
+/// Stage of an act, without the data of the stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Progressed {
     Waiting,
@@ -86,7 +87,7 @@ pub(crate) enum Progressed {
 pub(crate) enum ActAction {
     /// Read a sensor.
     Read { robot: usize, sensor: DeviceId, what: Reading },
-    /// It has waited for too long; the mission goes this way instead.
+    /// The act has waited for too long. The mission continues with this [`Way`] instead.
     TimedOut(Way),
     /// Send the request of this script.
     Send(ScriptRef),
@@ -107,20 +108,20 @@ pub(crate) enum ActAction {
 /// Requests about which a robot is asked in one question.
 #[derive(Clone, Debug)]
 pub(crate) struct NamedScripts {
-    /// The pending lease that the question gives them, if it is shorter than their own.
+    /// The pending lease that the question gives to the requests, if it is shorter than their own leases.
     pub(crate) lease: Option<Span>,
     /// The latest end of the lease, by the robot's own clock, however late the question arrives.
     pub(crate) until: Option<Timestamp<Robot>>,
     pub(crate) requests: Vec<RequestId>,
 }
 
-/// The effect of a question on the pending limits of the requests that it names.
+/// The effect of a question on the pending limits of the requests that the question names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Question {
     Asks,
-    /// The act approaches its start: the limits end at its brink.
+    /// The act approaches its start: the question makes the limits end at the act's brink.
     Shortens,
-    /// The act is committed: the limits reach beyond its start.
+    /// The act is committed: the question extends the limits beyond the act's start.
     Extends,
 }
 
@@ -134,7 +135,7 @@ pub(crate) struct Act {
     follow: Way,
     /// How often the act was withdrawn and prepared again.
     attempts: u32,
-    /// The start that must be kept: the operator's, or that of the earlier attempts.
+    /// The start that must be kept: the start that the operator fixed, or that of earlier attempts.
     fixed: Option<Timestamp<Server>>,
     since: Timestamp<Server>,
     /// The planned end of the previous act, if that was still playing when this one began to wait.
@@ -145,11 +146,11 @@ pub(crate) struct Act {
     links_tried: Option<Timestamp<Server>>,
     timing: Option<Timing>,
     members: Vec<Member>,
-    /// For each robot of the mission, by its index: its place in `members`. The vector ends at the last member.
+    /// For each robot of the mission, by its index: its index in `members`. The vector ends at the last member.
     place: Vec<Option<usize>>,
     readings_asked: usize,
     readings: Vec<TakenReading>,
-    /// The devices whose motions are verified once the act is committed.
+    /// The devices whose motions sensors verify once the act is committed.
     watched: Vec<Watched>,
 }
 
@@ -205,12 +206,12 @@ impl Act {
         act_name(&self.choreography, self.index)
     }
 
-    /// The way that the mission takes after this act.
+    /// How the mission continues after this act.
     pub(crate) const fn follow(&self) -> Way {
         self.follow
     }
 
-    /// The time since which it is the next act.
+    /// The time since which this act is the next one.
     pub(crate) const fn since(&self) -> Timestamp<Server> {
         self.since
     }
@@ -237,7 +238,7 @@ impl Act {
         self.stage = Stage::Ready { target: self.fixed, look: None };
     }
 
-    /// Fixes its start. A start that would be too late is refused.
+    /// Fixes the act's start. A start that would be too late is refused.
     pub(crate) const fn starts_at(&mut self, at: Timestamp<Server>) {
         self.fixed = Some(at);
     }
@@ -273,17 +274,17 @@ impl Act {
         self.members.iter().filter(|member| member.takes_part())
     }
 
-    /// A robot's part in the act, whether it still takes part or not.
+    /// The member for a robot, whether the robot still takes part or not.
     pub(crate) fn member(&self, robot: usize) -> Option<&Member> {
         self.place_of_member(robot).map(|place| &self.members[place])
     }
 
-    /// The place of a robot that still takes part.
+    /// The index in `members` of a robot that still takes part.
     pub(crate) fn place_of(&self, robot: usize) -> Option<usize> {
         self.place_of_member(robot).filter(|place| self.members[*place].takes_part())
     }
 
-    /// The place of a robot, whether it still takes part or not.
+    /// The index in `members` of a robot, whether it still takes part or not.
     fn place_of_member(&self, robot: usize) -> Option<usize> {
         self.place.get(robot).copied().flatten()
     }
@@ -297,7 +298,7 @@ impl Act {
         self.members[script.member].robot
     }
 
-    /// Whether its requests may be sent, because its promise is on disk.
+    /// Whether the act's requests may be sent, because its promise is on disk.
     pub(crate) const fn is_open(&self) -> bool {
         matches!(
             self.stage,
@@ -310,8 +311,8 @@ impl Act {
         self.timing.is_some()
     }
 
-    /// Whether a script may be sent, considering the earlier scripts on its device. Its lease relies on the first one. If that one is
-    /// lost on the way, the script would begin without it and without the other robots.
+    /// Whether a script may be sent, considering the earlier scripts on its device. The lease of a following script relies on the first
+    /// script. If the first one is lost on the way, the following script would begin without it and without the other robots.
     pub(crate) fn lets_follow(&self, member: usize, script: usize) -> bool {
         let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
         !uncommitted || self.members[member].may_follow(script)
@@ -333,7 +334,7 @@ impl Act {
         self.members.iter().flat_map(Member::scripts).any(Script::has_begun)
     }
 
-    /// Whether a robot may have a script of this act that it has not reported.
+    /// Whether a robot may have a script of this act whose fate it has not reported.
     pub(crate) fn is_unaccounted(&self) -> bool {
         self.members.iter().flat_map(Member::scripts).any(Script::is_unaccounted)
     }
@@ -366,7 +367,7 @@ impl Act {
     /// Notes that no earlier act plays any longer.
     pub(crate) fn comes_next(&mut self, now: Timestamp<Server>) {
         self.alone_since.get_or_insert(now);
-        // It may have waited for room that the previous act has freed without notice.
+        // The act may have waited for room that the previous act has freed without notice.
         self.look_again();
     }
 
@@ -374,7 +375,7 @@ impl Act {
         self.alone_since.is_some()
     }
 
-    /// Makes the mission take another way after this act.
+    /// Changes how the mission continues after this act.
     pub(crate) fn lead_to(&mut self, way: Way) {
         self.follow = way;
     }
@@ -469,13 +470,14 @@ impl Act {
         }
     }
 
-    /// The request of a script, without its limit.
+    /// The request of a script, without its limit `pending_until`.
     pub(crate) fn request(&self, script: ScriptRef, session: Option<&SessionId>) -> Option<ControlRequest> {
         let timing = self.timing.as_ref()?;
         Some(preparing::request(timing, &self.members[script.member], script.script, session))
     }
 
-    /// The limit of a script that is sent now. `ahead` is the time by which the robot's clock is ahead of the server's, if known.
+    /// The limit `pending_until` of a script that is sent now. `ahead` is the time by which the robot's clock is ahead of the server's,
+    /// if known.
     pub(crate) fn pending_until(&self, script: ScriptRef, ahead: Option<Span>) -> Option<Timestamp<Robot>> {
         let (timing, member) = (self.timing.as_ref()?, &self.members[script.member]);
         Some(if self.is_committed() {
@@ -485,9 +487,9 @@ impl Act {
         })
     }
 
-    /// The requests that a robot may have, in the groups of its questions. Each group has the pending lease that the question carries.
-    /// While the act approaches its start, that lease ends before the script would begin. `ahead` is how far the robot's clock is ahead
-    /// of the server's, if known. All leases end at the same instant, whatever a clock shows.
+    /// The requests that a robot may have, one group for each question. Each group has the pending lease that the question carries. While
+    /// the act approaches its start, that lease ends before the script would begin. `ahead` is how far the robot's clock is ahead of the
+    /// server's, if known. All leases end at the same instant, whatever a clock shows.
     pub(crate) fn names_of(
         &self,
         robot: usize,
@@ -550,7 +552,7 @@ impl Act {
         self.timing.as_ref().map_or(now, |timing| timing.out_of_quiet(now))
     }
 
-    /// Whether an urgent message may still go to a hushed robot, behind a question with a shorter lease.
+    /// Whether an urgent message may still go to a robot for which other messages are held back, behind a question with a shorter lease.
     pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));
         timing.is_some() && self.approaches(robot)

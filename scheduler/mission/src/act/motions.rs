@@ -7,7 +7,7 @@ use crate::motion::{MotionReport, Watched};
 use crate::robot_state::{Reading, RobotState};
 
 impl Act {
-    /// Starts to watch the first movement of each device that a sensor shows.
+    /// Starts to watch the first movement of each device whose position a sensor shows.
     pub(crate) fn verify_motions(&mut self, robots: &[RobotState]) {
         self.watched = Watched::of(self, robots);
     }

@@ -1,5 +1,5 @@
-//! From the start to the end: which robots have started, and how exactly, when there is room for further scripts, and which robots have
-//! ended.
+//! An act from its start to its end: which robots have started, and how exactly, when there is room for further scripts, and which robots
+//! have ended.
 
 use urrcp::{ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Timestamp};
 
@@ -11,34 +11,34 @@ use crate::failure_kind::FailureKind;
 use crate::robot_state::{Reading, RobotState};
 use crate::script::{News, Script, ScriptRef, ScriptState, error_of};
 
-/// How long after its instant a report may still arrive, in addition to two round trips.
+/// How long after the reported instant a report may still arrive, in addition to two round trips.
 const REPORT_GRACE: Span = Span::from_millis(500);
 /// A script on a robot that cannot report its end is considered ended this long after its planned end.
 pub(crate) const LAPSE: Span = Span::from_millis(15);
-/// Interval between questions to a robot that does not report by itself about a script that should have ended.
+/// Interval between questions about a script that should have ended, to a robot that does not report by itself.
 const ASK_AGAIN: Span = Span::from_millis(50);
 
-/// How long the clock of a robot is awaited before its scripts are considered over.
+/// How long the mission waits for a robot's clock before it considers the robot's scripts over.
 const CLOCK_AWAITED: Span = Span::from_millis(3_000);
 
 /// The maximum error of a time due to a coarse clock.
 const GRAIN: Span = Span::from_millis(5);
 
-/// An act that has started.
+/// The state of an act that has started.
 #[derive(Clone, Debug)]
 pub(super) struct Playing {
-    /// Next check for reports; `None`: at once.
+    /// The time of the next check for reports; `None`: check at once.
     watch: Option<Timestamp<Server>>,
-    /// When the robots were last asked for overdue reports.
+    /// The time at which the robots were last asked for overdue reports.
     asked: Option<Timestamp<Server>>,
-    /// How long after its instant a report may still arrive, as of the last check for reports.
+    /// How long after the reported instant a report may still arrive, as of the last check for reports.
     grace: Span,
-    /// The members before this place are done, or no longer take part.
+    /// The members before this index are done, or no longer take part.
     done: usize,
 }
 
 impl Playing {
-    /// When the next check is due. `at_once` is an instant that has passed.
+    /// The time at which the next check is due; `at_once` if it is due now, an instant that has passed.
     pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
         self.watch.unwrap_or(at_once)
     }
@@ -48,7 +48,7 @@ impl Playing {
     }
 }
 
-/// Consequences of an answer.
+/// The consequences of a robot's statement about a script.
 #[derive(Debug)]
 pub(crate) struct Noted {
     pub(crate) news: News,
@@ -61,7 +61,7 @@ impl Act {
         self.stage = Stage::Playing(playing);
     }
 
-    /// Takes an answer to a request of this act.
+    /// Processes a response to a request of this act.
     pub(crate) fn answered(
         &mut self,
         script: ScriptRef,
@@ -98,8 +98,8 @@ impl Act {
         self.noted(script, news, robots)
     }
 
-    /// The script failed after its planned start, and the robot does not report progress. It may have started: the `Started` response may
-    /// be lost, as it is if the robot reported to a process that has died.
+    /// Whether a script that has failed may have started unnoticed: it failed after its planned start, and the robot does not report
+    /// progress. The `Started` response may be lost, for example because the robot sent it to a process that has died.
     fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start =
@@ -114,7 +114,7 @@ impl Act {
         due && untold && accepted
     }
 
-    /// Takes a robot's report about a request of this act.
+    /// Processes a robot's report about a request of this act.
     pub(crate) fn reported(
         &mut self,
         script: ScriptRef,
@@ -146,13 +146,13 @@ impl Act {
             .timing
             .as_ref()
             .map(|timing| timing.start + member.scripts()[script.script].plan.start.span());
-        // The robot may have received and played it, and then forgotten it.
+        // The robot may have received and played the script, and then forgotten it.
         let over = news == News::NeverReceived && begins.is_some_and(|begins| arrived >= begins);
         let news = if over { member.change(script.script, Script::lose) } else { news };
         self.noted(script, news, robots)
     }
 
-    /// Returns the consequences of an impossible statement about a script; `None` if the statement is possible. Statements about a
+    /// Returns the consequences of a robot's impossible statement about a script; `None` if the statement is possible. Statements about a
     /// finished script are ignored.
     fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &[RobotState]) -> Option<Noted> {
         let member = &self.members[reference.member];
@@ -236,7 +236,7 @@ impl Act {
         Noted { news, actions }
     }
 
-    /// Actual minus planned start, both by the robot's own clock.
+    /// The actual minus the planned start of a script, both by the robot's own clock.
     pub(crate) fn start_error(&self, member: &Member, script: &Script) -> Option<Span> {
         if script.shift_is_lost() {
             return None;
@@ -301,7 +301,7 @@ impl Act {
             && self.rests_until().is_none_or(|end| now >= end)
     }
 
-    /// The end of the last movement that continues after its last step.
+    /// The end of the last movement that continues after the last step of its script.
     fn rests_until(&self) -> Option<Timestamp<Server>> {
         let start = self.timing.as_ref()?.start;
         let plans = self.present().flat_map(Member::scripts).map(|script| &script.plan);
@@ -338,7 +338,7 @@ impl Act {
         }
     }
 
-    /// Checks by the clocks of single robots, before the act plays on all of them.
+    /// Checks for lapsed scripts and overdue reports by the clocks of single robots, before the act plays on all of them.
     pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.refill_lapsed(now, robots);
         actions.extend(self.ask_for_overdue(now, robots));
@@ -350,7 +350,7 @@ impl Act {
         if lapsed.is_empty() { Vec::new() } else { vec![ActAction::Refill(lapsed)] }
     }
 
-    /// Lets scripts lapse if their time has passed on robots that cannot report it. Returns those robots.
+    /// Lets scripts lapse whose time has passed on robots that cannot report their fate. Returns those robots.
     fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
         let Some(timing) = &self.timing else { return Vec::new() };
         let grace = self.report_grace(robots);
@@ -370,7 +370,7 @@ impl Act {
                 member.change(script, Script::lapse);
                 lapsed.push(member.robot);
             }
-            // It was refused because the queue was full slightly longer.
+            // A planned script was refused, because the queue was full slightly longer than expected.
             if lapses(robot) && member.under_way().any(|(_, script)| script.is_planned()) {
                 lapsed.push(member.robot);
             }
@@ -379,7 +379,7 @@ impl Act {
         lapsed
     }
 
-    /// Asks for overdue reports. If a robot does not answer within the same time again, it fails.
+    /// Asks for overdue reports. A robot that does not answer within the grace time fails.
     fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let grace = self.report_grace(robots);
         let again = ASK_AGAIN.max((grace - REPORT_GRACE) / 2);
@@ -446,7 +446,7 @@ impl Act {
         let start = timing.start + script.starts() + late;
         let end = planned_end(timing.start, script) + late;
         match script.state() {
-            // It is sent when its device has room.
+            // The script is sent when its device has room.
             ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
             ScriptState::Ended(_) => None,
             ScriptState::Planned => Some(begin + grace),
@@ -470,7 +470,7 @@ impl Act {
                 return Some([at; 2]);
             }
             let asked = self.report_due(member, script, robot, grace)?;
-            // If the report is still missing after the same time again, the robot fails.
+            // If the report is still missing after another grace time, the robot fails.
             Some([asked, asked + grace])
         })
     }
@@ -489,7 +489,8 @@ impl Act {
         next.min(now + self.patience_with_silent_ones(robots))
     }
 
-    /// The interval of the next check: short while a robot that does not report by itself owes an answer or must be sent a script again.
+    /// The interval until the next check. It is short while a robot that does not report by itself owes an answer or must be sent a
+    /// script again.
     fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
@@ -502,13 +503,13 @@ impl Act {
         }
     }
 
-    /// How long after its instant a report may still arrive.
+    /// How long after the reported instant a report may still arrive.
     pub(crate) fn report_grace(&self, robots: &[RobotState]) -> Span {
         longest_round_trip(self, robots) * 2 + REPORT_GRACE
     }
 
     /// The time by which an unreachable robot has certainly ended its scripts of this act: the end of its leases, or, without leases, the
-    /// end of the scripts plus `patience`. Before the start, the decision and the commitment handle it.
+    /// end of the scripts plus `patience`. Before the start, the decision and the commitment handle such a robot.
     pub(crate) fn gives_up(
         &self,
         robot: usize,
@@ -541,14 +542,14 @@ impl Act {
             if now >= begins(script) {
                 script.shortest_lease()
             } else {
-                // The next script waits. It is lost when the longer of its leases has ended.
+                // The next script waits. It is lost when both of its leases have ended.
                 script.shortest_lease().max(member.pending_lease_now(index, timing))
             }
         };
         member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
     }
 
-    /// The shortest lease of this act on robots that also play the other act.
+    /// The shortest lease of this act on robots that also play the act `other`.
     pub(crate) fn lease_with(&self, other: &Self) -> Option<Span> {
         let both = self.present().filter(|member| other.place_of(member.robot).is_some());
         both.flat_map(Member::scripts).filter_map(Script::shortest_lease).min()
@@ -561,7 +562,7 @@ impl Act {
         out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
     }
 
-    /// The shortest lease of a script from now on.
+    /// The shortest lease of a script that applies to it from now on.
     pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
         self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
     }
@@ -599,7 +600,7 @@ impl Act {
         Some(self.timing.as_ref()?.start + planned.at)
     }
 
-    /// Takes a reading that the scenario requested.
+    /// Stores a reading that the scenario requested.
     pub(crate) fn read(&mut self, which: usize, robot: &RobotState, value: Option<f64>) {
         if let Some(planned) = self.choreography.acts[self.index].readings.get(which) {
             let (robot, sensor) = (robot.id.clone(), planned.sensor.clone());
@@ -609,15 +610,15 @@ impl Act {
 }
 
 /// How much later than planned a robot may be by its own clock, from the announced skew or the current reading. Negative if it is
-/// certainly earlier. If it is unknown, the latest of the fleet.
+/// certainly earlier. If this is unknown, the value of the latest robot of the fleet.
 pub(super) fn late_of(timing: &Timing, robot: &RobotState) -> Span {
     let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
     let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
     told.max(shown).unwrap_or(timing.pace.late)
 }
 
-/// Whether a robot that was asked for reports at `asked` is asked again; its newest report was due at `due`. It is not asked while an
-/// answer is still under way, because a robot that cannot keep up would receive more and more questions.
+/// Whether to ask a robot for reports again. It was last asked at `asked`, and its newest report was due at `due`. It is not asked while
+/// an answer is still under way: a robot that cannot keep up would receive more and more questions.
 fn may_be_asked(
     now: Timestamp<Server>,
     asked: Option<Timestamp<Server>>,
@@ -652,12 +653,13 @@ fn may_lapse(member: &Member, robot: &RobotState) -> bool {
     lapses(robot) || member.under_way().any(|(_, script)| lost_with_its_process(script, robot))
 }
 
-/// Whether the fate of the robot's scripts cannot be learned from it.
+/// Whether the robot cannot report the fate of its scripts.
 fn lapses(robot: &RobotState) -> bool {
     !robot.tells_fates()
 }
 
-/// Whether the robot reports by itself, cannot be asked, and reported to a process that has died. No further report may arrive.
+/// Whether no further report about a script may arrive: the robot reports by itself, cannot be asked, and reported to a process that has
+/// died.
 fn lost_with_its_process(script: &Script, robot: &RobotState) -> bool {
     robot.reports() && !robot.takes_inquiries() && script.is_unheard_since_taken_up()
 }

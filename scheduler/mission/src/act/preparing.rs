@@ -1,4 +1,4 @@
-//! All requests of an act with one timestamp, and one decision: all have accepted, or none starts.
+//! Prepares an act: sends all its requests with one timestamp, and makes one decision: all robots have accepted, or none starts.
 
 use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp};
 
@@ -21,11 +21,11 @@ enum Asked {
     Again,
 }
 
-/// An act whose requests have been sent.
+/// The state of an act whose requests have been sent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Preparing {
     asked: Asked,
-    /// The members before this place have accepted everything.
+    /// The members before this index have accepted everything.
     accepted: usize,
 }
 
@@ -47,12 +47,12 @@ impl Act {
         }
     }
 
-    /// Whether it is time to check whether it fits.
+    /// Whether it is time to check if the act can be sent.
     pub(crate) fn is_looked_at(&self, now: Timestamp<Server>) -> bool {
         matches!(&self.stage, Stage::Ready { look, .. } if look.is_none_or(|at| now >= at))
     }
 
-    /// Schedules the next check whether it fits. It is also checked when something has changed.
+    /// Schedules the next check whether the act can be sent. This is also checked when something has changed.
     pub(crate) fn look_again_at(&mut self, at: Option<Timestamp<Server>>) {
         if let Stage::Ready { look, .. } = &mut self.stage {
             *look = at;
@@ -67,8 +67,8 @@ impl Act {
         Vec::new()
     }
 
-    /// Promises the act with these instants. `shift_of` returns the offset added to its timestamp for each robot. Returns the ids of the
-    /// requests, which are unique even after a crash of this machine.
+    /// Promises the act with these instants. `shift_of` returns, for each robot, the offset added to the act's timestamp. Returns the ids
+    /// of the requests, which are unique even after a crash of this machine.
     pub(crate) fn promise(
         &mut self,
         timing: Timing,
@@ -131,7 +131,7 @@ impl Act {
         }
     }
 
-    /// Withdraws the act if its promise is not stored by the decision, because the disk is slow.
+    /// Withdraws the act if its promise is not on disk by the time of the decision, because the disk is slow.
     pub(super) fn await_promise(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         match &self.timing {
             Some(timing) if now >= timing.decision => {
@@ -152,8 +152,8 @@ impl Act {
         self.members[script.member].change(script.script, |script| script.sent(now));
     }
 
-    /// Makes the one decision, as soon as all have accepted or when it is due. The act starts if every robot has accepted everything;
-    /// otherwise none starts.
+    /// Makes the one decision, as soon as all robots have accepted or when the decision is due. The act starts if every robot has
+    /// accepted everything; otherwise none starts.
     pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let (Stage::Preparing(preparing), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();

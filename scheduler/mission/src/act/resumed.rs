@@ -16,20 +16,21 @@ use crate::resume::Changed;
 use crate::robot_state::{RobotState, Standing};
 use crate::script::ScriptRef;
 
-/// Progress of the other process.
+/// How far the other process came with an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reached {
-    /// All had accepted.
+    /// All robots had accepted.
     Decision,
     /// The commitment was on disk.
     Commitment,
 }
 
-/// The round trip before the first measurement: an upper limit for a local network.
+/// The round trip that is assumed before the first measurement: an upper limit for a local network.
 const ROUND_TRIP: Span = Span::from_millis(10);
 
 impl Act {
-    /// Takes over a promised act. If it was not committed, it still must be, if there is time. If it was, it may play.
+    /// Takes over a promised act. An act that was not committed must still be committed, if there is time. An act that was committed may
+    /// play.
     ///
     /// # Errors
     /// [`Changed`] if the promise does not match the choreography.
@@ -44,7 +45,7 @@ impl Act {
             return Err(Changed { what: format!("act {} no longer exists", promise.act + 1) });
         }
         let mut act = Self::new(choreography, promise.act, promise.number, robots, now, None);
-        // Includes robots that were left out after the promise: the report contains the steps that they played.
+        // The members include robots that were left out after the promise: the report contains the steps that they played.
         let sent: HashSet<_> = promise.scripts.iter().map(|script| &script.robot).collect();
         act.members = members_among(&act.written().plan, robots, |robot| sent.contains(&robot.id));
         act.place = places(&act.members);
@@ -90,8 +91,7 @@ impl Act {
         Ok(act)
     }
 
-    /// Keeps the doubt that was stated at the decision, for an act that plays. This process does not know the leases and links of that
-    /// time.
+    /// If the act plays, keeps the doubt that was stated at the decision. This process does not know the leases and links of that time.
     pub(crate) fn keep_doubt(&mut self, stated: Option<Span>) {
         let plays = self.is_playing();
         if let Some(timing) = self.timing.as_mut().filter(|_| plays) {
@@ -131,7 +131,7 @@ impl Act {
         }
     }
 
-    /// The ids of all its requests.
+    /// The ids of all requests of the act, each with its robot and its script.
     pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
         let of_member = |(m, member): (usize, &super::Member)| {
             let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {

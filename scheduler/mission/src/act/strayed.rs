@@ -1,5 +1,5 @@
-//! Robots that will not start with the others although they hold their scripts. Their clock shows it, or the time for which no message
-//! reached them.
+//! Finds robots that will not start with the others although they hold their scripts. Their clocks show this, or the time for which no
+//! message has reached them.
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
@@ -16,7 +16,7 @@ const GRAIN: Span = Span::from_millis(5);
 
 impl Act {
     /// Members whose clock has strayed so far since the act was sent that they would start too far from the others. A robot whose clock
-    /// was set forward may start before the commitment, so it is checked as soon as this shows, not only then.
+    /// was set forward may start before the commitment. It is therefore checked as soon as this shows, not only then.
     pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
         if !matches!(self.stage, Stage::Promised | Stage::Preparing(_) | Stage::Approaching(_)) {
             return Vec::new();
@@ -51,7 +51,7 @@ impl Act {
         is_certain.then_some(FailureKind::Clock { offset, uncertainty, tolerance })
     }
 
-    /// How far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty.
+    /// How far off the plan a robot would start its remaining scripts, positive if early, and the uncertainty of this value.
     fn deviation(
         &self,
         member: &Member,
@@ -65,7 +65,7 @@ impl Act {
         let (left, uncertainty) = match (known, state.settings.clock) {
             (Some(known), _) => known,
             (None, ClockMode::Measured) => (Span::ZERO, Span::ZERO),
-            // Its earlier offset is unknown.
+            // The earlier offset of the robot's clock is unknown.
             (None, ClockMode::Ntp) => return None,
         };
         let ahead = |script: &&Script| timing.start + script.plan.start.span() > now;
@@ -111,7 +111,7 @@ impl Act {
 
     /// Adapts the leases if a clock is found to have changed since the act was sent, while the act approaches its start. Returns the
     /// progress to report: the limits for failures and silence move with the end of the leases. A robot that starts before its lease ends
-    /// fails, if there is no time left to make that end earlier.
+    /// fails if there is no time left to end that lease earlier.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if !matches!(self.stage, Stage::Approaching(_)) {
             return Vec::new();
@@ -146,7 +146,7 @@ impl Act {
     }
 
     /// The reason why a robot cannot have kept an accepted script: between two instants by its clock, no question reached it for longer
-    /// than its lease. It may not be able to report that. Ignored after the last instant for a withdrawal.
+    /// than its lease. The robot may not be able to report that. `None` after the last instant for a withdrawal.
     pub(crate) fn ran_out(
         &self,
         now: Timestamp<Server>,
@@ -165,7 +165,8 @@ impl Act {
         Some(link_lost(script, unreached(script)?, ("pending", lease)))
     }
 
-    /// The same for a script that had already begun: its robot has dropped it, and all following scripts of its device.
+    /// The reason, like that of `ran_out`, why a robot cannot have kept a script that had already begun. The robot has dropped that
+    /// script, and all following scripts of its device.
     pub(crate) fn broke_off(
         &self,
         robot: usize,

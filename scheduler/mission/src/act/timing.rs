@@ -22,17 +22,17 @@ const ROUND_EACH: Span = Span::from_micros(25);
 const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
 /// The maximum number of questions per robot that extend the time between two rounds.
 const QUESTIONS_MAX: usize = 3;
-/// The minimum time that the commitment leaves a robot to receive it before its lease ends.
+/// The minimum time that a robot has to receive the commitment before its lease ends.
 const DELIVERY_MIN: Span = Span::from_millis(8);
-/// How long before its last instant a withdrawal for doubt is sent: later than the arrival of the answers to the commitment.
+/// A withdrawal because of doubt is sent this long before its last instant: later than the arrival of the answers to the commitment.
 const WITHDRAWN_BY: Span = Span::from_millis(5);
-/// How long a process may continue after it was stopped, as on a busy host.
+/// How long a process may still run after it was stopped, as on a busy host.
 const STANDS_STILL: Span = Span::from_millis(10);
 /// Duration of a withdrawal on this machine and on the robot, in addition to its travel time.
 const WITHDRAWAL: Span = Span::from_millis(20);
 
-/// Messages that can wait are not sent from a round trip and this time before the planned start. They wake threads, which take cores from
-/// robots that start on this host.
+/// The quiet before the planned start, in which messages that can wait are not sent, lasts one round trip and this time. Such messages
+/// wake threads, which take cores from robots that start on this host.
 const QUIET_BEFORE: Span = Span::from_millis(1);
 /// The quiet begins at most this long before the start, however long a round trip takes.
 const QUIET_BEFORE_MAX: Span = Span::from_millis(5);
@@ -47,7 +47,7 @@ pub(crate) const CLOCK_UNKNOWN: Span = Span::from_millis(20);
 pub(crate) enum Leases {
     /// All members take inquiries, and the scenario leaves the lease to the scheduler.
     Shortened,
-    /// They stay as sent.
+    /// The leases stay as sent.
     Fixed,
 }
 
@@ -74,8 +74,8 @@ pub(crate) struct Measured {
 }
 
 impl Measured {
-    /// The number of questions that slow the last rounds down. More do not slow them further, because the interval of doubt would become
-    /// long.
+    /// The number of questions that slow down the last rounds. More questions do not slow them further, because the interval of doubt
+    /// would become long.
     fn questions(&self) -> i64 {
         i64::try_from(self.questions.clamp(1, QUESTIONS_MAX)).unwrap_or(1)
     }
@@ -95,7 +95,7 @@ impl Measured {
     }
 }
 
-/// The pace at which an act approaches its start.
+/// The pace at which an act approaches its start: its leases and the time between rounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pace {
     pub(crate) leases: Leases,
@@ -104,9 +104,9 @@ pub(crate) struct Pace {
     pub(crate) late: Span,
     /// The pending lease of the last rounds.
     final_lease: Span,
-    /// The shortest possible value of it.
+    /// The shortest possible value of `final_lease`.
     lease_least: Span,
-    /// Time between two of the last rounds.
+    /// Time from one of the last rounds to the next.
     pub(crate) period: Span,
     record: Span,
     lateness: Span,
@@ -183,10 +183,11 @@ pub(crate) struct Timing {
     pub(crate) stated_doubt: Option<Span>,
     /// The robot whose link determines the lead, and its round trip.
     pub(crate) slowest: Option<(RobotId, Span)>,
-    /// The delay of its start against the intended one: the end of the previous act, or the time that it waits for.
+    /// How much later than intended the act starts. The intended start is the end of the previous act, or the time that the act waits
+    /// for.
     pub(crate) gap: Option<Span>,
-    /// The shortest lease under which its robots may still play an earlier act. They are not left alone for longer than that while this
-    /// act is being committed.
+    /// The shortest lease under which its robots may still play an earlier act. These robots are not left without a message for longer
+    /// than that while this act is being committed.
     pub(crate) played: Option<Span>,
     /// Arrival time of the last acceptance.
     pub(crate) accepted_at: Option<Timestamp<Server>>,
@@ -233,8 +234,8 @@ impl Timing {
         in_time
     }
 
-    /// How much earlier than planned a robot may start and lose its lease before, if a message to it travels for at most half a round
-    /// trip.
+    /// By how much a robot may start earlier than planned and still lose its lease before that. This assumes that a message to it travels
+    /// for at most half a round trip.
     pub(crate) fn early_at_most(&self) -> Span {
         self.pace.early + self.pace.round_trip / 2
     }
@@ -255,12 +256,13 @@ impl Timing {
         self.earliest_start() - self.pace.round_trip
     }
 
-    /// A later message may extend the lease of a robot beyond its start. Nothing is sent from here until the commitment.
+    /// The critical instant. A later message may extend the lease of a robot beyond its start, so nothing is sent from here until the
+    /// commitment.
     pub(crate) fn critical(&self) -> Timestamp<Server> {
         self.brink() - self.pace.final_lease
     }
 
-    /// From this instant, one message extends the lease of any robot beyond its start, also of one that starts late.
+    /// The instant from which one message extends the lease of any robot beyond its start, including a robot that starts late.
     pub(crate) fn commit_from(&self) -> Timestamp<Server> {
         self.begun() - self.pace.final_lease
     }
@@ -272,7 +274,8 @@ impl Timing {
         leases_end - DELIVERY_MIN.max(self.pace.round_trip * 2).max(self.pace.lateness)
     }
 
-    /// The latest instant at which robots that still play must receive another message, if nothing was sent since `last_round`.
+    /// The latest instant at which robots that still play must receive another message, if nothing was sent since `last_round`. `None` if
+    /// no robot still plays under a lease.
     pub(crate) fn speak_by(&self, last_round: Timestamp<Server>) -> Option<Timestamp<Server>> {
         Some(last_round + self.played? - DELIVERY_MIN.max(self.pace.round_trip * 2))
     }
@@ -297,7 +300,7 @@ impl Timing {
     pub(crate) fn round_after(&self, now: Timestamp<Server>) -> Timestamp<Server> {
         let left = (self.critical() - now) / 3;
         let interval = (self.lease_at(now) / 4).min(left).max(self.pace.period);
-        // The last one comes a period before the critical instant, so that its answers arrive before it.
+        // The last round comes a period before the critical instant, so that its answers arrive before it.
         let last = self.critical() - self.pace.period;
         match now + interval {
             next if now < last && next > last => last,
@@ -310,7 +313,7 @@ impl Timing {
         self.pace.record
     }
 
-    /// From this instant, the commitment is written as soon as every robot holds its scripts.
+    /// The earliest instant for writing the commitment. It is written then, or later, once every robot holds its scripts.
     pub(crate) fn record_from(&self) -> Timestamp<Server> {
         self.critical() - self.pace.record - self.pace.period * 2
     }
@@ -340,14 +343,14 @@ impl Timing {
         self.timestamp + (self.decision - self.timestamp) * 2 / 3
     }
 
-    /// When a message that can wait may be sent if it is due at `at`: the same instant, or the end of the quiet around the start.
+    /// When a message that can wait may be sent if it is due at `at`: at that instant, or at the end of the quiet around the start.
     pub(crate) fn out_of_quiet(&self, at: Timestamp<Server>) -> Timestamp<Server> {
         let before = (self.pace.round_trip + QUIET_BEFORE).min(QUIET_BEFORE_MAX);
         let until = self.start + QUIET_AFTER;
         if at > self.start - before && at < until { until } else { at }
     }
 
-    /// No robot starts before this instant.
+    /// The instant before which no robot starts.
     pub(crate) fn begins(&self) -> Timestamp<Server> {
         self.start - self.pace.early
     }

@@ -11,21 +11,21 @@ use crate::{MissionOptions, Progress};
 /// Interval between readings of a sensor that an act waits for.
 const POLL: Span = Span::from_millis(100);
 
-/// An act whose condition does not hold yet.
+/// The state of an act whose condition does not hold yet.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Waiting {
     /// Whether the operator has sent the go.
     go_received: bool,
-    /// Whether its condition has been reported.
+    /// Whether the act's condition has been reported to the operator.
     announced: bool,
-    /// The next reading of its sensor.
+    /// The time of the next reading of the sensor that the act waits for.
     poll: Option<Timestamp<Server>>,
-    /// The last reading of its sensor.
+    /// The last reading of the sensor that the act waits for.
     read: Option<f64>,
 }
 
 impl Act {
-    /// Checks whether its condition holds.
+    /// Checks whether the act's condition holds.
     pub(super) fn wait(
         &mut self,
         now: Timestamp<Server>,
@@ -65,7 +65,7 @@ impl Act {
         }
     }
 
-    /// The instant that the operator or the scenario specifies, or an error if the clocks skip it.
+    /// The start that the operator or the scenario specifies, or an error if the clocks skip that time.
     fn fixed_target(&self, options: &MissionOptions) -> Option<Result<Timestamp<Server>, SkippedTime>> {
         if let Some(at) = self.fixed {
             return Some(Ok(at));
@@ -82,7 +82,7 @@ impl Act {
         self.fixed_target(options).map(instant_of)
     }
 
-    /// The start of an act with a fixed start: that instant, or the end of the previous act if that is later.
+    /// The start of an act with a fixed start: the fixed instant, or the end of the previous act if that is later.
     pub(crate) fn start_to_keep(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
         self.fixed_start(options).and(self.target())
     }
@@ -92,7 +92,7 @@ impl Act {
         over.into_iter().chain(waiting.poll).min()
     }
 
-    /// Takes a reading that it may wait for. Returns the progress to report.
+    /// Processes a reading that the act may wait for. Returns the progress to report.
     pub(crate) fn sensor_read(&mut self, value: Option<f64>) -> Option<Progress> {
         let Wait::Sensor { range, .. } = &self.choreography.acts[self.index].wait else { return None };
         let Stage::Waiting(waiting) = &mut self.stage else { return None };
@@ -103,12 +103,12 @@ impl Act {
         (before != value).then(|| Progress::Reading { act: self.name(), value })
     }
 
-    /// Whether it waits for the operator and has no go yet. An earlier act may still be playing.
+    /// Whether the act waits for the operator and has not received a go yet. An earlier act may still be playing.
     pub(crate) fn awaits_operator(&self) -> bool {
         matches!(&self.stage, Stage::Waiting(waiting) if !waiting.go_received && self.written().wait == Wait::Operator)
     }
 
-    /// Takes the operator's go. Returns `false` if the act does not wait for it now.
+    /// Accepts the operator's go. Returns `false` if the act does not wait for a go now.
     pub(crate) fn go(&mut self) -> bool {
         let counts = self.is_alone() && self.awaits_operator();
         if let Stage::Waiting(waiting) = &mut self.stage {
@@ -117,8 +117,8 @@ impl Act {
         counts
     }
 
-    /// A description of its condition for users, once it waits; `None` for an act that follows at once. It waits for a time even while an
-    /// earlier act plays, but for the operator and sensors only after that.
+    /// A description of the act's condition for users, once the act waits; `None` for an act that follows at once. An act waits for a
+    /// time even while an earlier act plays, but for the operator and sensors only after that.
     pub(crate) fn announcement(&mut self, options: &MissionOptions) -> Option<Progress> {
         let (fixed, alone) = (self.fixed_target(options), self.is_alone());
         let Stage::Waiting(waiting) = &mut self.stage else { return None };
@@ -148,7 +148,7 @@ impl Act {
     }
 }
 
-/// The start that results from a target. A mission that plays can no longer be refused: if the clocks skip the time of an act, the act
+/// The start of an act with this target. A mission that plays can no longer be refused: if the clocks skip the time of an act, the act
 /// starts at that instant.
 fn instant_of(target: Result<Timestamp<Server>, SkippedTime>) -> Timestamp<Server> {
     target.unwrap_or_else(|skipped| skipped.at)

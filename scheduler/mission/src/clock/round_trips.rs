@@ -1,4 +1,5 @@
-//! The current duration of round trips: a high quantile of the latest ones, which forgets. `docs/clocks.md` has the reasons.
+//! The current duration of round trips: a high quantile of the latest ones, so that old ones are forgotten. `docs/clocks.md` has the
+//! reasons.
 
 use std::collections::VecDeque;
 
@@ -6,25 +7,26 @@ use urrcp::{Server, Span, Timestamp};
 
 /// The maximum number of exchanges considered. The third largest of them is above their 95th percentile.
 const EXCHANGES_MAX: usize = 64;
-/// Older exchanges than this are ignored.
+/// Exchanges that are older than this are ignored.
 const WINDOW: Span = Span::from_millis(30_000);
-/// This many exchanges are kept whatever their age, so that a slow one is not the only one on a rarely used link.
+/// The minimum number of exchanges that are kept, whatever their age. On a rarely used link, a slow exchange is therefore not the only
+/// one.
 const EXCHANGES_KEPT: usize = 3;
-/// From this number of exchanges on, two may be outliers; below it, only one.
+/// The minimum number of exchanges of which two may be outliers; below it, only one.
 const EXCHANGES_MANY: usize = 32;
 
 /// The latest round trips with one robot, in bounded memory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RoundTrips {
-    /// The end and the duration of each, in order of arrival.
+    /// The end and the duration of each round trip, in order of arrival.
     latest: VecDeque<(Timestamp<Server>, Span)>,
     high: Span,
 }
 
 impl RoundTrips {
-    /// Takes an exchange that ended at `at`, and discards those that have left the window. Exchanges that began during another one
-    /// describe the same moment of the link. They are merged with it, with the longest duration. This also applies to a second answer to
-    /// a question, however many other questions were answered before it.
+    /// Adds an exchange that ended at `at`, and discards those that have left the window. Exchanges that began during another one
+    /// describe the same moment of the link. They are merged with it, keeping the longest duration. This also applies to a second answer
+    /// to a question, however many other questions were answered before it.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
         let (began, outliers) = (at - delay, self.outliers());
         let later = self.latest.back().is_none_or(|(ended, _)| began >= *ended);
@@ -47,14 +49,14 @@ impl RoundTrips {
             largest_forgotten =
                 forgotten.map_or(largest_forgotten, |(_, delay)| delay.max(largest_forgotten));
         }
-        // Changes below it have no effect.
+        // Changes below the current value have no effect.
         if delay > self.high || largest_forgotten >= self.high || self.outliers() != outliers {
             self.high = self.above_outliers();
         }
     }
 
-    /// Discards the exchanges after this one that began before its end, because they describe the same moment. Returns the longest of
-    /// them.
+    /// Discards the exchanges after the exchange `same` that began before its end, because they describe the same moment. Returns the
+    /// longest of their durations.
     fn forget_between(&mut self, same: usize, ended: Timestamp<Server>) -> Span {
         let mut largest = Span::ZERO;
         while let Some((at, delay)) =
@@ -85,7 +87,7 @@ impl RoundTrips {
         }
     }
 
-    /// The third largest of 32 or more, the second largest of three or more, else the largest.
+    /// The third largest of 32 or more round trips, the second largest of three or more, else the largest.
     fn above_outliers(&self) -> Span {
         let largest = self.latest.iter().fold([Span::ZERO; 3], |[first, second, third], (_, delay)| {
             let (delay, first) = (first.min(*delay), first.max(*delay));

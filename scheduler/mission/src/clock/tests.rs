@@ -4,7 +4,7 @@ use super::*;
 struct Path<F> {
     offset: F,
     rng: fastrand::Rng,
-    /// Longest delay there and back, in nanoseconds.
+    /// Longest delay of the question and of the answer, in nanoseconds.
     delays: (i64, i64),
 }
 
@@ -47,12 +47,12 @@ fn at(seconds: f64) -> Timestamp<Server> {
 #[test]
 fn an_exchange_tells_the_offset_half_way_its_bounds_and_the_delay_without_the_robots_own_time() {
     let robot = |nanos: i64| Timestamp::<Robot>::from_nanos(1_000_000_000 + nanos);
-    // 300 us there, 50 us at the robot, 100 us back; its clock is 7 ms ahead.
+    // The question takes 300 us, the robot 50 us, the answer 100 us; the robot's clock is 7 ms ahead.
     let received = at(1.0) + Span::from_nanos(450_000);
     let sample = ClockSample::from_exchange(at(1.0), robot(7_300_001), robot(7_350_001), received);
     assert_eq!(sample.offset, Span::from_nanos(7_100_001));
     assert_eq!(sample.delay, Span::from_nanos(400_000));
-    // Widened by 1 ns, the resolution of these timestamps.
+    // The bounds are widened by 1 ns, the resolution of these timestamps.
     assert_eq!([sample.lower, sample.upper].map(Span::as_nanos), [6_900_000, 7_300_002]);
     assert_eq!((sample.sent, sample.at), (at(1.0), received));
 }
@@ -74,7 +74,7 @@ fn the_true_offset_lies_within_the_uncertainty_whatever_the_delays_and_the_drift
             now = sample.at + Span::from_millis_f64(rng.f64() * pause * 1e3);
         }
         assert_eq!(estimate.steps(), 0);
-        // Also before and long after the exchanges.
+        // The estimate also holds before and long after the exchanges.
         path.assert_covered(&estimate, at(0.0));
         path.assert_covered(&estimate, now + Span::from_millis(600_000));
     }
@@ -105,7 +105,7 @@ fn a_drift_that_wanders_is_followed_for_hours() {
 
 #[test]
 fn a_drift_that_changes_over_the_hours_is_of_the_last_hour() {
-    // As on a machine that warms up: 10 ppm per hour.
+    // The drift changes as on a machine that warms up: by 10 ppm per hour.
     let offset = |t: f64| -20e-6 * t + 10e-6 / 3_600.0 * t * t / 2.0;
     let mut path = Path::new(11, (2_000_000, 6_000_000), offset);
     let mut estimate = ClockEstimate::default();
@@ -124,7 +124,7 @@ fn least_delays_each_way_need_not_meet_in_one_exchange() {
     let mut estimate = ClockEstimate::default();
     let millis = |m: i64| Timestamp::<Server>::from_nanos(m * 1_000_000 + 1);
     let robot = |m: i64| Timestamp::<Robot>::from_nanos((m + 250) * 1_000_000 + 1);
-    // First 1 ms there and 40 ms back, then 40 ms there and 1 ms back.
+    // The first question takes 1 ms and its answer 40 ms, the second question 40 ms and its answer 1 ms.
     estimate.add(ClockSample::from_exchange(millis(0), robot(1), robot(1), millis(41)));
     estimate.add(ClockSample::from_exchange(millis(100), robot(140), robot(140), millis(141)));
     let reading = estimate.reading().unwrap();

@@ -18,7 +18,7 @@ impl Links {
         Self { current: vec![None; robots], made: 0 }
     }
 
-    /// The number of a new link, which replaces the robot's current one.
+    /// Registers a new link to a robot in place of its current link, and returns the number of the new link.
     pub(super) fn connect(&mut self, robot: usize) -> LinkNumber {
         let link = LinkNumber(self.made);
         self.made += 1;
@@ -34,7 +34,7 @@ impl Links {
         self.current[robot] = None;
     }
 
-    /// Whether the event is passed to the mission: only events of the current link, and none after its end.
+    /// Whether to pass an event to the mission: only events of the robot's current link, and none after that link has broken.
     pub(super) fn takes(&mut self, robot: usize, link: LinkNumber, event: &Event) -> bool {
         let counts = self.current[robot] == Some(link);
         if counts && matches!(event, Event::LinkDown { .. }) {

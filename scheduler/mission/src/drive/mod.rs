@@ -1,9 +1,9 @@
 //! The one loop that drives a mission, in real time (`run/`), in virtual time (`dry_run/`) and under faults (`simulation/`).
 //!
-//! It takes events, passes them to the mission, performs the actions in order, and waits until an event occurs or the mission is due. A
-//! [`World`] contains the differences: clock, links, journal, output, operator.
+//! The loop takes events, passes them to the mission, performs the actions in order, and waits until an event occurs or the mission is
+//! due. A [`World`] contains the differences: clock, links, journal, output, operator.
 //!
-//! The order at one instant, in every world:
+//! Every world processes the events of one instant in this order:
 //! 1. commands of the operator;
 //! 2. events of the journal;
 //! 3. events on links, in the order of arrival; in virtual worlds, all robots do their due work before anything arrives;
@@ -30,19 +30,20 @@ use crate::{Action, Event, Loss, Mission, Progress, Record};
 /// The maximum number of events taken before the mission's timers are checked again.
 const ROUND_MAX: usize = 1_024;
 
-/// The environment of a mission.
+/// The environment of a mission: clock, links, journal, output, operator.
 pub trait World {
     /// The current time of the server's clock.
     fn now(&self) -> Timestamp<Server>;
 
-    /// The next event until `until`, in the order that this module documents. `None` if no event has occurred until then. Without
-    /// `until`, it waits only for events.
+    /// Returns the next event until `until`, in the order that this module documents. `None` if no event has occurred until then. Without
+    /// `until`, waits until an event occurs.
     fn next(&mut self, until: Option<Timestamp<Server>>) -> impl Future<Output = Option<Happened>>;
 
-    /// Begins to connect to a robot after a pause. The events of the connection have this number. An older link to the robot is closed.
+    /// Starts to connect to a robot after the pause `after`. Events of the new connection carry the number `link`. An older link to the
+    /// robot is closed.
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span);
 
-    /// Sends a message on a link. The message may wait behind others if it is not urgent. Never blocks the caller.
+    /// Sends a message on a link. A message that is not urgent may wait behind others. Never blocks the caller.
     ///
     /// # Errors
     /// [`QueueFull`] if too many messages already wait. The message is lost, and the link can no longer be used.
@@ -63,23 +64,23 @@ pub trait World {
     /// Reports progress to the operator.
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress);
 
-    /// Called at each iteration of the loop. Must not block.
+    /// The driver calls this method at each iteration of its loop. It must not block.
     fn turned(&mut self, _mission: &Mission) {}
 
-    /// Answers the oldest unanswered go of the operator: the act that it permits to begin, or the reason why it is ignored.
+    /// Answers the operator's oldest unanswered go: with the act that the go permits to begin, or with the reason why the go is ignored.
     fn answer(&mut self, _answer: Result<String, String>) {}
 }
 
 /// Whether a message may wait behind others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Urgency {
-    /// Behind all earlier messages.
+    /// The message is sent after all earlier messages.
     InOrder,
-    /// Ahead of all waiting messages, for a stop.
+    /// The message is sent before all waiting messages. Used for stops.
     Overtaking,
 }
 
-/// Too many messages wait to be sent on a link.
+/// Error: too many messages wait to be sent on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the robot does not read its messages: {waiting} are waiting")]
 pub struct QueueFull {
@@ -90,15 +91,15 @@ pub struct QueueFull {
 /// The result of passing a record to the journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Filed {
-    /// There is nothing to wait for, for example without a journal.
+    /// The driver need not wait for the record, for example because there is no journal.
     AtOnce,
-    /// An event of the world will report when it is on disk.
+    /// The record waits to be written. An event of the world reports when it is on disk.
     Waiting,
-    /// The journal no longer accepts records, with the reason.
+    /// The journal no longer accepts records. Contains the reason.
     Lost(String),
 }
 
-/// An event of the world.
+/// An event that a [`World`] returns.
 #[derive(Clone, Debug)]
 pub enum Happened {
     /// An event on a link. Events on an older link of the same robot are late and ignored.
@@ -112,7 +113,7 @@ pub enum Happened {
         /// The event for the mission.
         event: Box<Event>,
     },
-    /// Any other event.
+    /// An event that does not belong to a link.
     Event {
         /// The time of the event, by the server's clock.
         at: Timestamp<Server>,
@@ -125,14 +126,14 @@ pub enum Happened {
     Killed,
 }
 
-/// Drives a mission to its end. `None` if its process is killed before.
+/// Drives a mission to its end and returns its report. `None` if its process is killed before the end.
 pub async fn drive<W: World>(mission: &mut Mission, world: &mut W) -> Option<Report> {
     let mut driver = Driver::new(mission.robots().len());
     for robot in 0..mission.robots().len() {
         let link = driver.links.connect(robot);
         world.connect(robot, link, Span::ZERO);
     }
-    // There may be nothing to wait for, for example if all robots were in the process that has died.
+    // The mission may already have ended, for example if all robots were in the process that has died.
     if let Some(report) = Report::of(mission) {
         let actions = mission.advance(world.now());
         driver.perform(world, actions);
@@ -187,7 +188,7 @@ struct Driver {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum JournalState {
     Taking,
-    /// The mission has been notified.
+    /// The journal no longer accepts records, and the mission has been notified.
     Lost,
 }
 

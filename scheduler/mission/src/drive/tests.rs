@@ -65,7 +65,7 @@ struct Silent {
     stops: Vec<Stopping>,
 }
 
-/// Actions of the mission to stop.
+/// Actions of the mission that the test records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stopping {
     Sent,

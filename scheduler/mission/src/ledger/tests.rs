@@ -1,4 +1,4 @@
-//! The room of a device, compared with a brute-force model of a device.
+//! Tests of the room in devices' queues, against a brute-force model of a device.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -61,8 +61,8 @@ fn robots(queue: usize) -> Vec<RobotState> {
     vec![bench::robot("r0", Tells::Everything, queue)]
 }
 
-/// The sent scripts, by act and by the place of the script in it. Each is accepted at once: the following scripts of a device wait for
-/// the first one.
+/// The sent scripts, by act and by the index of the script in the act. Each is accepted at once, because the following scripts of a
+/// device wait for the first one.
 fn send_all(acts: &mut [Act], robots: &[RobotState]) -> Vec<(u32, usize)> {
     let mut sent = Vec::new();
     loop {
@@ -134,7 +134,7 @@ fn with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent() {
         if expected < 4 {
             ends(&mut acts, 0, 0, &robots);
             assert_eq!(send_all(&mut acts, &robots), [(0, 2)]);
-            // The fate of the next one is never known, so nothing waits for it.
+            // The fate of the next script is never known, so nothing waits for it.
             acts[0].mark_unknown(ScriptRef { act: 0, member: 0, script: 1 });
             assert_eq!(send_all(&mut acts, &robots), [(0, 3)]);
         }

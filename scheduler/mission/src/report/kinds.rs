@@ -20,7 +20,7 @@ use crate::{
 
 const CHECKS: &str = "/$defs/preflight/properties/rows/items/properties/checks/items/prefixItems";
 
-/// The places at which the schema lists the variants of a type.
+/// The lists of variants in the schema, by their JSON pointers, each with the names of the type's variants.
 fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
     let at = |pointer: &str| format!("/$defs/{pointer}");
     vec![
@@ -42,7 +42,7 @@ fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
     ]
 }
 
-/// The modes must be listed by hand, because the type is from another crate. A new variant does not compile.
+/// The clock modes. They must be listed by hand, because the type is from another crate. A new variant does not compile.
 const CLOCK_MODES: [&str; 2] = [clock_mode(ClockMode::Ntp), clock_mode(ClockMode::Measured)];
 
 const fn clock_mode(mode: ClockMode) -> &'static str {
@@ -52,7 +52,7 @@ const fn clock_mode(mode: ClockMode) -> &'static str {
     }
 }
 
-/// The same for latency sources.
+/// The latency sources, listed by hand for the same reason as `CLOCK_MODES`.
 const LATENCY_SOURCES: [&str; 3] = [
     latency_source(LatencySource::Fleet),
     latency_source(LatencySource::File),
@@ -184,7 +184,7 @@ fn document(name: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// The words in backticks in the first column of the table with this head.
+/// The words in backticks in the first column of the table with this header row.
 fn column(document: &str, head: &str) -> BTreeSet<String> {
     let rows = document.lines().skip_while(|line| !line.starts_with(head));
     let rows = rows.take_while(|line| line.starts_with('|')).skip(2);

@@ -21,7 +21,7 @@ pub use withdrawal::{Withdrawal, WithdrawnRobot};
 /// The JSON Schema of a report.
 pub const SCHEMA: &str = include_str!("schema.json");
 
-/// The report of one mission. Times in milliseconds, instants in RFC 3339.
+/// The report of one mission. In JSON, times are in milliseconds and instants in RFC 3339.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// The scenario's name.
@@ -31,13 +31,13 @@ pub struct Report {
     pub session: Option<SessionId>,
     /// The outcome of the mission.
     pub outcome: Outcome,
-    /// The reason of the stop, for users, if neither the outcome nor a failure of a robot states it.
+    /// The reason for the stop, as text for users, if neither the outcome nor a failure of a robot states it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
     /// How often the journal was removed or replaced during the mission, and written again.
     #[serde(skip_serializing_if = "is_zero")]
     pub journal_written_again: u64,
-    /// The requested number of acts, if it ended the mission although another act would have followed.
+    /// The requested maximum number of acts, if it ended the mission although another act would have followed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acts_max_reached: Option<u32>,
     /// Planned start of the first cue of the first reported act, by the server's clock.
@@ -47,10 +47,11 @@ pub struct Report {
     /// The largest spread of starts of any act, by the robots' own clocks.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
-    /// The same by the true clock, which only a dry run has.
+    /// The largest spread of starts of any act by the true clock; `None` outside a dry run, because only a dry run has a true clock.
     #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_spread: Option<Span>,
-    /// The same for the last steps of scripts, because clocks drift while robots play.
+    /// The largest spread of the last steps of scripts by the true clock. Clocks drift while robots play, so it differs from the spread
+    /// of starts.
     #[serde(rename = "true_end_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_end_spread: Option<Span>,
     /// The requirements of the scenario, judged by this dry run.
@@ -60,19 +61,19 @@ pub struct Report {
     pub course: Vec<ActCourse>,
     /// The acts that were sent, in order.
     pub acts: Vec<ActReport>,
-    /// Earlier acts that are no longer listed; the journal has them.
+    /// Number of earlier acts that are no longer listed in `acts`. The journal has them.
     pub acts_omitted: usize,
-    /// Robots in the order of the fleet, over all acts.
+    /// The results of each robot over all acts, in the order of the fleet.
     pub robots: Vec<RobotReport>,
     /// The failures of each robot, in order. If a robot fails repeatedly, only its first failures.
     pub failures: Vec<Failure>,
-    /// The outcome of the move to the default positions. `None` if no way home was requested.
+    /// The outcome of the move to the default positions. `None` if no move home was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub home: Option<TransferReport>,
     /// The outcome of the approach to the act after the last failure. `None` if no approach was necessary.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub approach: Option<TransferReport>,
-    /// Robots driven in this process whose hardware may not be at rest, each with the reason.
+    /// Robots driven by this process whose hardware may not be at rest, each with the reason.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub not_at_rest: Vec<String>,
     /// The last state of this machine's clock according to NTP, if the fleet file names an NTP server.
@@ -95,46 +96,47 @@ pub struct Report {
 pub struct RobotReport {
     /// Id of the robot.
     pub robot: RobotId,
-    /// Whether it takes part.
+    /// Whether the robot takes part in the mission.
     pub standing: Standing,
-    /// Whether it accepted all its scripts.
+    /// Whether the robot accepted all its scripts.
     pub accepted: bool,
-    /// Number of scripts that it reported as started.
+    /// Number of scripts that the robot reported as started.
     pub started: usize,
-    /// Scripts planned.
+    /// Number of planned scripts.
     pub scripts: usize,
-    /// Its start error with the largest absolute value: actual start by its own clock, minus planned start.
+    /// The robot's start error with the largest absolute value: actual start by its own clock, minus planned start.
     #[serde(rename = "start_error_ms")]
     pub start_error: Option<Span>,
-    /// Steps executed, as it reported.
+    /// Number of executed steps, as the robot reported.
     pub steps_done: u64,
-    /// Steps planned.
+    /// Number of planned steps.
     pub steps_planned: u64,
-    /// Steps that came more than a millisecond late, as it reported.
+    /// Number of steps that were more than a millisecond late, as the robot reported.
     pub late_steps: u64,
-    /// The largest lateness of those steps, if the robot reports it.
+    /// The largest lateness of the late steps; `None` if the robot does not report it.
     #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
     pub late_max: Option<Span>,
-    /// Scripts that were sent to it and whose fate it has not reported.
+    /// Number of scripts that were sent to the robot and whose fate it has not reported.
     pub unaccounted: usize,
-    /// Requests sent again.
+    /// Number of requests that were sent again.
     pub retries: u32,
-    /// Number of times that its link was re-established.
+    /// Number of times that the link to the robot was re-established.
     pub reconnects: u32,
-    /// Answers that matched no question, or whose times were impossible. They were ignored.
+    /// Number of ignored answers. They matched no question, or their times were impossible.
     #[serde(skip_serializing_if = "is_zero")]
     pub ignored_answers: u64,
-    /// Further failures of this robot, beyond those that the report lists.
+    /// Number of further failures of the robot, beyond those that the report lists.
     #[serde(skip_serializing_if = "is_zero")]
     pub failures_omitted: u64,
-    /// How its clock is synchronized with the server's.
+    /// How the robot's clock is synchronized with the server's.
     pub clock_mode: ClockMode,
-    /// Its clock compared with the server's.
+    /// The robot's clock compared with the server's.
     pub clock: Option<ClockReading>,
     /// Devices that declare a latency different from the compensated one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_differs: Option<LatencyDiffers>,
-    /// Whether the robot declares `pending_until`, and therefore drops an undecided script. `None` if it has not described itself.
+    /// Whether the robot declares `pending_until`, and therefore drops a script that was not decided. `None` if it has not described
+    /// itself.
     pub pending_until: Option<bool>,
     /// Whether the robot is known to be at rest after a stop.
     pub stop: StopState,
@@ -143,9 +145,9 @@ pub struct RobotReport {
 /// The result of a recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Recorded {
-    /// The file.
+    /// The path of the recording's file.
     pub path: PathBuf,
-    /// Why it is incomplete; `None` if it is complete.
+    /// The reason why the recording is incomplete; `None` if it is complete.
     pub failure: Option<String>,
 }
 
@@ -160,9 +162,10 @@ pub enum StopState {
     Confirmed,
     /// The robot confirmed on every device that it goes to its default state.
     Home,
-    /// The robot refused it, because it now belongs to another session, whose commands it may execute. It holds nothing of this one.
+    /// The robot refused the stop, because it now belongs to another session, whose commands it may execute. It holds nothing of this
+    /// session.
     TakenOver,
-    /// No confirmation; it stops by itself when its longest lease ends.
+    /// The robot has not confirmed the stop. It stops by itself when its longest lease ends.
     Unconfirmed {
         /// The end of the lease by the server's clock; `None` if a script continues without a lease.
         lease_ends: Option<Timestamp<Server>>,
@@ -178,7 +181,7 @@ impl StopState {
 }
 
 impl Report {
-    /// The largest spread of steps that are planned for one instant, by the true clock, which only a dry run has.
+    /// The largest spread of steps that are planned for the same instant, by the true clock; `None` outside a dry run.
     #[must_use]
     pub fn largest_true_spread(&self) -> Option<Span> {
         self.true_spread.max(self.true_end_spread)
@@ -190,7 +193,7 @@ impl Report {
         mission.outcome().map(|outcome| Self::with(mission, outcome.clone()))
     }
 
-    /// The current report if the operator leaves now, without waiting for anything.
+    /// Makes the operator leave the mission now, without waiting for anything, and returns its report.
     #[must_use]
     pub fn as_left(mission: &mut Mission, now: Timestamp<Server>) -> Self {
         mission.leave(now);
@@ -229,15 +232,15 @@ impl Report {
         }
     }
 
-    /// Whether all went as planned.
+    /// Whether the mission went as planned.
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.outcome == Outcome::Done
     }
 }
 
-/// Reports a robot. With `trusts_files`, descriptions come from the fleet's files, because the mission did not request them from the
-/// robots.
+/// The report of a robot. With `trusts_files`, descriptions come from the fleet's files, because the mission did not request them from
+/// the robots.
 fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
     let is_described = trusts_files || robot.introduced;
     let totals = &robot.totals;

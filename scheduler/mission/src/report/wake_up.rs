@@ -3,10 +3,10 @@
 use serde::Serialize;
 use urrcp::Span;
 
-/// Waking up may take this fraction of `start_tolerance` before it causes a warning: one fourth. The clocks need most of the tolerance.
+/// A wake-up later than `start_tolerance` divided by this causes a warning. The clocks need most of the tolerance.
 const SHARE: i64 = 4;
 
-/// The measurement of a preflight on this host.
+/// How late this host wakes its robots, as a preflight measured it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct HostWakeUp {
     /// Half of the wake-ups were later than this.
@@ -20,13 +20,14 @@ pub struct HostWakeUp {
     pub longest: Span,
     /// The scheduling that the measuring thread was granted, for users.
     pub scheduling: String,
-    /// The reason why that may be too late.
+    /// The reason why wake-ups may be too late; `None` if they are not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warning: Option<String>,
 }
 
 impl HostWakeUp {
-    /// Adds a warning if this host may be too late for `tolerance`, within which its robots must start. `None` if it drives no robots.
+    /// Adds a warning if this host may wake its robots too late. They must start within `tolerance`; `None` if this host drives no
+    /// robots.
     #[must_use]
     pub fn judged_by(mut self, tolerance: Option<Span>) -> Self {
         let too_late = |tolerance: &Span| self.p99 > *tolerance / SHARE;
@@ -40,7 +41,7 @@ impl HostWakeUp {
         self
     }
 
-    /// Sentences for users.
+    /// The measurement and the warning as sentences for users.
     pub fn sentences(&self) -> impl Iterator<Item = String> {
         let measured = format!(
             "this host wakes up {} late (median), {} (p99), {} at most; {}",

@@ -6,8 +6,8 @@ use urrcp::{RobotId, SessionId};
 use super::{Outcome, Report, RobotReport, StopState};
 use crate::Failure;
 
-/// The information of a direct stop. It does not know the earlier course of the mission, so the keys for that are missing. The report of
-/// a mission contains all keys of this one, so a stop reads both in the same way.
+/// The report of a direct stop. A direct stop does not know the earlier course of the mission, so the keys for that are missing. The
+/// report of a mission contains all keys of this report, so a stop reads both in the same way.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Withdrawal {
     /// The scenario's name.
@@ -17,28 +17,28 @@ pub struct Withdrawal {
     pub session: Option<SessionId>,
     /// The outcome of the mission.
     pub outcome: Outcome,
-    /// The reason of the stop, if neither the outcome nor a failure states it.
+    /// The reason for the stop, if neither the outcome nor a failure states it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
-    /// The robots in the order of the fleet.
+    /// The results of each robot, in the order of the fleet.
     pub robots: Vec<WithdrawnRobot>,
-    /// The failures in order.
+    /// The failures of the robots, in order.
     pub failures: Vec<Failure>,
-    /// Robots driven in the process whose hardware may not be at rest, each with the reason.
+    /// Robots driven by the process itself whose hardware may not be at rest, each with the reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_at_rest: Vec<String>,
 }
 
-/// The information of a direct stop about a robot.
+/// The results of one robot in the report of a direct stop.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct WithdrawnRobot {
-    /// Its id.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Requests sent again.
+    /// Number of requests that were sent again.
     pub retries: u32,
-    /// Number of times that its link was re-established.
+    /// Number of times that the link to the robot was re-established.
     pub reconnects: u32,
-    /// The state of its stop.
+    /// The state of the robot's stop.
     pub stop: StopState,
 }
 

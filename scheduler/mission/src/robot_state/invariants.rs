@@ -5,7 +5,7 @@ use urrcp::{Server, Timestamp};
 use super::{Link, OPEN_MAX, Questions, RobotState, Standing, Stop};
 
 impl RobotState {
-    /// Panics if a statement about the robot does not hold at `now`.
+    /// Panics if an invariant of the robot does not hold at `now`.
     pub(crate) fn check(&self, now: Timestamp<Server>) {
         let id = &self.id;
         self.questions.check();

@@ -5,12 +5,12 @@ use urrcp::RobotId;
 use super::{Ending, Script, ScriptState};
 
 impl Script {
-    /// Whether no other process can have sent it.
+    /// Whether no other process can have sent the script.
     pub(crate) const fn is_of_this_process(&self) -> bool {
         !self.perhaps_sent
     }
 
-    /// Panics if a statement about the script does not hold.
+    /// Panics if an invariant of the script does not hold.
     pub(crate) fn check(&self, robot: &RobotId) {
         let device = &self.plan.device;
         let of = format_args!("{robot}/{device}: {self:?}");
@@ -52,7 +52,7 @@ impl Script {
         );
     }
 
-    /// Checks the robot's reports.
+    /// Checks what the robot reported about the script.
     fn check_word(&self, robot: &RobotId) {
         let of = format_args!("{robot}/{}: {self:?}", self.plan.device);
         if self.discredited {

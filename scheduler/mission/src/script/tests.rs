@@ -1,11 +1,11 @@
-//! Any reports of a robot about a script, in any order.
+//! Tests with any reports of a robot about a script, in any order.
 
 use proptest::prelude::*;
 
 use super::*;
 use crate::bench::{self, at, by_robot, ms, refusal, report, response};
 
-/// Reports about a script, and events of it.
+/// Reports about a script, and other events that concern the script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Said {
     Accepted,
@@ -17,9 +17,9 @@ enum Said {
     EndedWell(Option<u32>),
     EndedBadly,
     Unknown,
-    /// It is sent again.
+    /// The script is sent again.
     Sent,
-    /// Its time has passed, and no message came.
+    /// The time of the script has passed, and no message came.
     Lapses,
 }
 
@@ -30,7 +30,7 @@ fn sent() -> Script {
     script
 }
 
-/// Takes a report `millis` after it was sent.
+/// Passes a report to the script, `millis` after the script was sent.
 fn take(script: &mut Script, said: Said, millis: i64) -> News {
     let now = at(millis);
     let id = script.request_id().unwrap().clone();

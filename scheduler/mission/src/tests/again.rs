@@ -51,7 +51,7 @@ fn an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_long
 
 #[test]
 fn a_prescribed_lease_makes_room_for_a_slower_machine_as_far_as_it_can() {
-    // Three round trips, each longer by all or half of twice the delay of 30 ms, and margins.
+    // The lead consists of three round trips, each longer by all or half of twice the delay of 30 ms, and of margins.
     for (pending, longer) in [(3_000, 180..260), (240, 90..130)] {
         let mut mission = begins_at_once(Everything);
         let act = &mut Arc::make_mut(&mut mission.choreography).acts[0];

@@ -92,7 +92,7 @@ fn plays_a_chain(tells: Tells, clock: ClockMode, ahead: Span) -> Played {
     mission.robots[0].settings.clock = clock;
     let mut played = Played::linked(mission, &[0]);
     played.ahead = [(0, ahead)].into();
-    // Its clock is known before the act is sent, as after a greeting.
+    // The robot's clock is known before the act is sent, as after a greeting.
     let there = by_robot(at(0)) + ahead;
     played.mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
     played.run_until(at(10));

@@ -242,7 +242,7 @@ fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything
     let first = played.sent.iter().position(|(.., message)| matches!(message, Message::ControlRequest(_)));
     let before = &played.sent[..first.unwrap()];
     let asks = |message: &Message| matches!(message, Message::AvailabilityRequest(_) | Message::Inquiry(_));
-    // One of them asks for positions.
+    // One of these messages asks for positions.
     assert_eq!(before.iter().filter(|(.., message)| asks(message)).count(), 9);
     let positions =
         |message: &Message| matches!(message, Message::Inquiry(inquiry) if !inquiry.devices.is_empty());
@@ -260,7 +260,7 @@ fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything
     assert!(played.recorded.iter().any(|record| matches!(record, Record::Checked)));
 }
 
-/// Three round trips of four seconds each, before anything is played.
+/// Makes three exchanges with round trips of four seconds each, before anything is played.
 fn was_slow(mission: &mut Mission) {
     for sent in [-15_000, -10_000, -5_000].map(at) {
         let there = by_robot(sent + ms(2_000));
@@ -354,7 +354,7 @@ fn answers_that_counted_for_nothing_are_told_of_a_robot_that_seems_silent() {
     assert!(text.contains("availability response to a request (answers ignored because they answer no request or have impossible times: 1)"), "{text}");
 }
 
-/// Acts follow each other forever, played by the available ones of two robots. The second one is missing at first.
+/// A mission whose acts follow each other forever, played by the available robots of two. The second robot is missing at first.
 fn waits_for_nobody(greeting: Greeting) -> Played {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].next = Way::Act(0);
@@ -622,7 +622,7 @@ fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
     assert_eq!(kinds, [FailureKind::NotAvailable { error: busy() }]);
 }
 
-/// The same with another smallest step and largest error of the device, as written in its description.
+/// A mission whose device has another smallest step and largest error, as written in its description.
 fn with_limits(change: impl FnOnce(&mut serde_json::Value)) -> Mission {
     let mut mission = tells_where_it_stands();
     let mut block = serde_json::to_value(mission.robots[0].block.as_ref().unwrap()).unwrap();

@@ -47,12 +47,12 @@ pub(super) struct Played {
 }
 
 impl Played {
-    /// All links are connected at once, and the first act is sent as soon as the duration of a record is known.
+    /// A mission whose links are all connected at once. It sends its first act as soon as the duration of a record is known.
     pub(super) fn begun(mission: Mission) -> Self {
         Self::of(mission, Vec::new())
     }
 
-    /// The same; the robots in `mute` receive and send nothing.
+    /// Like `begun`, but the robots in `mute` receive and send nothing.
     pub(super) fn of(mission: Mission, mute: Vec<usize>) -> Self {
         let all: Vec<usize> = (0..mission.robots.len()).collect();
         let mut played = Self::linked(mission, &all);

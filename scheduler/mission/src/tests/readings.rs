@@ -57,7 +57,7 @@ fn readings_that_a_broken_link_lost_in_the_greeting_are_asked_for_again() {
     let range = SensorRange::Above(10.0);
     played.mission.robots[0].settings.require = vec![Requirement { sensor: "a".parse().unwrap(), range }];
     played.mission.robots[0].readings = vec![None];
-    // Its block has arrived, and the readings are pending.
+    // The robot's block has arrived, and the readings are pending.
     played.run_until(at(0) + Span::from_micros(500));
     assert!(played.mission.robots[0].introduced && !played.mission.robots[0].has_shown_its_pose());
     played.mutes(0);

@@ -90,7 +90,7 @@ fn an_act_that_ended_without_a_process_waits_a_moment_for_the_answer_of_a_robot_
     for answers in [true, false] {
         let played = left_out_after(ms(100));
         let mut resumed = resumed_after(&played, 20_000);
-        // Its link is established last.
+        // The link of this robot is established last.
         resumed.delay_link(1, if answers { ms(300) } else { ms(60_000) });
         assert_eq!(resumed.run_to_the_end(), Outcome::DoneWithout);
         let totals = resumed.mission.robots[1].totals;

@@ -265,7 +265,7 @@ fn fails_towards_another_act(played: &mut Played, rest: Rest) {
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
 }
 
-/// The same, but only up to the stop.
+/// Like `fails_towards_another_act`, but only up to the stop.
 fn stops_before_another_act(played: &mut Played, rest: Rest) {
     let then = Arc::make_mut(&mut played.mission.choreography);
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
@@ -340,7 +340,7 @@ fn an_act_does_not_miss_its_time_because_a_position_never_rests() {
         if by_sensor {
             states_positions_by_sensors(&mut played);
         }
-        // Never at rest, and never too far from the first step of the act.
+        // The device is never at rest, and never too far from the first step of the act.
         played.jitters = 1.5;
         let start = played.now + ms(8_000);
         stops_before_another_act(&mut played, Rest::InPlace);

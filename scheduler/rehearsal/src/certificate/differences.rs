@@ -1,4 +1,4 @@
-//! The differences between a plan and a certified one, in sentences.
+//! Describes the differences between a plan and a certified plan in sentences.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,10 @@ use urrcp::ContentHash;
 
 use super::{Certificate, CertifiedAct, CertifiedRobot, Options, Subject};
 
-/// Maximum number of sentences to list; the rest is counted.
+/// Maximum number of sentences to list; further ones are only counted.
 const SHOWN: usize = 20;
 
-/// Returns the reasons why this certificate does not cover the plan; empty if it does.
+/// Returns the reasons why `certificate` does not cover the plan `now`; empty if it covers the plan.
 #[must_use]
 pub fn differences(certificate: &Certificate, now: &Subject) -> Vec<String> {
     let mut found = Vec::new();
@@ -26,7 +26,7 @@ pub fn differences(certificate: &Certificate, now: &Subject) -> Vec<String> {
         found.push(format!("it is for the scenario `{}`, but this is `{}`", then.scenario, now.scenario));
     }
     let options = options(&then.options, &now.options);
-    // Different options change scripts; a list of those changes would hide the reason.
+    // If the options differ, the scripts differ too; listing those differences would hide the cause.
     if options.is_empty() {
         acts(&then.acts, &now.acts, &mut found);
     } else {
@@ -63,7 +63,7 @@ fn options(then: &Options, now: &Options) -> Vec<String> {
     differ.map(|(name, then, now)| format!("{name}: {now}, but certified with {then}")).collect()
 }
 
-/// The name of an act in a sentence.
+/// The name of an act, as used in a sentence.
 fn called(act: &CertifiedAct) -> String {
     if act.act.is_empty() { "the scenario".to_owned() } else { format!("act `{}`", act.act) }
 }
@@ -135,7 +135,7 @@ fn settings(
     let text = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), ToString::to_string);
     for key in keys {
         let (before, after) = (then.get(key), now.get(key));
-        // A hash is meaningless to people.
+        // The setting `space` is a hash, which means nothing to people.
         match before == after {
             true => {}
             false if key == "space" => found.push(format!("{who}: its `space` differs")),

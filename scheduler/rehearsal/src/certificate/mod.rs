@@ -1,7 +1,7 @@
-//! A certificate: which plan was played in virtual time with which faults, and that the promise held each time.
+//! A certificate states that a plan was played in virtual time with a list of faults, and that the promise held each time.
 //!
 //! `subject` lists the certified properties, `differences` compares two subjects, `trials` plays the faults. This file contains the
-//! document. It protects against mistakes: its seal detects damage, but is no signature.
+//! certificate itself. Its seal detects damage and mistakes, but is not a signature.
 
 mod differences;
 mod subject;
@@ -19,24 +19,24 @@ pub use self::differences::differences;
 pub use self::subject::{CertifiedAct, CertifiedRobot, Options, Subject, plan_hash};
 pub use self::trials::{Injected, Trial, faults, play};
 
-/// The version of the document that this program writes and reads.
+/// The certificate version that this program writes and reads.
 pub const VERSION: u32 = 1;
-/// Maximum size of a document in bytes.
+/// Maximum size of a certificate file in bytes.
 const BYTES_MAX: u64 = 64 << 20;
 
 /// A certified plan and the trials that it passed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Certificate {
-    /// Version of this document: [`VERSION`].
+    /// Version of the certificate format: [`VERSION`].
     pub certificate: u32,
-    /// Version of the program that played it.
+    /// Version of Downbeat that played the trials.
     pub downbeat: String,
     /// Seed of the random delays and clock errors of every trial.
     pub seed: u64,
-    /// The plan and the fleet that were played.
+    /// The plan and the fleet that were played in the trials.
     pub subject: Subject,
-    /// Every fault, in the order of play. The promise held in each trial.
+    /// One trial per fault, in the order of play. The promise held in each trial.
     pub trials: Vec<Trial>,
     /// SHA-256 over the canonical JSON of all other keys: sorted keys, no white space.
     pub seal: ContentHash,
@@ -49,9 +49,9 @@ pub enum CertificateError {
     /// The file cannot be read.
     #[error("cannot read the certificate `{file}`: {reason}")]
     Unreadable {
-        /// The file as the user named it.
+        /// The path of the file, as the user gave it.
         file: String,
-        /// The reason, for people.
+        /// The reason for the error, for people.
         reason: String,
     },
     /// The file is incomplete or not a certificate.
@@ -59,25 +59,25 @@ pub enum CertificateError {
         "`{file}` is not a complete certificate: {reason}; create it again with `downbeat dry-run --certify`"
     )]
     Damaged {
-        /// The file as the user named it.
+        /// The path of the file, as the user gave it.
         file: String,
-        /// The reason, for people.
+        /// The reason for the error, for people.
         reason: String,
     },
-    /// The document has another version.
-    #[error("`{file}` is a certificate of version {version}, expected version {VERSION}")]
+    /// The certificate has another version than [`VERSION`].
+    #[error("`{file}` is a version {version} certificate, expected version {VERSION}")]
     Version {
-        /// The file as the user named it.
+        /// The path of the file, as the user gave it.
         file: String,
-        /// The version found.
+        /// The version stated in the file.
         version: u64,
     },
-    /// The content was changed.
+    /// The content was changed after the certificate was written.
     #[error(
         "`{file}` was changed after it was written: its seal does not match; create it again with `downbeat dry-run --certify`"
     )]
     Seal {
-        /// The file as the user named it.
+        /// The path of the file, as the user gave it.
         file: String,
     },
 }
@@ -101,7 +101,7 @@ impl Certificate {
     /// Reads and verifies a certificate.
     ///
     /// # Errors
-    /// A file that cannot be read, is damaged, was changed, or has another version.
+    /// [`CertificateError`] if the file cannot be read, is damaged, was changed, or has another version.
     pub fn read(path: &Path) -> Result<Self, CertificateError> {
         let file = path.display().to_string();
         let unreadable = |error: std::io::Error| {
@@ -142,7 +142,7 @@ impl Certificate {
         }
     }
 
-    /// Returns the document; equal certificates give the same bytes.
+    /// Returns the certificate as the text of its file. Equal certificates give the same bytes.
     #[must_use]
     pub fn text(&self) -> String {
         format!("{:#}\n", value_of(self))
@@ -175,7 +175,7 @@ fn sorted(value: Value) -> Value {
     }
 }
 
-/// SHA-256 over canonical JSON.
+/// SHA-256 over the canonical JSON of `what`.
 fn hash_of(what: &impl Serialize) -> ContentHash {
     ContentHash::of(value_of(what).to_string().as_bytes())
 }

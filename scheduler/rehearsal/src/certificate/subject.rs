@@ -1,5 +1,6 @@
-//! The certified properties: everything that changes the behaviour of robots, in parts, so that a difference can be named. Structs are
-//! destructured completely, so that a new field does not compile until it is classified as relevant or not.
+//! The certified properties: everything that changes the behaviour of robots. They are kept in parts, so that a difference can be named.
+//! The code destructures structs completely, so that it does not compile with a new field until that field is classified as relevant or
+//! not.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +16,7 @@ use super::{hash_of, sorted};
 use downbeat_runtime::fleet;
 use downbeat_runtime::journal::Asked;
 
-/// A plan and the fleet that it was made for.
+/// The certified plan, and the fleet that the plan was made for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Subject {
@@ -23,13 +24,13 @@ pub struct Subject {
     pub scenario: String,
     /// The options from the command line.
     pub options: Options,
-    /// SHA-256 over the name, the acts and the options.
+    /// SHA-256 over the scenario's name, the acts and the options.
     pub plan_hash: ContentHash,
-    /// SHA-256 over the relevant part of the fleet.
+    /// SHA-256 over the part of the fleet that changes the behaviour of robots.
     pub fleet_hash: ContentHash,
-    /// Acts in the order of the scenario.
+    /// The acts, in the order of the scenario.
     pub acts: Vec<CertifiedAct>,
-    /// Settings of the whole fleet.
+    /// Settings that apply to the whole fleet, by name.
     pub fleet: BTreeMap<String, Value>,
     /// The robots that play or whose sensors are read.
     pub robots: BTreeMap<RobotId, CertifiedRobot>,
@@ -39,53 +40,53 @@ pub struct Subject {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
-    /// Play only this act.
+    /// The only act to play; `None`: all acts.
     pub act: Option<String>,
-    /// Start with this act.
+    /// The act to start with; `None`: the first act.
     pub from: Option<String>,
-    /// Play only these robots.
+    /// The only robots to play; empty: all robots.
     pub only: Vec<RobotId>,
-    /// Factor on the speed of the scenario.
+    /// Factor by which the speed of the scenario is multiplied.
     pub speed: f64,
 }
 
-/// An act: its waits and transitions in full, its scripts as hashes.
+/// An act of the certified plan: the waits and transitions in full, the scripts as hashes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertifiedAct {
-    /// Its name; empty if the scenario has no acts of its own.
+    /// The name of the act; empty if the scenario does not define acts.
     pub act: String,
-    /// Waits, transitions, policies, leases.
+    /// Waits, transitions, policies and leases of the act, by name.
     pub settings: BTreeMap<String, Value>,
-    /// SHA-256 over the scripts (starts, leases, steps) of each `robot/device`.
+    /// SHA-256 over the scripts (starts, leases, steps) of each device; the key is `robot/device`.
     pub scripts: BTreeMap<String, ContentHash>,
 }
 
-/// A robot of the fleet file.
+/// The certified properties of a robot in the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertifiedRobot {
-    /// `clock`, `wake_up`, `encoding`, `require`, and `limits` by device.
+    /// The robot's settings in the fleet file: `clock`, `wake_up`, `encoding`, `require`, and `limits` by device.
     pub settings: BTreeMap<String, Value>,
-    /// SHA-256 over its description, without the devices.
+    /// SHA-256 over the robot's description without its devices.
     pub description: ContentHash,
-    /// SHA-256 over each device's description.
+    /// SHA-256 over the description of each device, by device id.
     pub devices: BTreeMap<String, ContentHash>,
-    /// SHA-256 over its body.
+    /// SHA-256 over the robot's body.
     pub body: ContentHash,
 }
 
 impl Subject {
-    /// The selected part of a scenario, with the robots that it needs.
+    /// Creates the subject from the selected part of a scenario and the robots that it needs.
     #[must_use]
     pub fn of(choreography: &Choreography, fleet: &Fleet, asked: &Asked) -> Self {
-        // Requirements are judged, not played.
+        // Requirements are judged and do not change the plan.
         let Choreography { scenario, acts: played, requirements: _ } = choreography;
         let acts = certified_acts(played, choreography);
         let robots = fleet::robots_in(fleet, choreography);
         let robots: BTreeMap<RobotId, CertifiedRobot> =
             robots.into_iter().map(|robot| (robot.id.clone(), certified_robot(robot))).collect();
-        // Groups are already resolved; the NTP server of this machine changes no plan.
+        // Groups are already resolved. The NTP server of this machine does not change the plan.
         let Fleet { ntp: _, handshake, space, robots: _, groups: _, identity: _, revoked: _, zenoh: _ } =
             fleet;
         let handshake = match handshake {
@@ -107,7 +108,7 @@ impl Subject {
     }
 }
 
-/// SHA-256 over the name, the acts and the options: the `plan_hash` of a certificate.
+/// SHA-256 over the scenario's name, the acts and the options: the `plan_hash` of a certificate.
 #[must_use]
 pub fn plan_hash(choreography: &Choreography, asked: &Asked) -> ContentHash {
     let acts = certified_acts(&choreography.acts, choreography);
@@ -132,8 +133,8 @@ fn named<const N: usize>(settings: [(&str, Value); N]) -> BTreeMap<String, Value
 }
 
 fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
-    // Latencies are certified with the robots, and shift the starts of scripts. The names of cues, the origin of steps and the positions
-    // of bodies follow from the rest or move nothing.
+    // Latencies shift the starts of scripts; they are certified as properties of robots. The names of cues, the origin of steps and the
+    // positions of bodies follow from other fields or move nothing.
     let Act {
         name,
         plan,
@@ -186,7 +187,7 @@ fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
 }
 
 fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
-    // A robot may move to another address, and real robots are not simulated.
+    // A change of the address does not matter, and simulation settings do not apply to real robots.
     let FleetRobot { id: _, address: _, init, simulation: _, limits, body, mission } = robot;
     let MissionSettings { clock, wake_up, encoding, require, latencies, calibrate: _ } = mission;
     let mut settings = named([

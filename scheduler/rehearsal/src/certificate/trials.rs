@@ -15,58 +15,58 @@ use downbeat_mission::report::{Report, StopState};
 use downbeat_mission::{MissionOptions, Outcome};
 use downbeat_runtime::fleet;
 
-/// A fault that is injected.
+/// A fault to inject into a trial, or none.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "fault")]
 #[non_exhaustive]
 pub enum Injected {
-    /// No fault.
+    /// No fault is injected.
     None,
     /// A robot refuses every script.
     Refuses {
-        /// The faulty robot.
+        /// The id of the faulty robot.
         robot: RobotId,
     },
     /// A robot never answers a control request, and does not execute it.
     Silent {
-        /// The faulty robot.
+        /// The id of the faulty robot.
         robot: RobotId,
     },
     /// A robot closes its link right after it has accepted a script, and stays unreachable.
     Disconnects {
-        /// The faulty robot.
+        /// The id of the faulty robot.
         robot: RobotId,
     },
     /// A robot's process ends in the middle of an act and does not restart.
     Dies {
-        /// The faulty robot.
+        /// The id of the faulty robot.
         robot: RobotId,
-        /// The act.
+        /// The name of the act in which the fault occurs.
         act: String,
     },
     /// A robot's link is interrupted in the middle of an act, for longer than the usual lease (5 s).
     LinkDown {
-        /// The faulty robot.
+        /// The id of the faulty robot.
         robot: RobotId,
-        /// The act.
+        /// The name of the act in which the fault occurs.
         act: String,
     },
     /// A robot stalls in the middle of an act, as a process under load does (0.4 s).
     Stalls {
-        /// The faulty robot.
+        /// The id of the faulty robot.
         robot: RobotId,
-        /// The act.
+        /// The name of the act in which the fault occurs.
         act: String,
     },
 }
 
-/// Longer than the usual lease: a robot without messages for this long comes to rest.
+/// Duration of an interrupted link. It exceeds the usual lease, so a robot that receives no messages for this time comes to rest.
 const INTERRUPTED: Span = Span::from_millis(5_000);
-/// A typical delay of a process under load.
+/// Duration of a stall: a typical delay of a process under load.
 const STALLED: Span = Span::from_millis(400);
 
 impl Injected {
-    /// The faulty robot; `None` without a fault.
+    /// The id of the faulty robot; `None` without a fault.
     fn whose(&self) -> Option<&RobotId> {
         match self {
             Self::None => None,
@@ -79,7 +79,7 @@ impl Injected {
         }
     }
 
-    /// The fault if it occurs during an act.
+    /// The fault with its robot and its act, if it occurs during an act.
     fn incident(&self) -> Option<(&RobotId, &str, Trouble)> {
         match self {
             Self::None | Self::Refuses { .. } | Self::Silent { .. } | Self::Disconnects { .. } => None,
@@ -91,7 +91,7 @@ impl Injected {
         }
     }
 
-    /// The fault if it is permanent.
+    /// The fault with its robot, if the fault is permanent.
     fn lasting(&self) -> Option<(&RobotId, Fault)> {
         match self {
             Self::Refuses { robot } => Some((robot, Fault::Refuse)),
@@ -120,24 +120,24 @@ impl Injected {
     }
 }
 
-/// A fault and the result of its mission.
+/// A fault, and the result of the mission in which it was injected.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trial {
     /// The injected fault.
     pub injected: Injected,
-    /// The outcome, as in a report.
+    /// The outcome of the mission, as in a report.
     pub outcome: Value,
-    /// The true spread of starts; the maximum over all acts.
+    /// The largest true spread of starts in an act; `None` if it is unknown.
     pub true_spread_ms: Option<Span>,
-    /// The robots that set any value, in the order of the fleet.
+    /// The ids of the robots that set any value, in the order of the fleet.
     pub moved: Vec<RobotId>,
-    /// The broken promises; empty in every certificate.
+    /// The promises that were broken, in sentences; empty in every certificate.
     pub broken: Vec<String>,
 }
 
-/// Lists all faults to play. The first is no fault. Each moving robot refuses, is silent, and disconnects. In each act in which it moves,
-/// it dies, loses its link, and stalls.
+/// Lists all faults to play. The first entry is no fault. Each moving robot once refuses, is silent, and disconnects. In each act in
+/// which a robot moves, it once dies, loses its link, and stalls.
 #[must_use]
 pub fn faults(choreography: &Choreography) -> Vec<Injected> {
     let moves: BTreeSet<&RobotId> =
@@ -176,7 +176,7 @@ const fn always(span: Span) -> Between<Span> {
     Between { least: span, largest: span }
 }
 
-/// A world in which only this fault occurs, in the middle of the act.
+/// Creates a world in which only the given fault occurs, in the middle of its act. `None` if the fault does not occur during an act.
 fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -> Option<World> {
     let (robot, act, trouble) = injected.incident()?;
     let place = fleet.robots.iter().position(|listed| listed.id == *robot)?;
@@ -195,7 +195,7 @@ fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -
 /// Plays one trial to its end.
 ///
 /// # Errors
-/// A message for people, if a robot cannot be simulated.
+/// A message for people if a robot cannot be simulated.
 pub fn play(
     choreography: &Choreography,
     fleet: &Fleet,
@@ -215,7 +215,7 @@ pub fn play(
     })
 }
 
-/// Returns the report and the actual behaviour of the robots.
+/// Plays a mission with a fault. Returns the report and the actual behaviour of the robots.
 fn rehearse(
     choreography: &Choreography,
     fleet: &Fleet,
@@ -232,7 +232,7 @@ fn rehearse(
             Some(fault) => fleet::rehearsed_with(robot, |settings| {
                 (settings.seed, settings.fault) = (seed, Some(fault));
             }),
-            // The links of the world delay messages, so the robot itself must not.
+            // The links of the world delay messages, so the robot itself must not delay them.
             None if world.is_some() => fleet::rehearsed_with(robot, |settings| {
                 (settings.seed, settings.delay) = (seed, Some((Span::ZERO, Span::ZERO)));
             }),
@@ -258,7 +258,7 @@ fn rehearse(
     Ok(rehearsal.play_watched())
 }
 
-/// The broken promises, for people.
+/// Lists the promises that were broken in a mission, in sentences for people.
 fn broken(
     choreography: &Choreography,
     injected: &Injected,
@@ -273,7 +273,8 @@ fn broken(
     broken
 }
 
-/// Checks the outcome: without a fault the mission is done and the starts are close together; with one it reports a failure.
+/// Checks the outcome. Without a fault, the mission is done and the starts are close together. With a fault, the mission reports a
+/// failure.
 fn ended(choreography: &Choreography, injected: &Injected, report: &Report, broken: &mut Vec<String>) {
     let outcome = &report.outcome;
     let tolerance = choreography.acts.iter().map(|act| act.plan.start_tolerance).max().unwrap_or_default();
@@ -297,8 +298,8 @@ fn ended(choreography: &Choreography, injected: &Injected, report: &Report, brok
     }
 }
 
-/// Checks that each act starts on all of its robots or on none. A robot whose fault occurs during an act may miss the next one. Only the
-/// faulty robot is left out, and only if the policy of the act permits it.
+/// Checks that each act starts on all of its robots or on none. A robot whose fault occurs during an act may miss the next act. Only the
+/// faulty robot may be left out, and only if the policy of the act permits it.
 fn all_or_none(
     choreography: &Choreography,
     injected: &Injected,
@@ -332,7 +333,7 @@ fn all_or_none(
                 (false, false) if may_miss(&robot.robot) || begins_after(injected, planned, &robot.robot) => {
                 }
                 (false, false) => waited.push(robot.robot.to_string()),
-                // It was left out when its fault occurred.
+                // The robot moved before its fault occurred and was then left out.
                 (true, true) if may_miss(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
                 (true, true) => broken.push(format!("{name}: `{}` was left out but moved", robot.robot)),
                 (true, false) if is_faulty(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
@@ -347,8 +348,8 @@ fn all_or_none(
     }
 }
 
-/// Whether a robot's first script starts so late that a fault may already have stopped the act. In the act of the fault, that is after
-/// the fault; in other acts, after the first script.
+/// Whether the first script of `robot` in `act` starts so late that the fault may already have stopped the act. In the act of the fault,
+/// this is after the fault; in other acts, after the first script of any robot.
 fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
     let Some((_, faulty_act, _)) = injected.incident() else { return false };
     let first = |planned: &RobotPlan| planned.scripts.iter().map(|script| script.start.span()).min();
@@ -361,15 +362,15 @@ fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
     of_robot.zip(bound).is_some_and(|(start, bound)| start >= bound)
 }
 
-/// The smallest time step.
+/// The shortest difference between two instants.
 const NEXT: Span = Span::from_nanos(1);
 
-/// The time of a fault in the middle of an act, from its start.
+/// The time of a fault in the middle of `act`, relative to the start of the act.
 fn middle(act: &Act) -> Span {
     Span::from_nanos(act.plan.duration().as_nanos() / 2)
 }
 
-/// Whether an act continues without this robot, or another act follows its failure. A robot that was left out stays out.
+/// Whether some act continues without `robot`, or moves on to another act if `robot` fails. A robot that was left out stays out.
 fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
     choreography.acts.iter().map(|act| &act.on_failure).any(|rules| {
         let rule = rules.robots.iter().find(|(of, _)| of == robot);
@@ -377,7 +378,7 @@ fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
     })
 }
 
-/// Checks that nothing moves at the end, and that a robot that confirmed its default state went there.
+/// Checks that no robot moves at the end, and that each robot that confirmed its default state has gone to that state.
 fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     for (row, watched) in report.robots.iter().zip(watched) {
         if watched.still_moves {
@@ -401,7 +402,7 @@ fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     }
 }
 
-/// Checks the reported starts against the actual ones; they may be incomplete for a robot that was lost.
+/// Checks the reported starts against the actual starts. For a lost robot, the report may be incomplete.
 fn told(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     for (row, watched) in report.robots.iter().zip(watched) {
         let began: usize = watched.begun.values().sum();
@@ -430,7 +431,7 @@ mod tests {
          "position": {"min_value": 0, "max_value": 90, "granularity": 1},
          "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
-    /// A movement of this length in milliseconds.
+    /// A script that moves a device for `length` milliseconds.
     fn script(length: i64) -> DeviceScript {
         let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
         let step = |at, value| Step {
@@ -448,7 +449,7 @@ mod tests {
         }
     }
 
-    /// Three arms that move simultaneously.
+    /// A choreography for three arms that move simultaneously.
     fn three() -> (Choreography, Fleet) {
         let names = ["a", "b", "c"];
         let robots =
@@ -487,7 +488,7 @@ mod tests {
         }
     }
 
-    /// Checks that a trial reports this if the robots had behaved differently.
+    /// Plays a fault, falsifies the result with `doctor`, and checks that the trial then reports the broken promise `says`.
     #[track_caller]
     fn check(injected: &Injected, doctor: fn(&mut Report, &mut Vec<Watched>), says: &str) {
         let (choreography, fleet) = three();
@@ -559,7 +560,7 @@ mod tests {
     #[test]
     fn a_robot_whose_part_comes_later_in_an_act_need_not_begin_once_another_has_failed() {
         let (mut choreography, fleet) = three();
-        // After the middle of the act, where faults come.
+        // The start is after the middle of the act, where faults occur.
         let start = Millis::from_span(Span::from_millis(2_000));
         choreography.acts[0].plan.robots[2].scripts = vec![DeviceScript { start, ..script(500) }];
         for injected in faults(&choreography) {
@@ -571,7 +572,7 @@ mod tests {
                 assert!(!trial.moved.contains(&id("c")), "{trial:?}");
             }
         }
-        // A robot whose part lies before the fault must have begun.
+        // A robot whose script starts before the fault must have begun.
         let dies = Injected::Dies { robot: id("a"), act: "three".to_owned() };
         let (report, mut watched) = rehearse(&choreography, &fleet, (0, 0), &dies).unwrap();
         watched[1].begun.clear();

@@ -1,4 +1,4 @@
-//! The circumstances of one trial, drawn from a world.
+//! The circumstances of one trial: random network conditions, incidents, readings and operator behaviour, drawn from a world file.
 
 use downbeat_scripts::{
     Between, Delay, FleetRobot, Incident, LinkWorld, OperatorWorld, Reading, Trouble, World,
@@ -9,7 +9,7 @@ use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 use crate::world::{Path, between};
 use downbeat_runtime::fleet::WIRED;
 
-/// The network to a robot, with its own random stream.
+/// The network path to a robot, with its own random stream.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
     pub(super) path: Path,
@@ -22,30 +22,31 @@ impl Link {
     }
 }
 
-/// All deviations from a perfect world. Each robot's link, each incident and the operator have their own random streams, so that
-/// additional draws of one do not change the others.
+/// All deviations of a trial from a perfect world. Each robot's link, each incident and the operator have their own random stream.
+/// Additional draws from one stream do not change the others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Circumstances {
-    /// By robot of the mission; `None`: the robot itself delays its messages, as in the fleet file.
+    /// The link to each robot, by the robot's index in the mission. `None`: the robot itself delays its messages, as the fleet file
+    /// specifies.
     pub(super) links: Vec<Option<Link>>,
     pub(super) incidents: Vec<Drawn>,
-    /// The readings of sensors, and when they take effect.
+    /// The readings of sensors: when a reading takes effect, the robot's index, the sensor, and the value.
     pub(super) readings: Vec<(Timestamp<Server>, usize, DeviceId, f64)>,
     pub(super) operator: Option<(OperatorWorld, Rng)>,
 }
 
-/// An incident that happens.
+/// An incident that happens in the trial, with its drawn time.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Drawn {
     /// Index of the robot in the mission.
     pub(super) robot: usize,
-    /// The act whose start `at` relates to; `None`: the beginning of the mission.
+    /// The act whose start `at` is relative to. `None`: `at` is relative to the start of the mission.
     pub(super) act: Option<String>,
     pub(super) at: Span,
     pub(super) mishap: Mishap,
 }
 
-/// A fault with its drawn times.
+/// A fault of a robot with its drawn durations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Mishap {
     Dies { back_after: Option<Span> },
@@ -54,7 +55,7 @@ pub(super) enum Mishap {
     LinkDown { lasts: Span },
 }
 
-/// The purposes of random streams.
+/// The random streams of a trial, by purpose.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Stream {
     Robot(usize),
@@ -65,7 +66,7 @@ pub(crate) enum Stream {
 }
 
 impl Stream {
-    /// The random generator for this purpose, from the seed of a trial.
+    /// Creates the random generator of this stream from the seed of a trial.
     pub(crate) fn rng(self, seed: u64) -> Rng {
         let (kind, first, second) = match self {
             Self::Robot(index) => (1, index, 0),
@@ -89,7 +90,8 @@ pub(crate) const fn mixed(value: u64) -> u64 {
 }
 
 impl Circumstances {
-    /// Draws a trial of `world` for the robots of a mission that begins at `begin`. The world's robots are those of the fleet.
+    /// Draws the circumstances of a trial from `world`, for the robots of a mission that starts at `begin`. The robots in `world` are
+    /// those of the fleet.
     pub(crate) fn draw(
         world: &World,
         fleet: &[FleetRobot],
@@ -140,14 +142,14 @@ fn number(rng: &mut Rng, bounds: Between<f64>) -> f64 {
     bounds.least + rng.f64() * (bounds.largest - bounds.least)
 }
 
-/// The link of a robot that the world does not mention.
+/// The link of a robot that the world does not mention: the delays of the fleet file.
 fn as_in_fleet(robot: &FleetRobot) -> LinkWorld {
     let (least, largest) = robot.simulation.delay.unwrap_or(WIRED);
     LinkWorld::with_delay(Delay::Between(Between { least, largest }))
 }
 
 fn happens(incident: &Incident, robot: usize, rng: &mut Rng) -> Option<Drawn> {
-    // Draws even if the incident does not happen, so that another probability does not change its time.
+    // Draws the time even if the incident does not happen, so that a different probability does not change the time.
     let happens = rng.f64() < incident.probability;
     let at = between(rng, incident.at);
     let mishap = match &incident.trouble {

@@ -1,8 +1,8 @@
-//! A mission in virtual time: the same loop, mission machine and robot machines as in a real mission; time jumps from event to event. The
-//! network has the delays of the fleet file and loses nothing; trials draw networks that do.
+//! Plays a mission in virtual time, with the same main loop, mission machine and robot machines as in a real mission. Time jumps from
+//! event to event. The network has the delays of the fleet file and loses nothing; only trials draw networks that lose messages.
 //!
-//! A virtual operator gives the go whenever an act waits and no other act plays. Every dry run ends: a loop of acts is played a fixed
-//! number of times, and an act whose condition never occurs is given up ([`Cut`]).
+//! A virtual operator gives the go whenever an act waits and no other act plays. Every dry run ends: it plays a loop of acts a fixed
+//! number of times, and ends at an act whose condition never occurs ([`Cut`]).
 
 mod circumstances;
 mod operator;
@@ -26,35 +26,35 @@ use downbeat_mission::{MissingParticipant, Mission, MissionOptions, Participant,
 
 /// Start of virtual time if no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
-/// Virtual time starts this long before the first time that an act waits for, plus this long for every act.
+/// Virtual time starts this long before the first time that an act waits for, and additionally this long for every act.
 const BEFORE_TIME: Span = Span::from_millis(60_000);
 /// Number of times that a loop through all acts is played, unless [`MissionOptions::acts_max`] overrides it.
 pub const ROUNDS: u32 = 3;
 
-/// The result of a mission in virtual time.
+/// The result of a mission that was played in virtual time.
 #[derive(Debug)]
 pub struct Played {
     /// The report, as after a real mission.
     pub report: Report,
     /// The values that each robot set, in the order of the mission's robots; empty unless logs are kept.
     pub logs: Vec<Vec<LogEntry>>,
-    /// Number of scripts that really began, for each act that has ended, in order.
+    /// The scripts that really started, for each act that has ended, in order.
     pub starts: Vec<ActStarts>,
-    /// Why the virtual operator ended the mission prematurely.
+    /// Why the virtual operator ended the mission prematurely; `None` if it did not.
     pub cut: Option<Cut>,
 }
 
-/// The mission was stopped because an act waited for an event that does not occur in virtual time.
+/// Why the virtual operator stopped a mission: an act waited for an event that does not occur in virtual time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
-    /// Name of the act.
+    /// Name of the waiting act.
     pub act: String,
-    /// The awaited event, for people.
+    /// The event that the act waits for, described for people.
     pub awaits: String,
 }
 
 impl Played {
-    /// The values that a robot set.
+    /// The values that `robot` set; `None` if the mission has no such robot.
     #[must_use]
     pub fn log_of(&self, robot: &RobotId) -> Option<&[LogEntry]> {
         let index = self.report.robots.iter().position(|row| row.robot == *robot)?;
@@ -62,15 +62,15 @@ impl Played {
     }
 }
 
-/// Whether to keep the values that every robot sets: about 250 bytes per step.
+/// Whether to keep the values that the robots set. Each kept step takes about 250 bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Logs {
-    /// Only data for the report is evaluated.
+    /// Values are used for the report and then dropped.
     #[default]
     Dropped,
-    /// Everything is kept, for example for a picture.
+    /// All values are kept, for example to draw them.
     Kept,
-    /// The audience receives everything, and nothing is kept.
+    /// The audience receives all values, and none are kept.
     Watched,
 }
 
@@ -79,10 +79,10 @@ pub trait Audience {
     /// Receives a message for the operator.
     fn told(&mut self, at: Timestamp<Server>, progress: &Progress);
 
-    /// Another second of virtual time has begun.
+    /// Called once per second of virtual time.
     fn second(&mut self, now: Timestamp<Server>);
 
-    /// Receives a value that a robot has set; only called if values are kept or watched.
+    /// Receives a value that the robot with the given index has set. Called only if values are kept or watched.
     fn set(&mut self, _robot: usize, _entry: &LogEntry) {}
 }
 
@@ -92,7 +92,7 @@ impl Audience for () {
     fn second(&mut self, _: Timestamp<Server>) {}
 }
 
-/// A choreography about to be played in virtual time.
+/// A choreography that is ready to be played in virtual time.
 #[derive(Debug)]
 pub struct Rehearsal {
     mission: Mission,
@@ -103,11 +103,11 @@ pub struct Rehearsal {
 }
 
 impl Rehearsal {
-    /// Creates a rehearsal with simulated robots in the order of the participants. Devices begin where the first act expects them. Each
-    /// sensor that an act waits for gives a reading that satisfies the act.
+    /// Creates a rehearsal with one simulated robot per participant, in the same order. At the start, devices are where the first act
+    /// expects them. Each sensor that an act waits for gives a reading that satisfies the act.
     ///
     /// # Errors
-    /// A robot of the choreography has no participant.
+    /// An error if a robot of the choreography is not among the participants.
     pub fn new(
         choreography: Choreography,
         participants: Vec<Participant>,
@@ -151,25 +151,25 @@ impl Rehearsal {
         index.map(|index| self.robots[index].set_reading(sensor.clone(), value)).is_some()
     }
 
-    /// Draws the circumstances of the mission for the instant at which it begins.
+    /// Returns this rehearsal with the circumstances that `draw` returns for the start time of the mission.
     pub(crate) fn meets(self, draw: impl FnOnce(Timestamp<Server>) -> Circumstances) -> Self {
         let circumstances = draw(self.begin);
         Self { circumstances, ..self }
     }
 
-    /// Sets whether to keep the values that every robot sets.
+    /// Sets whether to keep the values that the robots set.
     #[must_use]
     pub fn with_logs(self, logs: Logs) -> Self {
         Self { logs, ..self }
     }
 
-    /// Plays to the end.
+    /// Plays the mission to its end.
     #[must_use]
     pub fn play(self) -> Played {
         self.play_before(&mut ())
     }
 
-    /// Plays to the end before an audience.
+    /// Plays the mission to its end, observed by `audience`.
     #[must_use]
     pub fn play_before(self, audience: &mut impl Audience) -> Played {
         let Self { mut mission, robots, begin, logs, circumstances } = self;
@@ -177,7 +177,7 @@ impl Rehearsal {
         let ids = mission.robot_ids().cloned().collect();
         let mut world = VirtualWorld::new(robots, ids, begin, (operator, circumstances), logs, audience);
         let report = at_once(drive(&mut mission, &mut world));
-        // A virtual process is never killed.
+        // The fallback is for completeness: a virtual scheduler process is never killed.
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
         report.true_spread = world.true_spread();
         report.true_end_spread = world.true_end_spread();
@@ -187,7 +187,7 @@ impl Rehearsal {
     }
 }
 
-/// The start of virtual time: early enough to play all acts before the first one that waits for a time, but not hours before.
+/// The start of virtual time: early enough to play all acts before the first act that waits for a time, but not hours earlier.
 fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<Server> {
     let times = choreography.acts.iter().filter_map(|act| match act.wait {
         Wait::Instant(at) => Some(at),
@@ -199,7 +199,7 @@ fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<
     times.min().map_or(BEGIN, |first| first - before)
 }
 
-/// A reading within the range and away from its edges.
+/// A reading within `range` and away from the limits of the range.
 fn reading_within(range: SensorRange) -> f64 {
     match range {
         SensorRange::Above(bound) => bound + bound.abs().max(1.0) / 100.0,
@@ -208,14 +208,14 @@ fn reading_within(range: SensorRange) -> f64 {
     }
 }
 
-/// Plays a mission that begins at [`BEGIN`] to its end, with simulated robots in the order of the mission's. The server's clock is the
-/// true clock.
+/// Plays a mission that starts at [`BEGIN`] to its end. `robots` are the simulated robots, in the order of the mission's robots. The
+/// server's clock is the true clock.
 #[must_use]
 pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
     Rehearsal::of(mission, robots, BEGIN).with_logs(Logs::Kept).play()
 }
 
-/// The number of the act to which a request belongs: ids end with act, robot and script.
+/// The number of the act that a request belongs to. Request ids end with the numbers of act, robot and script.
 #[must_use]
 pub fn act_of(request_id: &str) -> Option<u32> {
     request_id.rsplit('/').nth(2)?.parse().ok()

@@ -1,4 +1,4 @@
-//! The operator of a dry run: gives the go when an act waits for it, and stops a mission that would wait forever.
+//! The virtual operator of a dry run. It gives the go when an act waits for one, and stops a mission that would wait forever.
 
 use std::collections::HashMap;
 
@@ -10,33 +10,35 @@ use super::Cut;
 use crate::world::between;
 use downbeat_mission::{Event, Progress, Rest};
 
-/// Delay of the operator's go after an act starts to wait alone; also the interval of repetition while it waits.
+/// Time from when a waiting act is the only active one until the operator gives the go. The operator repeats the go at the same interval
+/// while the act waits.
 const THINKS: Span = Span::from_millis(1_000);
-/// An act that waits longer than its own timeout plus this is given up: readings do not change.
+/// Time beyond the timeout of a waiting act after which the operator stops the mission, because readings no longer change.
 const WAITS_MAX: Span = Span::from_millis(60_000);
 
-/// Thinking time of an operator that does not answer: the act's own timeout comes first, and without one the mission is cut off.
+/// Thinking time of an operator that does not react. The timeout of the waiting act expires first; without a timeout, the mission is
+/// stopped.
 const NEVER: Span = Span::from_millis(24 * 3_600_000);
 
 #[derive(Debug)]
 pub(super) struct VirtualOperator {
-    /// The acts that wait for the operator or a sensor, by name, with their timeouts. Times need no operator.
+    /// Timeouts of the acts that wait for the operator or a sensor, by act name. Acts that wait for a time need no operator.
     attended: HashMap<String, Span>,
-    /// The waiting act and the awaited event.
+    /// The name of the act that waits, and the event that it waits for.
     waiting: Option<(String, String)>,
     /// Number of acts that have been sent and have not ended.
     under_way: u32,
-    /// Since when the waiting act is alone.
+    /// Time since which no other act has been active besides the waiting act.
     alone_since: Timestamp<Server>,
-    /// When the operator acts next.
+    /// Time of the operator's next action; `None` if none is scheduled.
     speaks: Option<Timestamp<Server>>,
-    /// The operator's behaviour, if the world specifies it.
+    /// The operator's behaviour and random stream, if the world specifies them.
     manner: Option<(OperatorWorld, Rng)>,
-    /// The thinking time before the first go.
+    /// The operator's thinking time before the first go for the waiting act.
     thought: Span,
-    /// When the last reading changes.
+    /// The time of the last change of a sensor reading.
     readings_change_until: Timestamp<Server>,
-    /// The reason for its stop.
+    /// Why the operator stopped the mission; `None` if it did not.
     pub(super) cut: Option<Cut>,
 }
 
@@ -61,7 +63,7 @@ impl VirtualOperator {
         }
     }
 
-    /// Sets the behaviour that a world specifies; sensor readings do not change after `still`.
+    /// Sets the operator's behaviour as the world specifies it. Sensor readings do not change after `still`.
     pub(super) fn behaves(&mut self, manner: Option<(OperatorWorld, Rng)>, still: Timestamp<Server>) {
         (self.manner, self.readings_change_until) = (manner, still);
     }
@@ -70,7 +72,7 @@ impl VirtualOperator {
         self.speaks
     }
 
-    /// Processes a message of the mission.
+    /// Processes a progress message from the mission.
     pub(super) fn see(&mut self, now: Timestamp<Server>, progress: &Progress) {
         if self.cut.is_some() {
             return;
@@ -93,7 +95,7 @@ impl VirtualOperator {
         }
     }
 
-    /// If an act waits alone, schedules the go.
+    /// Schedules the go if an act waits and no other act is active.
     fn attend(&mut self, now: Timestamp<Server>) {
         if self.waiting.is_some() && self.under_way == 0 {
             self.alone_since = now;
@@ -108,7 +110,7 @@ impl VirtualOperator {
         if never { NEVER } else { after }
     }
 
-    /// The operator's current input, if any.
+    /// Returns the operator's input at `now`, if any.
     pub(super) fn word(&mut self, now: Timestamp<Server>) -> Option<Event> {
         self.speaks.take_if(|at| now >= *at)?;
         let (act, awaits) = self.waiting.as_ref()?;

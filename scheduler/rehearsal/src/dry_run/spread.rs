@@ -1,4 +1,4 @@
-//! How far apart the scripts of an act started, by the true clock, which only a dry run has.
+//! Measures how far apart the scripts of an act started, by the true clock, which only a dry run knows.
 
 use std::collections::HashMap;
 
@@ -8,53 +8,53 @@ use urrcp::{DeviceId, Robot, RobotId, Span, Timestamp};
 use super::act_of;
 use downbeat_mission::report::ActReport;
 
-/// The starts of the scripts of acts that have not ended.
+/// Collects the true start times of scripts, for the acts that have not ended.
 #[derive(Debug)]
 pub(super) struct TrueSpread {
     index_of: HashMap<RobotId, usize>,
-    /// A map per robot, by the number of the act and the device.
+    /// For each robot: the scripts that have begun, by act number and device.
     firsts: Vec<HashMap<(u32, DeviceId), Starts>>,
     largest: Option<Span>,
     largest_of_ends: Option<Span>,
     starts: Vec<ActStarts>,
 }
 
-/// The scripts of a device, in order.
+/// The scripts of a device in one act that have begun, in order.
 #[derive(Clone, Debug, Default)]
 struct Starts {
     scripts: Vec<Seen>,
-    /// The request of the latest script.
+    /// The request id of the latest script.
     latest: Option<String>,
 }
 
-/// A script that has begun: it set its first value, or began to move linearly to it.
+/// A script that has begun: the device set its first value or began to move linearly to it.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
-    /// When it began, in nanoseconds by the true clock.
+    /// When the script began, in nanoseconds by the true clock.
     began: i64,
-    /// When it was due, by the robot's clock.
+    /// When the script was due, by the robot's clock.
     due: Timestamp<Robot>,
-    /// True time from its start to its latest step, minus the planned time.
+    /// True time from the start of the script to its latest step, minus the planned time.
     gained: Span,
 }
 
-/// The errors of the scripts of an act.
+/// The timing errors of the scripts of an act.
 #[derive(Clone, Debug, Default)]
 struct Errors {
     starts: Vec<Span>,
     ends: Vec<Span>,
 }
 
-/// How many scripts of an act really started, according to the first movements of devices.
+/// The scripts of an act that really started, according to the first movements of devices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActStarts {
     /// Name of the act.
     pub act: String,
-    /// Number of scripts of robots that were not left out.
+    /// Number of planned scripts, without those of robots that were left out.
     pub planned: usize,
-    /// Number of them that began.
+    /// Number of the planned scripts that began.
     pub begun: usize,
-    /// Largest minus smallest error of their starts, by the true clock; `None` if not all began.
+    /// Largest minus smallest start error of the scripts, by the true clock; `None` if not all of them began.
     pub spread: Option<Span>,
 }
 
@@ -69,7 +69,7 @@ impl TrueSpread {
         self.largest
     }
 
-    /// The largest spread of the last steps of scripts.
+    /// The largest spread of the last steps of scripts in an act; `None` if no act was evaluated.
     pub(super) const fn largest_of_ends(&self) -> Option<Span> {
         self.largest_of_ends
     }
@@ -95,7 +95,7 @@ impl TrueSpread {
         }
     }
 
-    /// Evaluates an act that has ended: largest minus smallest error of the starts of its scripts.
+    /// Evaluates an act that has ended: computes the largest minus the smallest start error of its scripts.
     pub(super) fn act_ended(&mut self, act: &ActReport) {
         let errors = self.errors(act);
         let spread = errors.as_ref().and_then(|errors| width(&errors.starts));
@@ -116,7 +116,7 @@ impl TrueSpread {
         ActStarts { act: act.act.clone(), planned, begun, spread }
     }
 
-    /// `None` if a robot that was not left out did not start a script.
+    /// The errors of all scripts of an act; `None` if a robot that was not left out did not start one of its scripts.
     fn errors(&self, act: &ActReport) -> Option<Errors> {
         let mut errors = Errors::default();
         for robot in act.robots.iter().filter(|robot| !robot.left_out) {

@@ -232,7 +232,7 @@ fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
     assert!(played.report.robots[1].clock.unwrap().offset > Span::from_millis(2_300));
 }
 
-/// Consecutive acts, in each of which two arms move.
+/// A rehearsal of consecutive acts, in each of which two arms move. `change` may change the acts.
 fn acts(change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
     acts_with(MissionOptions::default(), change)
 }
@@ -261,7 +261,7 @@ fn acts_on(
     Rehearsal::new(choreography, participants, options, machines).unwrap()
 }
 
-/// Fails if virtual time does not end.
+/// An audience that panics if the mission does not end.
 struct Patience {
     seconds: u32,
     acts: u32,
@@ -369,7 +369,7 @@ fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
     assert_eq!((played.report.acts_max_reached, played.report.acts.len()), (Some(9), 1));
 }
 
-/// The reasons for stopping all robots, as reported to the operator.
+/// An audience that keeps the reasons for stopping all robots, as reported to the operator.
 #[derive(Default)]
 struct Reasons(Vec<String>);
 
@@ -404,7 +404,7 @@ fn why_all_are_stopped_names_the_robot_that_failed_or_counts_those_that_have_not
 
 #[test]
 fn acts_that_wait_for_nothing_follow_each_other_without_a_gap() {
-    // A device that holds only one script accepts the next one after that has ended.
+    // A device that holds only one script accepts the next one only after the first has ended.
     for (queue, gap) in [(1, Span::from_millis(371)), (2, Span::ZERO)] {
         let block = |id| {
             let mut block = block(id);
@@ -428,7 +428,7 @@ const WITH_SENSORS: &str = r#"{"id": "arm-0", "api_version": "1", "reports": tru
      "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}},
   {"id": "eye", "name": "eye", "unit": "m", "available_control_types": {"sensor": {"min_value": 0, "max_value": 4}}}]}"#;
 
-/// The preflight that is shown before the mission.
+/// An audience that keeps the preflight reports.
 #[derive(Default)]
 struct Shown(Vec<downbeat_mission::Preflight>);
 
@@ -442,7 +442,7 @@ impl Audience for Shown {
     fn second(&mut self, _: Timestamp<Server>) {}
 }
 
-/// The preflight of one arm with sensors, whose shoulder has this reading.
+/// The outcome and the preflight report of one arm with sensors, whose shoulder sensor reads `shoulder`.
 fn preflight_at(shoulder: f64) -> (Outcome, downbeat_mission::Preflight) {
     let block: InitializationBlock = serde_json::from_str(WITH_SENSORS).unwrap();
     let machines = vec![SimulatedRobot::new(block.clone(), Settings::default())];

@@ -1,5 +1,5 @@
-//! A mission that is observed to its end and beyond: the values that robots set are counted, not kept, and lost robots continue until
-//! their leases have ended.
+//! Observes a mission to its end and beyond. It counts the values that robots set, without keeping them. Lost robots continue until their
+//! leases have ended.
 
 use std::collections::BTreeMap;
 
@@ -13,26 +13,26 @@ use downbeat_mission::Progress;
 use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::report::Report;
 
-/// The actual behaviour of one robot.
+/// The actual behaviour of one robot in a mission.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Watched {
-    /// Number of scripts that it began, by the number of their act.
+    /// Number of scripts that the robot began, by act number.
     pub begun: BTreeMap<u32, usize>,
-    /// The last kind of motion of each device.
+    /// The kind of the last motion of each device.
     pub last: BTreeMap<DeviceId, MotionKind>,
-    /// Whether it was still active after the longest lease and the longest act.
+    /// Whether the robot was still active after the longest lease and the longest act.
     pub still_moves: bool,
 }
 
 impl Watched {
-    /// Whether it set any value of a script.
+    /// Whether the robot set any value of a script.
     #[must_use]
     pub fn moved(&self) -> bool {
         !self.begun.is_empty()
     }
 }
 
-/// Added to the longest act and the longest lease: time for messages to arrive and for signals to slow down.
+/// Time for messages to arrive and for signals to slow down, in addition to the longest act and the longest lease.
 const AFTERWARDS: Span = Span::from_millis(60_000);
 
 struct Watcher(Vec<Watched>);
@@ -53,8 +53,8 @@ impl Audience for Watcher {
 }
 
 impl Rehearsal {
-    /// Plays to the end, and continues until every robot has come to rest or all its leases have ended. Returns the report and the actual
-    /// behaviour of the robots, in the order of the report's robots.
+    /// Plays the mission to its end, and continues until every robot has come to rest or its leases have ended. Returns the report and
+    /// the actual behaviour of the robots, in the order of the report's robots.
     #[must_use]
     pub fn play_watched(self) -> (Report, Vec<Watched>) {
         let Self { mut mission, robots, begin, circumstances, .. } = self;

@@ -15,38 +15,38 @@ use crate::world::{Direction, Kernel, Virtual};
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use downbeat_mission::{Event, Loss, Progress, Record};
 
-/// In nanoseconds.
+/// One second in nanoseconds.
 const SECOND: i64 = 1_000_000_000;
-/// A connection that is not established within this time is given up, as over TCP (`link/tcp.rs`).
+/// Time within which a connection must be established; otherwise the attempt fails, as over TCP (`link/tcp.rs`).
 const CONNECT_TIMEOUT: Span = Span::from_millis(3_000);
 
-/// A robot, and the network to it.
+/// The network of one robot, and the state of its process.
 struct Place {
-    /// The process that died, as far as its successor continues from it.
+    /// The machine of the process that died, from which the restarted process continues.
     died: Option<SimulatedRobot>,
-    /// `None`: the robot delays its messages itself, and nothing is lost.
+    /// The link to the robot. `None`: the robot delays its messages itself, and no message is lost.
     link: Option<Link>,
-    /// The newest attempt to reach the robot; it replaces earlier ones.
+    /// The newest connection attempt to the robot, which replaces earlier attempts.
     attempt: Option<LinkNumber>,
     /// The robot's open connections.
     connections: BTreeSet<LinkNumber>,
 }
 
-/// An event outside of the robots at some instant.
+/// A scheduled event outside of the robots.
 pub(super) enum Item {
     /// A connection attempt starts.
     Connect { robot: usize, link: LinkNumber },
-    /// A connection attempt would succeed.
+    /// A connection attempt succeeds, if the robot's process runs.
     Connected { robot: usize, link: LinkNumber },
     /// A message or another input arrives at a robot.
     AtRobot { robot: usize, link: LinkNumber, input: Box<Input> },
-    /// An event arrives from a robot.
+    /// An event from a robot arrives at the scheduler.
     AtScheduler { robot: usize, link: LinkNumber, event: Box<Event> },
     /// A fault occurs.
     Mishap { robot: usize, mishap: Mishap },
     /// A robot's process restarts.
     Back { robot: usize },
-    /// The end of a fault: the robot obeys again.
+    /// A fault ends, and the robot obeys again.
     Obeys { robot: usize, fault: Option<Fault> },
     /// The reading of a sensor changes.
     Reads { robot: usize, sensor: DeviceId, value: f64 },
@@ -55,7 +55,7 @@ pub(super) enum Item {
 pub(super) struct VirtualWorld<'a, A> {
     kernel: Kernel<Item>,
     places: Vec<Place>,
-    /// Incidents that wait until their act is sent.
+    /// Incidents whose time becomes known when their act is sent.
     awaiting: Vec<Drawn>,
     arrived: VecDeque<Happened>,
     operator: VirtualOperator,
@@ -63,7 +63,7 @@ pub(super) struct VirtualWorld<'a, A> {
     logs: Vec<Vec<LogEntry>>,
     keeps: Logs,
     audience: &'a mut A,
-    /// Messages from robots that are being distributed.
+    /// Buffer for the messages of a robot while they are distributed.
     out: Vec<Outgoing>,
 }
 
@@ -117,17 +117,17 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         self.spread.largest_of_ends()
     }
 
-    /// Number of scripts that really began, for each act that has ended.
+    /// Removes and returns the really started scripts of each act that has ended.
     pub(super) fn take_starts(&mut self) -> Vec<ActStarts> {
         self.spread.take_starts()
     }
 
-    /// The values that the robots set, and why the operator ended the mission.
+    /// Returns the values that the robots set, and why the operator ended the mission, if it did.
     pub(super) fn end(self) -> (Vec<Vec<LogEntry>>, Option<Cut>) {
         (self.logs, self.operator.cut)
     }
 
-    /// Advances time by `length` without a scheduler. Returns which robots still have something to do afterwards.
+    /// Advances time by `length` without a scheduler. Returns for each robot whether it is still active afterwards.
     pub(super) fn settle(mut self, length: Span) -> Vec<bool> {
         let until = self.kernel.now + length;
         while let Some(at) = self.kernel.next_instant().filter(|at| *at <= until) {
@@ -195,7 +195,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Schedules the incidents of an act when it is sent, because its start is known then.
+    /// Schedules the incidents of an act. Called when the act is sent, because its start is then known.
     fn act_sent(&mut self, act: &str, start: Timestamp<Server>) {
         let is_of_act = |incident: &mut Drawn| incident.act.as_deref() == Some(act);
         let due: Vec<Drawn> = self.awaiting.extract_if(.., is_of_act).collect();
@@ -205,7 +205,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Collects the values that the robot has set.
+    /// Collects the values that `robot` has set since the last call.
     fn collect(&mut self, robot: usize) {
         let log = self.kernel.robots.change(robot, SimulatedRobot::take_log);
         let Some(mut log) = log else { return };
@@ -218,7 +218,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Sends an event from a robot.
+    /// Sends an event from a robot to the scheduler.
     fn send_back(&mut self, robot: usize, link: LinkNumber, event: Event) {
         let message = if let Event::Received { message, .. } = &event { Some(message) } else { None };
         match self.travel(robot, Direction::FromRobot, message) {
@@ -227,7 +227,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Sends an input to a robot.
+    /// Sends an input from the scheduler to a robot.
     fn send_there(&mut self, robot: usize, link: LinkNumber, input: Input) {
         let message = if let Input::Message(message) = &input { Some(message) } else { None };
         match self.travel(robot, Direction::ToRobot, message) {
@@ -236,7 +236,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
     }
 
-    /// Arrival time of a message that is sent now; `None`: the connection is given up.
+    /// Arrival time of a message that is sent now. `None`: the message does not arrive and the connection breaks.
     fn travel(
         &mut self,
         robot: usize,
@@ -248,7 +248,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         path.travel(rng, now, way, message).map(|travel| travel.arrives)
     }
 
-    /// The systems at both ends give up the connection.
+    /// Breaks a connection: the operating systems at both ends report that it timed out.
     fn give_up(&mut self, robot: usize, link: LinkNumber) {
         let (loss, reason) = (Loss::Unreachable, "connection timed out".to_owned());
         self.reach_robot(robot, link, Input::LinkDown);

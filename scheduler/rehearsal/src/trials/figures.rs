@@ -1,21 +1,21 @@
-//! Shares and quantiles of observations.
+//! Statistics of observations: shares and quantiles.
 
 use serde::Serialize;
 use urrcp::Span;
 
-/// The frequency of an observation, with a confidence interval of its probability.
+/// The relative frequency of an event, with a confidence interval for its probability.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Share {
-    /// Number of occurrences.
+    /// Number of observations in which the event occurred.
     pub count: u64,
-    /// Number of observations.
+    /// Number of all observations.
     pub of: u64,
-    /// The quotient of both; `None` without observations.
+    /// `count` divided by `of`; `None` without observations.
     pub share: Option<f64>,
     /// Lower end of the 95 % confidence interval of the probability, by Wilson's score method (Wilson: Probable inference, the law
     /// of succession, and statistical inference, 1927).
     pub least: f64,
-    /// Its upper end.
+    /// Upper end of the same confidence interval.
     pub largest: f64,
 }
 
@@ -23,7 +23,7 @@ pub struct Share {
 const Z: f64 = 1.959_963_984_540_054;
 
 impl Share {
-    /// Creates the share of `count` in `of`.
+    /// Creates the share of `count` occurrences in `of` observations.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "counts are below 2^53")]
     pub fn of(count: usize, of: usize) -> Self {
@@ -46,7 +46,7 @@ impl Share {
     }
 }
 
-/// Quantiles by the nearest rank: the smallest value that is not exceeded by the given share of all values.
+/// Quantiles by the nearest-rank method: each is the smallest value such that the given share of all values is not greater.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Quantiles {
     /// Number of values.
@@ -63,7 +63,7 @@ pub struct Quantiles {
 }
 
 impl Quantiles {
-    /// Returns the quantiles of these values, in any order; `None` without values.
+    /// Computes the quantiles of `values`, given in any order; `None` without values.
     #[must_use]
     pub fn of(values: impl IntoIterator<Item = Span>) -> Option<Self> {
         let mut values: Vec<Span> = values.into_iter().collect();
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn the_interval_is_wilsons() {
-        // From Newcombe: Two-sided confidence intervals for the single proportion, 1998, table I.
+        // Expected values from Newcombe: Two-sided confidence intervals for the single proportion, 1998, table I.
         for (count, of, least, largest) in [
             (81, 263, 0.2553, 0.3662),
             (15, 148, 0.0624, 0.1605),

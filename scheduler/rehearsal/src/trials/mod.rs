@@ -1,5 +1,6 @@
-//! Many dry runs of one choreography, each with a different draw of one world. They show the probability of starting and finishing, the
-//! spread of starts, and the weakest robot and link. The same inputs and seed give the same results for any number of threads.
+//! Plays many dry runs of one choreography, each with different circumstances drawn from one world. They show how likely the show is to
+//! start and to finish, the spread of starts, and the weakest robot and link. The same inputs and seed give the same results for any
+//! number of threads.
 
 mod figures;
 mod results;
@@ -35,16 +36,16 @@ pub struct Trials<'a> {
 /// Why trials cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum NoTrials {
-    /// A robot has no description.
+    /// A robot has no description, so it cannot be simulated.
     #[error(transparent)]
     NoInit(#[from] NoInit),
-    /// A robot is not in the fleet.
+    /// A robot of the choreography is not in the fleet.
     #[error(transparent)]
     Missing(#[from] MissingParticipant),
 }
 
 impl<'a> Trials<'a> {
-    /// Sets up trials of a choreography on robots of a fleet, in a world that was read for that fleet.
+    /// Sets up trials of a choreography with the robots of a fleet, in a world that was read for that fleet.
     #[must_use]
     pub fn new(
         choreography: &'a Choreography,
@@ -56,7 +57,7 @@ impl<'a> Trials<'a> {
         Self { choreography, fleet, robots: fleet::robots_in(fleet, choreography), world, options, seed }
     }
 
-    /// Plays one trial, numbered from 0, before an audience.
+    /// Plays the trial with the given number, from 0, observed by `audience`.
     ///
     /// # Errors
     /// [`NoTrials`]
@@ -77,8 +78,8 @@ impl<'a> Trials<'a> {
         Ok(rehearsal.meets(draw).with_logs(logs).play_before(audience))
     }
 
-    /// Plays `count` trials on `threads` threads. Any of these calls `told` with the number of finished trials; once that returns
-    /// `false`, no further trial starts.
+    /// Plays `count` trials on `threads` threads. After each trial, the thread calls `told` with the number of finished trials. Once
+    /// `told` returns `false`, no further trial starts.
     ///
     /// # Errors
     /// [`NoTrials`]
@@ -128,8 +129,8 @@ impl<'a> Trials<'a> {
         self.robots.iter().map(|robot| robot.id.clone()).collect()
     }
 
-    /// The links of the world delay messages, so the robot itself must not. Its clock is that of the fleet file, unless the world
-    /// specifies another one.
+    /// Sets the seed, delay and clock of a simulated robot. The links of the world delay messages, so the robot itself must not. The
+    /// clock is that of the fleet file, unless the world specifies another.
     fn set_clock(&self, settings: &mut Settings, index: usize, robot: &FleetRobot, seed: u64) {
         let mut rng = Stream::Robot(index).rng(seed);
         settings.seed = rng.u64(..);
@@ -144,7 +145,7 @@ impl<'a> Trials<'a> {
         }
         match (clock.error, robot.mission.clock) {
             (Some(error), _) => settings.ntp_error = Some(error),
-            // The robot shows its raw clock.
+            // The robot shows a clock that NTP does not discipline.
             (None, ClockMode::Measured) => settings.ntp_error = None,
             (None, ClockMode::Ntp) => {}
         }

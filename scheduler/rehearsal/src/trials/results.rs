@@ -10,103 +10,103 @@ use super::figures::{Quantiles, Share};
 use super::trial::{Evidence, Started, Trial};
 use downbeat_mission::requirements::{Figures, Judged, closest_of, judge};
 
-/// The results of trials.
+/// The combined results of all trials of a choreography.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Results {
     /// The scenario's name.
     pub scenario: String,
     /// The world's name.
     pub world: String,
-    /// Trials played.
+    /// Number of trials that were played.
     pub trials: usize,
     /// The seed from which the trials were drawn.
     pub seed: u64,
-    /// Missions in which the first act began on all of its robots that were not left out.
+    /// Share of the missions in which the first act began on all of its robots that were not left out.
     pub starts: Share,
-    /// Missions that all robots finished as planned.
+    /// Share of the missions that all robots finished as planned.
     pub finishes: Share,
-    /// Missions that did not start, failed or were stopped.
+    /// Share of the missions that did not start, failed or were stopped.
     pub aborts: Share,
-    /// Missions in which some robots of an act began and others did not.
+    /// Share of the missions in which some robots of an act began and others did not.
     pub mixed: Share,
-    /// The outcomes of missions, the most frequent first.
+    /// Each outcome and its share of the missions, the most frequent first.
     pub outcomes: Vec<(String, Share)>,
-    /// Largest true spread of the starts of an act, over the missions in which an act began on all robots.
+    /// Quantiles of the largest true spread of starts in an act, over the missions in which an act began on all robots.
     pub spread: Option<Quantiles>,
-    /// Each act that was sent in some trial, in the order of the scenario.
+    /// The results of each act that was sent in some trial, in the order of the scenario.
     pub acts: Vec<ActResult>,
-    /// The lead that would be sufficient.
+    /// The actual lead and the sufficient lead; `None` if no act was decided.
     pub lead: Option<LeadResult>,
-    /// Why missions did not end as planned, the most frequent reason first.
+    /// The reasons why missions did not end as planned, the most frequent first.
     pub reasons: Vec<Reason>,
-    /// Each robot, in the order of the fleet.
+    /// The results of each robot, in the order of the fleet.
     pub robots: Vec<RobotResult>,
-    /// The robot that failed first in the most missions.
+    /// The robot that was the first to fail in the most missions; `None` if no robot failed.
     pub weakest_robot: Option<RobotId>,
-    /// The robot that took longest to accept its scripts, at the 99 % quantile.
+    /// The robot with the longest time to accept its scripts (99 % quantile).
     pub weakest_link: Option<RobotId>,
-    /// The scenario's requirements and their results.
+    /// The verdicts on the scenario's requirements.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub requirements: Vec<Judged>,
-    /// Each trial, in order.
+    /// The result of each trial, in order.
     pub each: Vec<Trial>,
 }
 
-/// An act over all trials.
+/// The combined results of an act over all trials.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ActResult {
-    /// Its name.
+    /// The name of the act.
     pub act: String,
-    /// Share of its sendings after which it began on all its robots.
+    /// How often the act began on all its robots, as a share of the times that it was sent.
     pub starts: Share,
-    /// True spread of its starts.
+    /// Quantiles of the true spread of starts in the act.
     pub spread: Option<Quantiles>,
     /// The scenario's `start_tolerance`.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,
-    /// Starts with a spread beyond the tolerance.
+    /// Share of the starts of the act whose spread exceeds the tolerance.
     pub beyond_tolerance: Share,
 }
 
-/// Lead times over all acts that were decided. For an act that is not decided, because a robot refuses or does not answer, no lead would
-/// have been sufficient.
+/// Lead times of all acts that were decided. If a robot refuses or does not answer, the act is not decided, and no lead would have been
+/// sufficient.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LeadResult {
-    /// The actual lead of acts, from the sending timestamp to the start.
+    /// The actual lead: the time from the sending timestamp of an act to its start.
     pub had: Quantiles,
-    /// The lead with which the last acceptance would just have been in time: acceptance time plus lease and margin.
+    /// The sufficient lead, with which the last acceptance would just have been in time: acceptance time plus lease and margin.
     pub enough: Quantiles,
-    /// Acts that were sent and not decided.
+    /// Number of acts that were sent and not decided.
     pub undecided: usize,
 }
 
-/// A reason why missions did not end as planned.
+/// A reason why some missions did not end as planned.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reason {
     /// The robot that failed first; `None` if no robot failed.
     pub robot: Option<RobotId>,
-    /// The kind of its failure, or the outcome.
+    /// The kind of the robot's failure, or the outcome of the mission if no robot failed.
     pub kind: String,
-    /// Share of the missions.
+    /// Share of the missions with this reason.
     pub share: Share,
-    /// The first trial with this reason.
+    /// The number of the first trial with this reason.
     pub example: u32,
-    /// The message of that trial.
+    /// The message for people from the trial `example`.
     pub text: String,
 }
 
-/// A robot over all trials.
+/// The combined results of a robot over all trials.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotResult {
-    /// Its id.
+    /// The id of the robot.
     pub robot: RobotId,
-    /// Missions in which it failed first.
+    /// Share of the missions in which the robot was the first to fail.
     pub fails_first: Share,
-    /// Time from the sending of an act until it had accepted all of its scripts.
+    /// Quantiles of the time from sending an act until the robot had accepted all its scripts.
     pub accepts_within: Option<Quantiles>,
-    /// Acts in which it was the last to accept, of those that were decided.
+    /// Share of the decided acts in which the robot was the last to accept.
     pub accepts_last: Share,
-    /// Missions in which its link had to be re-established.
+    /// Share of the missions in which the robot's link had to be re-established.
     pub reconnects: Share,
 }
 
@@ -234,7 +234,7 @@ fn reasons(each: &[Trial]) -> Vec<Reason> {
     reasons
 }
 
-/// A text without its numbers and quoted names, so that failures that differ only in these count as one reason.
+/// Removes numbers and quoted names from `text`, so that failures that differ only in these count as one reason.
 fn alike(text: &str) -> String {
     let unquoted = text.split('`').step_by(2).map(|part| part.trim_matches([',', ' ']));
     let words: Vec<&str> = unquoted.filter(|part| !part.is_empty()).collect();

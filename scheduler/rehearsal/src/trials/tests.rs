@@ -64,7 +64,7 @@ fn without_faults_all_start_and_finish_within_the_error_of_their_clocks() {
     let results = results(WAVE, "clocks: {all: {error: 2ms}}", 50);
     assert_eq!((results.starts.count, results.finishes.count), (50, 50), "{:?}", results.reasons);
     let spread = results.spread.unwrap();
-    // From three clocks with offsets of up to 2 ms in either direction.
+    // The spread results from three clocks with offsets of up to 2 ms in either direction.
     assert!(
         (1.0..=4.0).contains(&spread.p50.as_millis_f64()) && spread.max.as_millis_f64() <= 4.0,
         "{spread:?}"
@@ -157,7 +157,7 @@ fn the_slowest_link_is_the_weakest_and_says_how_much_lead_would_be_enough() {
     assert_eq!(results.weakest_link.unwrap().as_str(), "cf2", "{:?}", results.reasons);
     let lead = results.lead.unwrap();
     assert!(lead.enough.max < lead.had.p50, "{lead:?}");
-    // The round trip.
+    // Acceptance takes one round trip.
     let within = results.robots[1].accepts_within.unwrap();
     assert!((40.0..42.0).contains(&within.p50.as_millis_f64()), "{within:?}");
     assert_eq!(results.robots[1].accepts_last.count, results.robots[1].accepts_last.of);

@@ -8,19 +8,19 @@ use crate::dry_run::{ActStarts, Audience, Played};
 use downbeat_mission::report::Outcome;
 use downbeat_mission::{Failure, Progress};
 
-/// One trial, for reports.
+/// The result of one trial.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Trial {
-    /// Its number, from 0.
+    /// The number of the trial, from 0.
     pub trial: u32,
-    /// How its mission ended, as in a report.
+    /// How the mission ended, as in a report.
     pub outcome: String,
-    /// Which robots of its acts really began.
+    /// Which robots really began their parts of the acts.
     pub started: Started,
-    /// Largest spread of the starts of an act, by the true clock; `None` if no act began on all robots.
+    /// Largest spread of starts in an act, by the true clock; `None` if no act began on all robots.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
-    /// Why it did not end as planned; `None` if it did.
+    /// Why the mission did not end as planned; `None` if it did.
     pub why: Option<Why>,
 }
 
@@ -28,22 +28,22 @@ pub struct Trial {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Started {
-    /// All robots, in every act.
+    /// In every act, all robots began.
     All,
-    /// No robot, in any act.
+    /// In no act did any robot begin.
     None,
-    /// In each act all robots or none.
+    /// In each act, either all robots began or none.
     AllOrNone,
-    /// In at least one act some robots, but not all.
+    /// In at least one act, some robots began and others did not.
     Some,
 }
 
-/// Why a mission did not end as planned: the first failure of a robot, or otherwise the outcome.
+/// Why a mission did not end as planned: the first failure of a robot or, if no robot failed, the outcome.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
     /// The robot that failed first; `None` if no robot failed.
     pub robot: Option<RobotId>,
-    /// The kind of the failure, as in a report, or the outcome.
+    /// The kind of the robot's failure, as in a report, or the outcome of the mission if no robot failed.
     pub kind: String,
     /// The reason, for people.
     pub text: String,
@@ -54,22 +54,22 @@ pub struct Why {
 pub(super) struct Evidence {
     /// The scripts that really began in each act, in order.
     pub(super) acts: Vec<ActStarts>,
-    /// Time from the sending of an act until a robot has accepted all of its scripts: by robot, for each act.
+    /// For each robot: the times from sending an act until the robot has accepted all its scripts, one per act.
     pub(super) accepted: Vec<Vec<Span>>,
-    /// The robot that accepted last, for each act that was decided.
+    /// For each act that was decided: the index of the robot that accepted last.
     pub(super) last: Vec<usize>,
-    /// For each act that was decided: its actual lead, and the lead with which its decision would just have been in time.
+    /// For each act that was decided: the actual lead, and the lead with which the decision would just have been in time.
     pub(super) leads: Vec<(Span, Span)>,
-    /// Acts that were sent and not decided.
+    /// Number of acts that were sent and not decided.
     pub(super) undecided: usize,
     /// Number of times that each robot's link was re-established.
     pub(super) reconnects: Vec<u32>,
 }
 
-/// Observes a trial.
+/// Observes a trial and collects its evidence.
 pub(super) struct Witness<'a> {
     robots: &'a [&'a FleetRobot],
-    /// The act in preparation: when it was sent, and its lead without the time for preparing.
+    /// The act in preparation: when it was sent, its total lead, and the sum of lease and margin within that lead.
     sent: Option<(Timestamp<Server>, Span, Span)>,
     latest: Option<(usize, Span)>,
     failure: Option<Failure>,
@@ -153,7 +153,7 @@ fn started(acts: &[ActStarts]) -> Started {
     }
 }
 
-/// The name of an outcome, as in JSON.
+/// The name of an outcome, as written in JSON.
 fn kind_of(outcome: &Outcome) -> String {
     match serde_json::to_value(outcome) {
         Ok(serde_json::Value::String(name)) => name,

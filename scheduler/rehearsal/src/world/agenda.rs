@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use urrcp::{Server, Timestamp};
 
-/// The items of a world, by the instants at which they are due. Items of the same instant keep the order of insertion.
+/// The scheduled items of a world, ordered by the instants at which they are due. Items that are due at the same instant keep the order
+/// of insertion.
 #[derive(Debug)]
 pub struct Agenda<T> {
     items: BTreeMap<(Timestamp<Server>, u64), T>,
@@ -19,19 +20,19 @@ impl<T> Agenda<T> {
         self.count += 1;
     }
 
-    /// The next item, and when it is due.
+    /// The instant at which the next item is due, and the item; `None` if there is no item.
     #[must_use]
     pub fn peek(&self) -> Option<(Timestamp<Server>, &T)> {
         self.items.first_key_value().map(|((at, _), item)| (*at, item))
     }
 
-    /// Removes the next item that is due at or before `now`.
+    /// Removes and returns the next item if it is due at or before `now`.
     pub fn pop_due(&mut self, now: Timestamp<Server>) -> Option<T> {
         let first = self.items.first_entry()?;
         (first.key().0 <= now).then(|| first.remove())
     }
 
-    /// All items, in order.
+    /// Iterates over all items, in the order in which they are due.
     pub fn items(&self) -> impl Iterator<Item = &T> {
         self.items.values()
     }

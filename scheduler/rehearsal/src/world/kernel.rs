@@ -1,28 +1,28 @@
-//! Virtual time: it jumps to the next event.
+//! Virtual time, which jumps from one event to the next.
 
 use downbeat_robot::simulated::SimulatedRobot;
 use urrcp::{Server, Timestamp};
 
 use super::{Agenda, Processes};
 
-/// The clock of a world, its items and its robots.
+/// The parts that all virtual worlds share: the clock, the scheduled items and the robots.
 #[derive(Debug)]
 pub struct Kernel<T> {
-    /// The true time.
+    /// The current true time.
     pub now: Timestamp<Server>,
-    /// The events outside of robots.
+    /// The scheduled events outside of robots.
     pub agenda: Agenda<T>,
     /// The robots' processes.
     pub robots: Processes,
 }
 
 impl<T> Kernel<T> {
-    /// Creates a world at its beginning.
+    /// Creates the parts of a world whose time starts at `begin`.
     pub fn new(machines: impl IntoIterator<Item = Option<SimulatedRobot>>, begin: Timestamp<Server>) -> Self {
         Self { now: begin, agenda: Agenda::default(), robots: Processes::new(machines, begin) }
     }
 
-    /// Adds an item that is due at `at`, or now if that has passed.
+    /// Adds an item that is due at `at`, or now if `at` has passed.
     pub fn put(&mut self, at: Timestamp<Server>, item: T) {
         self.agenda.put(at.max(self.now), item);
     }
@@ -39,16 +39,16 @@ pub trait Virtual {
     /// The kind of event outside of robots.
     type Item;
 
-    /// The parts that all worlds share.
+    /// The parts of this world that all worlds share.
     fn kernel(&mut self) -> &mut Kernel<Self::Item>;
 
-    /// Advances a robot to the present, and sends its messages.
+    /// Advances a robot to the current time, and sends its messages.
     fn advance(&mut self, robot: usize);
 
-    /// Performs an item.
+    /// Executes a scheduled item.
     fn happen(&mut self, item: Self::Item);
 
-    /// When the next event outside of the kernel is due, such as an input by the operator.
+    /// When the next event that is not in the kernel is due, such as an input by the operator; `None` if no such event is due.
     fn wakes(&self) -> Option<Timestamp<Server>>;
 
     /// Sets the time to `at`, unless it is already later.
@@ -59,8 +59,8 @@ pub trait Virtual {
         self.kernel().next_instant().into_iter().chain(self.wakes()).min()
     }
 
-    /// Jumps to the next event: advances all robots in order, performs one item, and advances the robots again, since the item may
-    /// concern them.
+    /// Jumps to `at`, when the next event is due: advances all robots in order, executes one item, and advances the robots again, because
+    /// the item may affect them.
     fn step(&mut self, at: Timestamp<Server>) {
         self.pass(at);
         self.advance_robots();

@@ -1,5 +1,5 @@
-//! The common parts of all virtual worlds: time and the order of events, the network, and the robots' processes. Used by dry runs and
-//! trials, and by the simulation with random faults.
+//! The common parts of all virtual worlds: time and the order of events, the network, and the robots' processes. Dry runs, trials and the
+//! simulation with random faults use them.
 
 mod agenda;
 mod kernel;

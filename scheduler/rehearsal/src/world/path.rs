@@ -1,4 +1,4 @@
-//! The network between the scheduler and a robot: when messages arrive, and which are lost.
+//! The network between the scheduler and a robot: determines when messages arrive and which are lost.
 
 use std::collections::VecDeque;
 
@@ -6,16 +6,16 @@ use downbeat_scripts::{Between, Delay, LinkWorld, QUANTILES};
 use fastrand::Rng;
 use urrcp::{Command, Message, Server, Span, StatusValue, Timestamp};
 
-/// Number of retransmissions after which Linux gives up a connection (`net.ipv4.tcp_retries2`).
+/// Number of retransmissions after which Linux closes a connection (`net.ipv4.tcp_retries2`).
 const RESENT_MAX: u32 = 15;
 /// Longest retransmission timeout of Linux (`TCP_RTO_MAX`).
 const RESENT_AFTER_MAX: Span = Span::from_millis(120_000);
-/// First retransmission timeout of a new connection (RFC 6298, section 2.1); it doubles after each further loss.
+/// First retransmission timeout of a new connection (RFC 6298, section 2.1). The timeout doubles after each further loss.
 const FIRST_RESENT_AFTER: Span = Span::from_millis(1_000);
 /// Maximum additional delay of a message in the long tail, as a multiple of the largest delay.
 const TAIL_MAX: i64 = 20;
 
-/// Approximate sizes in bytes: of a message, of each step of a script, and of each request that is named.
+/// Approximate sizes in bytes: of a message, of each script step in it, and of each request that it names.
 const MESSAGE_BYTES: usize = 220;
 const STEP_BYTES: usize = 60;
 const NAME_BYTES: usize = 70;
@@ -23,33 +23,34 @@ const NAME_BYTES: usize = 70;
 /// The direction of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// From the scheduler.
+    /// From the scheduler to the robot.
     ToRobot,
-    /// To the scheduler.
+    /// From the robot to the scheduler.
     FromRobot,
 }
 
-/// Properties of a network, equal in both directions.
+/// Properties of a network path, the same in both directions.
 #[derive(Clone, Debug)]
 pub struct Conditions {
     /// Delays, interruptions, and parameters of TCP.
     pub link: LinkWorld,
-    /// How messages are transported that the network drops or blocks.
+    /// What happens to messages that the network drops or blocks.
     pub transport: Transport,
-    /// Probability that a message takes an additional 1 to 20 times the largest delay; `None`: no such draw takes place.
+    /// Probability that a message is additionally delayed by 1 to 20 times the largest delay. `None`: never, and without drawing a random
+    /// number.
     pub tail: Option<f64>,
     /// Bandwidth in bytes per second; `None`: unlimited.
     pub bandwidth: Option<u32>,
 }
 
-/// How messages are transported that the network drops or blocks.
+/// What happens to messages that the network drops or blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Transport {
-    /// Retransmission after a timeout that doubles after each further loss. Messages keep their order.
+    /// Messages are retransmitted after a timeout that doubles after each further loss. Messages keep their order.
     Tcp,
-    /// No loss; waiting messages pass at the very end of an interruption. Messages keep their order.
+    /// No messages are lost. Messages sent during an interruption wait until its end. Messages keep their order.
     Held,
-    /// Loss. Messages may overtake each other.
+    /// Messages may be lost, and may overtake each other.
     Datagram {
         /// Probability that a message is lost.
         loss: f64,
@@ -64,12 +65,12 @@ impl From<LinkWorld> for Conditions {
     }
 }
 
-/// The journey of a message.
+/// When a message arrives, and why not earlier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Travel {
-    /// When it arrives.
+    /// When the message arrives.
     pub arrives: Timestamp<Server>,
-    /// The part of that time in which a path in its usual state transmits this message and those before it.
+    /// The part of the travel time that a path in its usual state needs to transmit this message and the messages before it.
     pub queued: Span,
 }
 
@@ -79,17 +80,17 @@ pub struct Path {
     conditions: Conditions,
     /// When the next interruption of each kind begins.
     next: Vec<Timestamp<Server>>,
-    /// Start and end of the interruptions that are already drawn.
+    /// Start and end of each interruption that is already drawn.
     interrupted: VecDeque<(Timestamp<Server>, Timestamp<Server>)>,
-    /// Until when faults block each direction.
+    /// For each direction: the time until which faults block it.
     pub blocked_until: [Timestamp<Server>; 2],
-    /// A temporary bandwidth, and the end of its validity.
+    /// A temporary bandwidth in bytes per second, and when it ends.
     pub slow: Option<(u32, Timestamp<Server>)>,
-    /// A temporary additional delay per message, and the end of its validity.
+    /// A temporary additional delay per message, and when it ends.
     pub lag: Option<(Span, Timestamp<Server>)>,
-    /// Until when earlier messages occupy each direction.
+    /// For each direction: the time until which earlier messages occupy it.
     busy: [Timestamp<Server>; 2],
-    /// The last arrival in each direction on the current connection: a stream keeps the order.
+    /// For each direction: the last arrival on the current connection. No later message of a stream arrives earlier.
     last: [Timestamp<Server>; 2],
 }
 
@@ -118,12 +119,12 @@ impl Path {
         *blocked
     }
 
-    /// Starts a connection without messages in transit.
+    /// Starts a new connection at `at`, without messages in transit.
     pub const fn begin(&mut self, at: Timestamp<Server>) {
         (self.last, self.busy) = ([at; 2], [at; 2]);
     }
 
-    /// Sends a message or the end of a connection. `None`: a datagram is lost, or TCP gives up the connection.
+    /// Sends a message or the end of a connection. Returns `None` if a datagram is lost or TCP closes the connection.
     pub fn travel(
         &mut self,
         rng: &mut Rng,
@@ -156,7 +157,7 @@ impl Path {
         matches!(self.conditions.transport, Transport::Datagram { double, .. } if rng.f64() < double)
     }
 
-    /// When the scheduler sees a connection established that it starts now; `None`: not by `by`.
+    /// When a connection that the scheduler starts now is established on the scheduler's side. `None`: not before `by`.
     pub fn connects(
         &mut self,
         rng: &mut Rng,
@@ -171,14 +172,14 @@ impl Path {
         (back <= by).then_some(back)
     }
 
-    /// When the end of a connection that the robot's system closes at `at` departs: after all earlier messages.
+    /// When the end of a connection departs that the robot's operating system closes at `at`: after all earlier messages.
     #[must_use]
     pub fn end_passes(&self, at: Timestamp<Server>) -> Timestamp<Server> {
         at.max(self.blocked_until[Direction::FromRobot as usize])
             .max(self.last[Direction::FromRobot as usize])
     }
 
-    /// Transmission time of a message: usually, and currently.
+    /// The transmission time of a message: first at the usual bandwidth, then at the current one.
     fn transmission(&self, now: Timestamp<Server>, message: &Message) -> (Span, Span) {
         let usual = self.conditions.bandwidth;
         let slow = self.slow.filter(|(_, until)| now < *until).map(|(slow, _)| slow);
@@ -191,7 +192,7 @@ impl Path {
         (usual, slow.map_or(usual, takes))
     }
 
-    /// When a packet that is first sent at `at` departs without being lost.
+    /// When a packet that is first sent at `at` departs and is not lost.
     fn passes(
         &mut self,
         rng: &mut Rng,
@@ -215,7 +216,7 @@ impl Path {
         None
     }
 
-    /// Until when the path is blocked for a packet that departs at `at`, which is not before `now`; `None`: it passes.
+    /// Until when the path is blocked for a packet that departs at `at`, which must not be before `now`. `None`: the packet passes.
     fn closed_until(
         &mut self,
         rng: &mut Rng,
@@ -255,19 +256,19 @@ impl Path {
     }
 }
 
-/// Draws from the uniform distribution.
+/// Draws a duration from the uniform distribution between two bounds.
 pub(crate) fn between(rng: &mut Rng, bounds: Between<Span>) -> Span {
     Span::from_nanos(
         rng.i64(bounds.least.as_nanos()..=bounds.largest.as_nanos().max(bounds.least.as_nanos())),
     )
 }
 
-/// Draws from the exponential distribution with this mean, by inversion.
+/// Draws a duration from the exponential distribution with mean `mean`, by inversion.
 fn exponential(rng: &mut Rng, mean: Span) -> Span {
     Span::from_millis_f64(-(1.0 - rng.f64()).ln() * mean.as_millis_f64())
 }
 
-/// The quantile for this share, interpolated linearly between the known quantiles.
+/// The quantile for `share`, interpolated linearly between the known quantiles.
 fn by_quantiles(quantiles: &[Span; 5], share: f64) -> Span {
     let above = QUANTILES.iter().position(|known| *known > share).unwrap_or(QUANTILES.len() - 1);
     let below = above.saturating_sub(1);
@@ -309,7 +310,7 @@ mod tests {
         LinkWorld::with_delay(Delay::Between(Between::fixed(DELAY)))
     }
 
-    /// A path on which messages differ only in time.
+    /// A path with a random generator, for messages that differ only in their send time.
     struct Line {
         path: Path,
         rng: Rng,
@@ -338,7 +339,7 @@ mod tests {
         }
     }
 
-    /// The travel times of many messages, sent at intervals that prevent queuing.
+    /// The travel times in milliseconds of many messages, sent at intervals that prevent queuing.
     fn travels(says: LinkWorld) -> Vec<f64> {
         let mut line = Line::new(says, 7);
         let sent = (0..20_000).map(|index| BEGIN + Span::from_millis(10_000) * index);
@@ -352,7 +353,7 @@ mod tests {
     fn jitter_has_the_mean_that_it_was_given() {
         let travels = travels(LinkWorld { jitter: Span::from_millis(5), ..says() });
         let mean = travels.iter().sum::<f64>() / travels.len() as f64;
-        // Five standard errors of the mean of 20,000.
+        // The tolerance is five standard errors of the mean of 20,000 values.
         assert!((mean - 7.0).abs() < 5.0 * 5.0 / 20_000_f64.sqrt(), "{mean}");
         assert!(travels[0] >= 2.0);
     }
@@ -392,7 +393,7 @@ mod tests {
     fn nothing_passes_while_the_path_is_blocked() {
         let mut line = Line::new(says(), 1);
         line.block(Span::from_millis(500));
-        // Retransmitted after 200 and 600 ms.
+        // The message is retransmitted after 200 and 600 ms.
         let arrives = Some(BEGIN + Span::from_millis(602));
         assert_eq!(line.arrival(BEGIN, Direction::ToRobot), arrives);
         assert_eq!(line.connects(BEGIN), Some(BEGIN + Span::from_millis(1_004)));
@@ -442,7 +443,7 @@ mod tests {
         let mut line = Line::new(LinkWorld { interruptions: vec![kind], ..says() }, 3);
         let at = |index| BEGIN + Span::from_millis(100) * index;
         let down = (0..1_000_000).filter(|index| line.is_closed(at(*index))).count();
-        // 2 s of 20 s; with 5,000 interruptions the relative error of the share is about 1.5 percent.
+        // The path is down for 2 s of every 20 s. With 5,000 interruptions, the relative error of the share is about 1.5 percent.
         assert!((down as f64 / 1e6 - 0.1).abs() < 0.008, "{down}");
     }
 }

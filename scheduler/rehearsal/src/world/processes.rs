@@ -1,4 +1,4 @@
-//! The processes of the robots: which of them run or stall, and which is due next.
+//! The robots' processes: which run, which stall, and which is due next.
 
 use std::collections::BTreeSet;
 
@@ -7,14 +7,15 @@ use urrcp::{Server, Timestamp};
 
 use super::Agenda;
 
-/// Earlier than every wake-up. A process that is due even at this time is due at every event: it polls silent hardware, for example.
+/// A time before every wake-up. A process that is due even at this time is due at every event, for example because it polls silent
+/// hardware.
 const NEVER: Timestamp<True> = Timestamp::from_nanos(i64::MIN);
 
-/// The processes of the robots of a world, by robot.
+/// The processes of the robots in a world, by robot index.
 #[derive(Debug)]
 pub struct Processes {
     processes: Vec<Process>,
-    /// When robots are due. An entry is outdated if it differs from `due` of its process.
+    /// The robots by the times at which they are due. An entry is outdated if it differs from `due` of the robot's process.
     agenda: Agenda<usize>,
     /// Robots that are due at every event.
     restless: BTreeSet<usize>,
@@ -22,14 +23,14 @@ pub struct Processes {
 
 #[derive(Debug)]
 struct Process {
-    /// `None` if no process runs.
+    /// The robot's machine; `None` if no process runs.
     machine: Option<SimulatedRobot>,
     stalls_until: Timestamp<Server>,
     due: Option<Timestamp<Server>>,
 }
 
 impl Processes {
-    /// Creates the processes; none of them stalls.
+    /// Creates the processes, none of which stalls. A `None` in `machines` is a robot without a running process.
     pub fn new(machines: impl IntoIterator<Item = Option<SimulatedRobot>>, begin: Timestamp<Server>) -> Self {
         let machines = machines.into_iter();
         let processes = machines.map(|machine| Process { machine, stalls_until: begin, due: None }).collect();
@@ -38,46 +39,46 @@ impl Processes {
         processes
     }
 
-    /// The machine of a running process.
+    /// The machine of a robot's process; `None` if the process does not run.
     #[must_use]
     pub fn get(&self, robot: usize) -> Option<&SimulatedRobot> {
         self.processes[robot].machine.as_ref()
     }
 
-    /// Changes the machine of a process if it runs.
+    /// Calls `change` with the machine of a robot's process, if the process runs. Returns the result of `change`.
     pub fn change<R>(&mut self, robot: usize, change: impl FnOnce(&mut SimulatedRobot) -> R) -> Option<R> {
         let result = change(self.processes[robot].machine.as_mut()?);
         self.note_due(robot);
         Some(result)
     }
 
-    /// Starts a process, which replaces an older one of the same robot.
+    /// Starts a robot's process, which replaces an older process of the same robot.
     pub fn begin(&mut self, robot: usize, machine: SimulatedRobot) {
         self.processes[robot].machine = Some(machine);
         self.note_due(robot);
     }
 
-    /// Ends a process and returns its machine, if it ran.
+    /// Ends a robot's process. Returns its machine if the process ran.
     pub fn end(&mut self, robot: usize) -> Option<SimulatedRobot> {
         let machine = self.processes[robot].machine.take();
         self.note_due(robot);
         machine
     }
 
-    /// Stalls a process until `until`; this also applies to a new process of the same robot. A stall never shortens an earlier one.
+    /// Stalls a robot's process until `until`, including a new process of the same robot. A stall never shortens an earlier one.
     pub fn stall(&mut self, robot: usize, until: Timestamp<Server>) {
         let stalls_until = &mut self.processes[robot].stalls_until;
         *stalls_until = until.max(*stalls_until);
         self.note_due(robot);
     }
 
-    /// The end of a process's stall, if it stalls at `now`.
+    /// When the stall of a robot's process ends; `None` if the process does not stall at `now`.
     #[must_use]
     pub fn stalls_until(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         Some(self.processes[robot].stalls_until).filter(|until| now < *until)
     }
 
-    /// When the first process is due.
+    /// When the next process is due; `None` if none is.
     pub fn next_instant(&mut self) -> Option<Timestamp<Server>> {
         loop {
             let (at, robot) = self.agenda.peek()?;

@@ -29,14 +29,14 @@ pub trait Disk {
     /// Fails if the disk refuses the bytes or accepts only some of them.
     fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
 
-    /// Returns once all appended bytes would survive a power loss.
+    /// Writes all appended bytes to the disk. When this function returns, they would survive a power loss.
     ///
     /// # Errors
     /// If it fails, the appended bytes may be lost.
     fn sync(&mut self) -> io::Result<()>;
 
-    /// Makes sure that the file can be found under its name. If it was removed or replaced, writes all of it there again, and returns
-    /// once all of it is on the disk.
+    /// Makes sure that the file can be found under its name. If the file was removed or replaced, writes its full contents there again
+    /// and returns once they are on the disk.
     ///
     /// # Errors
     /// Fails if the file was removed or replaced and cannot be written again.
@@ -54,10 +54,10 @@ pub enum Name {
     WrittenAgain,
 }
 
-/// Maximum number of files that were moved away and stay locked.
+/// Maximum number of earlier journal files that stay locked after someone moved them away.
 const ELSEWHERE_MAX: usize = 8;
 
-/// A file that stays locked while this value lives.
+/// A journal file on a real disk. It stays locked while this value lives.
 #[derive(Debug)]
 pub struct FileDisk {
     folder: PathBuf,
@@ -67,7 +67,8 @@ pub struct FileDisk {
 }
 
 impl FileDisk {
-    /// Opens or creates `journal` in a folder and locks it. Creates the folder as well. Both are accessible to this user only.
+    /// Opens or creates `journal` in a folder and locks it. Creates the folder if necessary. Folder and file are accessible to this user
+    /// only.
     ///
     /// # Errors
     /// Fails if the file cannot be opened, if other users have access to it, or if another process holds the lock.
@@ -76,9 +77,9 @@ impl FileDisk {
         let new = !folder.join(JOURNAL).exists();
         let file = private::file(folder, JOURNAL, How::Create)?;
         lock::take(&file)?;
-        // Only this puts the names of a new file and a new folder on the disk.
+        // Only syncing the parent folder puts the name of a new file or folder on the disk.
         for folder in [Some(folder), folder.parent()].into_iter().flatten().filter(|_| new) {
-            // Some file systems do not support this.
+            // Some file systems cannot sync a folder.
             if let Err(error) = File::open(folder).and_then(|folder| folder.sync_all()) {
                 tracing::debug!("cannot sync {}: {error}", folder.display());
             }
@@ -100,8 +101,8 @@ impl FileDisk {
         Self { folder: folder.to_path_buf(), file, elsewhere: Vec::new() }
     }
 
-    /// Whether the name still refers to this file. If the check fails for any reason other than a missing file, for example because the
-    /// server of a network file system is unreachable, the file is treated as present.
+    /// Whether the name `journal` in the folder still refers to the open file. Only an error that reports a missing file counts as such.
+    /// After any other error, such as an unreachable network file system, the file is treated as present.
     fn is_named(&self) -> io::Result<bool> {
         let own = rustix::fs::fstat(&self.file)?;
         match rustix::fs::lstat(self.folder.join(JOURNAL)) {
@@ -114,7 +115,7 @@ impl FileDisk {
         }
     }
 
-    /// Writes the whole file under its name. The new file may already contain the beginning of this one.
+    /// Writes the whole file under its name. A file of this name may already contain the beginning of the contents.
     fn write_again(&mut self) -> io::Result<()> {
         let bytes = self.read()?;
         if let Some(state) = self.folder.parent() {

@@ -15,24 +15,24 @@ use downbeat_mission::{Record, sound};
 /// A mission that left a folder.
 #[derive(Clone, Debug)]
 pub struct Found {
-    /// Its folder.
+    /// The mission's folder.
     pub folder: PathBuf,
-    /// Its first line.
+    /// The first line of the mission's journal.
     pub opened: Opened,
-    /// When the mission was opened.
+    /// When the first line was written.
     pub opened_at: Timestamp<Server>,
-    /// The state of the mission.
+    /// Whether the mission is running, was cut off, or has ended.
     pub life: MissionState,
-    /// Size of its journal in bytes.
+    /// Size of the mission's journal in bytes.
     size: u64,
 }
 
-/// The state of a mission.
+/// Whether a mission is running, was cut off, or has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MissionState {
-    /// Its scheduler is alive.
+    /// The mission's scheduler is alive.
     Running,
-    /// Its scheduler died before the mission ended.
+    /// The mission's scheduler died before the mission ended.
     CutOff,
     /// The mission has ended.
     Ended,
@@ -41,16 +41,16 @@ pub enum MissionState {
 /// All missions that left a folder on this machine.
 #[derive(Debug, Default)]
 pub struct Missions {
-    /// The readable missions, newest last.
+    /// The missions whose first journal line is valid, newest last.
     pub found: Vec<Found>,
-    /// Journals whose first line is damaged or has another version. Their robots are unknown.
+    /// Journals whose first line is damaged or has another version. The robots of these missions are unknown.
     pub damaged: Vec<PathBuf>,
     /// Folders and journals to which other users have access. Their contents are not read.
     pub refused: Vec<NotPrivate>,
 }
 
 impl Missions {
-    /// Reads all mission folders. Returns no missions if the state folder does not exist.
+    /// Reads all mission folders in the folder `state`. Returns no missions if `state` does not exist.
     ///
     /// # Errors
     /// Returns [`NotPrivate`] if other users have access to the state folder; otherwise the operating system's error.
@@ -80,7 +80,7 @@ impl Missions {
         Ok(missions)
     }
 
-    /// Number of folders whose missions are unknown.
+    /// Number of folders whose missions are unknown, because the journal is damaged or refused.
     #[must_use]
     pub fn unread(&self) -> usize {
         self.damaged.len() + self.refused.len()
@@ -88,7 +88,7 @@ impl Missions {
 }
 
 impl Found {
-    /// Reads one folder. Returns `None` if the first line of its journal is damaged.
+    /// Reads the first and last lines of one mission's journal. Returns `None` if the first line of its journal is damaged.
     ///
     /// # Errors
     /// Fails if the journal does not exist, is still empty, or is accessible to other users ([`NotPrivate`]).
@@ -100,7 +100,7 @@ impl Found {
         reader.read_until(b'\n', &mut first)?;
         let size = file.metadata()?.len();
         let Ok((opened, opened_at)) = begin_of(&first) else {
-            // Cut off at its start: nothing was sent yet, unless the scheduler lives and its control socket exists.
+            // If a first line is cut off, nothing was sent yet, unless the scheduler lives and its control socket exists.
             let hears = running && folder.join("control").exists();
             return if size == first.len() as u64 && !hears {
                 Err(io::ErrorKind::UnexpectedEof.into())
@@ -116,7 +116,7 @@ impl Found {
         Ok(Some(Self { folder: folder.to_path_buf(), opened, opened_at, life, size }))
     }
 
-    /// Reads the whole journal.
+    /// Reads the mission's whole journal.
     ///
     /// # Errors
     /// Returns [`Unreadable`] if even the first line is no longer whole.
@@ -125,7 +125,7 @@ impl Found {
     }
 }
 
-/// Whether the mission of this folder has checked its fleet, so that it plays or waits for its first act.
+/// Whether the mission of this folder has checked its fleet, so that it plays an act or waits for its first one.
 #[must_use]
 pub fn has_begun(folder: &Path) -> bool {
     let journal = bytes_of(&folder.join("journal")).unwrap_or_default();

@@ -1,6 +1,6 @@
-//! The lock of a journal. It shows whether the scheduler lives, and it can be queried without being taken. If a query had to take the
-//! lock for a moment, it would occasionally block a stop. So would any other program that locks the file with `flock`, which is
-//! independent of this lock.
+//! The lock of a journal. It shows whether the scheduler lives. A process can query the lock without taking it: if queries took the lock
+//! for a moment, one could block a stop. The lock is independent of `flock`, so programs that use `flock` on the file do not block a stop
+//! either.
 
 use std::fs::File;
 use std::io;
@@ -8,7 +8,7 @@ use std::io;
 use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 
-/// Takes the lock for as long as the file is open.
+/// Takes the journal's lock. It is held until the file is closed.
 ///
 /// # Errors
 /// Returns [`io::ErrorKind::WouldBlock`] if another open file holds the lock.
@@ -20,7 +20,7 @@ pub(super) fn take(file: &File) -> io::Result<()> {
     })
 }
 
-/// Whether another open file holds the lock.
+/// Whether another open file description holds the lock of this journal.
 pub(super) fn is_taken(file: &File) -> bool {
     let mut lock = whole_file();
     match fcntl(file, FcntlArg::F_OFD_GETLK(&mut lock)) {

@@ -26,16 +26,16 @@ pub use private::NotPrivate;
 pub use read::{Contents, Records, Unreadable, read, records};
 pub use writer::{News, WAITING_MAX, Writer, append_all};
 
-/// The version of journals and recordings. Programs read only files of their own version.
+/// Format version of journals and recordings. A program reads only files of its own version.
 pub const VERSION: u32 = 1;
 
-/// The first line: the session, the robots and the plan. It contains everything that a stop needs, because files may change while a
-/// mission plays.
+/// The first line of a journal: the session, the robots and the plan. It contains everything that a stop needs, because files may change
+/// while a mission plays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Opened {
     /// The name of the mission, which identifies its session to people.
     pub session: SessionId,
-    /// The part of the session id on the wire after the session's name. `None` in simulations, where robots know only the name.
+    /// The key that follows the session's name in the session id on the wire. `None` in simulations, where robots know only the name.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub key: Option<SessionKey>,
     /// The id of the process that runs the mission.
@@ -43,45 +43,45 @@ pub struct Opened {
     /// The scenario's name; `None` in simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// The scenario file.
+    /// The path of the scenario file.
     pub scenario: PathBuf,
-    /// The fleet file.
+    /// The path of the fleet file.
     pub fleet: PathBuf,
-    /// The working directory, where programs that drive robots are started. `None` if it was removed.
+    /// The working directory, where programs that drive robots are started. `None` if the folder was removed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
-    /// The folder that must contain all files named by the scenario and the fleet, if the operator named one.
+    /// The folder that must contain all files named by the scenario and the fleet. `None` if the operator named no such folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<PathBuf>,
-    /// The further choices of the operator: acts, robots, speed.
+    /// The operator's other choices: acts, robots, speed.
     pub asked: Asked,
-    /// SHA-256 over the plan, as in certificates; `None` in simulations.
+    /// SHA-256 of the plan, as in certificates. `None` in simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plan_hash: Option<ContentHash>,
-    /// Starts at fixed times.
+    /// The start that the operator fixed, and the permitted delay of starts at fixed times.
     pub fixed: FixedStarts,
-    /// Whether robots are asked for their identity.
+    /// Whether the mission asks robots for their identity, in handshake steps 1 to 4.
     pub greeting: Greeting,
-    /// The server's time minus this machine's time, as NTP reported when the mission began.
+    /// Server time minus this machine's time, as NTP reported when the mission began.
     #[serde(rename = "clock_offset_ms")]
     pub clock_offset: Span,
-    /// The files for TLS and Zenoh. Empty if there are none.
+    /// The files for TLS and Zenoh. Empty if the mission uses neither.
     #[serde(default, skip_serializing_if = "OpenedKeys::is_empty")]
     pub keys: OpenedKeys,
-    /// The robots.
+    /// The robots of the mission.
     pub robots: Vec<OpenedRobot>,
 }
 
 /// The files that an operator needs for robots with TLS and for a Zenoh network. The journal does not contain their contents.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OpenedKeys {
-    /// The identity file.
+    /// The path of the operator's identity file. `None` without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub identity: Option<PathBuf>,
-    /// The list of revoked certificates.
+    /// The path of the list of revoked certificates. `None` without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revoked: Option<PathBuf>,
-    /// The configuration of the Zenoh network.
+    /// The path of the Zenoh network's configuration. `None` without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub zenoh: Option<PathBuf>,
 }
@@ -95,7 +95,7 @@ impl OpenedKeys {
 }
 
 impl Opened {
-    /// The session as its robots know it.
+    /// Returns the session as the mission's robots know it: with its key, except in simulations.
     #[must_use]
     pub fn drives_as(&self) -> Session {
         let name = || self.session.clone();
@@ -104,20 +104,20 @@ impl Opened {
     }
 }
 
-/// A robot of a mission, with all that is needed to reach it without the fleet file.
+/// A robot of a mission, with all data needed to reach the robot without the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OpenedRobot {
     /// The robot's id in the fleet file.
     pub robot: RobotId,
-    /// The id that the robot uses for itself, if it differs from the fleet file.
+    /// The id that the robot uses for itself. `None` if it is the same as in the fleet file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own_id: Option<RobotId>,
     /// The robot's address, as written in the fleet file.
     pub address: String,
-    /// The description of its devices, if a driver on this machine needs it to reach the hardware.
+    /// The description of the robot's devices, if a driver on this machine needs it to reach the hardware.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<InitializationBlock>,
-    /// The `limits` of the fleet file, if a driver on this machine must respect them.
+    /// The robot's `limits` in the fleet file, by device id, if a driver on this machine must respect them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub limits: BTreeMap<String, RateLimits>,
 }
@@ -125,20 +125,20 @@ pub struct OpenedRobot {
 /// The operator's changes to the choreography for this mission.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Asked {
-    /// Only this act.
+    /// The only act to play. `None` for all acts.
     pub act: Option<String>,
-    /// Start with this act.
+    /// The act to start with. `None` for the first act.
     pub from: Option<String>,
-    /// Only these robots.
+    /// The only robots to move. Empty for all robots.
     pub only: Vec<RobotId>,
-    /// Speed factor relative to the choreography file.
+    /// Speed factor relative to the choreography file. `None` for the file's own speed.
     pub speed: Option<f64>,
     /// The additional first act that moves devices to their first positions. `None` without `--approach`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub approach: Option<Approach>,
 }
 
-/// A journal could not be written.
+/// The error for a journal that could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the journal {}: {}", path.display(), Refusal::of(Attempt::Write(path), error).reason)]
 pub struct JournalError {
@@ -156,14 +156,14 @@ pub struct Journal<D = FileDisk> {
     contents: Option<Contents>,
     /// Number of durable records appended since the journal was opened.
     appended: u64,
-    /// Number of those records that are on the disk.
+    /// Number of appended durable records that are on the disk.
     on_disk: u64,
-    /// The first write failure. Afterwards, all records are refused.
+    /// The first write failure. `None` until a write fails; after that, all records are refused.
     broken: Option<String>,
 }
 
 impl Journal {
-    /// Opens and locks the journal of a mission in its folder. Anything after the last whole record is cut off.
+    /// Opens and locks the journal in a mission's folder. Cuts off anything after the last whole record.
     ///
     /// # Errors
     /// Returns [`JournalError`], also if another process holds the lock.
@@ -177,8 +177,8 @@ impl Journal {
 }
 
 impl<D: Disk> Journal<D> {
-    /// Uses a journal that has already been read under its lock. Anything after the last whole record is cut off. `path` is for error
-    /// messages.
+    /// Continues a journal whose contents were already read while it was locked. Cuts off anything after the last whole record. `path` is
+    /// for error messages.
     ///
     /// # Errors
     /// Returns [`JournalError`] if the disk cannot be truncated.
@@ -191,7 +191,7 @@ impl<D: Disk> Journal<D> {
         Ok(Self { disk, path, contents: Some(contents), appended: 0, on_disk: 0, broken: None })
     }
 
-    /// Opens the journal on a disk. Anything after the last whole record is cut off. `path` is for error messages.
+    /// Opens the journal on a disk. Cuts off anything after the last whole record. `path` is for error messages.
     ///
     /// # Errors
     /// Returns [`JournalError`] if the disk cannot be read or truncated.
@@ -210,12 +210,12 @@ impl<D: Disk> Journal<D> {
         }
     }
 
-    /// The contents when the journal was opened. `None` for a new journal.
+    /// The contents that the journal had when it was opened. `None` for a new journal.
     pub const fn contents(&self) -> Option<&Contents> {
         self.contents.as_ref()
     }
 
-    /// Writes the first line. It is on the disk when this function returns.
+    /// Writes the journal's first line. The line is on the disk when this function returns.
     ///
     /// # Errors
     /// Returns [`JournalError`] if the disk refuses the line.
@@ -232,7 +232,7 @@ impl<D: Disk> Journal<D> {
         written.map_err(|error| JournalError { path: self.path.clone(), error })
     }
 
-    /// Writes a line. It may be lost until [`Journal::sync`] has returned.
+    /// Appends a record as a line. The line may be lost until [`Journal::sync`] has returned.
     ///
     /// # Errors
     /// Returns the reason why the disk refuses the record. After one lost record, all records are refused.
@@ -242,8 +242,8 @@ impl<D: Disk> Journal<D> {
         Ok(())
     }
 
-    /// Syncs the disk if a durable record may not be on it yet. Returns the number of durable records on the disk since the journal was
-    /// opened.
+    /// Syncs the disk if a durable record may not be on it yet. Returns the number of durable records written to the disk since the
+    /// journal was opened.
     ///
     /// # Errors
     /// Returns the reason why written records may be lost.
@@ -254,10 +254,10 @@ impl<D: Disk> Journal<D> {
         Ok(self.on_disk)
     }
 
-    /// Makes sure that other commands can find the journal. If it was removed or replaced, writes all of it again.
+    /// Makes sure that other commands can find the journal. If the journal was removed or replaced, writes all of it again.
     ///
     /// # Errors
-    /// Returns the reason why it cannot be written again. The journal then takes no further records.
+    /// Returns the reason why the journal cannot be written again. It then takes no further records.
     pub fn keep_name(&mut self) -> Result<Name, String> {
         if let Some(broken) = &self.broken {
             return Err(broken.clone());
@@ -285,7 +285,7 @@ impl<D: Disk> Journal<D> {
         reason
     }
 
-    /// The bytes of the journal, for [`ended_acts`](downbeat_mission::ended_acts).
+    /// Returns all bytes of the journal, for [`ended_acts`](downbeat_mission::ended_acts).
     ///
     /// # Errors
     /// Returns [`JournalError`] if the disk cannot be read.
@@ -293,20 +293,21 @@ impl<D: Disk> Journal<D> {
         self.disk.read().map_err(|error| JournalError { path: self.path.clone(), error })
     }
 
-    /// Returns the disk, as if the process had ended.
+    /// Returns the disk in its current state, as if the process had ended.
     pub fn into_disk(self) -> D {
         self.disk
     }
 }
 
-/// The folder for missions is unknown. A folder that every user can write to is no substitute: anyone could have put files there.
+/// The folder for missions is unknown. A folder that every user can write to cannot replace it, because anyone could have put files
+/// there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "no folder for the journals of missions: HOME is not set; set HOME, or set DOWNBEAT_STATE to a folder of your own"
 )]
 pub struct NoStateFolder;
 
-/// The parent of all mission folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.
+/// Returns the parent of all mission folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.
 ///
 /// # Errors
 /// Fails if none of these variables is set. In the latter two, a path that is not absolute is ignored.
@@ -319,10 +320,10 @@ pub fn state_folder() -> Result<PathBuf, NoStateFolder> {
         .ok_or(NoStateFolder)
 }
 
-/// Creates the parent of all mission folders, accessible to this user only, unless it exists.
+/// Creates the parent of all mission folders, accessible to this user only, if it does not exist.
 ///
 /// # Errors
-/// Returns [`NotPrivate`] if other users have or had access to it; otherwise the operating system's error.
+/// Returns [`NotPrivate`] if other users have or had access to that folder; otherwise the operating system's error.
 pub fn create_state_folder(state: &Path) -> io::Result<()> {
     private::create_folder(state).map(drop)
 }

@@ -1,5 +1,6 @@
-//! Folders and files of the state. They belong only to the user of this process. Anything else in their place, such as another user's
-//! folder, a link or a pipe, is refused and named. It is never opened, followed or waited for.
+//! Opens folders and files of the state folder, which must belong to the user of this process. If something else has their name, such as
+//! another user's folder, a link or a pipe, this module returns an error that names it. It never opens, follows or waits for such a
+//! thing.
 
 use std::fs::{DirBuilder, File};
 use std::io::{self, ErrorKind};
@@ -19,7 +20,7 @@ const OTHERS: u32 = 0o077;
 /// Write permission bits of other users.
 const OTHERS_WRITE: u32 = 0o022;
 
-/// A folder or file to which other users have or had access.
+/// The error for a folder or file to which other users have or had access.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{} {fault}", path.display())]
 pub struct NotPrivate {
@@ -65,7 +66,7 @@ pub enum How {
     Create,
 }
 
-/// Opens an existing folder. If other users could only read it, their access is removed first.
+/// Opens an existing folder. If other users can read but not write it, removes their access first.
 ///
 /// # Errors
 /// Returns [`NotPrivate`], or the operating system's error.
@@ -93,7 +94,7 @@ pub fn folder(path: &Path) -> io::Result<OwnedFd> {
 /// Creates a folder for this user only, including missing parents, or opens the existing folder.
 ///
 /// # Errors
-/// Same as [`folder`].
+/// Returns [`NotPrivate`], or the operating system's error.
 pub fn create_folder(path: &Path) -> io::Result<OwnedFd> {
     match DirBuilder::new().recursive(true).mode(FOLDER.bits()).create(path) {
         // `folder` below reports what exists there instead.
@@ -102,10 +103,10 @@ pub fn create_folder(path: &Path) -> io::Result<OwnedFd> {
     }
 }
 
-/// Opens a file in a folder of the state.
+/// Opens the file `name` in a folder of the state, or creates it as `how` permits.
 ///
 /// # Errors
-/// Same as [`folder`]. Also fails for anything that is not a regular file.
+/// Fails like [`folder`], and also for anything that is not a regular file.
 pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
     let path = within.join(name);
     let access = match how {
@@ -138,10 +139,10 @@ pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
     Ok(file)
 }
 
-/// Makes sure that a socket in a folder of the state belongs to this user.
+/// Checks that the socket `name` in a folder of the state belongs to this user, and returns its path.
 ///
 /// # Errors
-/// Same as [`file()`].
+/// Returns [`NotPrivate`], or the operating system's error.
 pub fn socket(within: &Path, name: &str) -> io::Result<PathBuf> {
     let path = within.join(name);
     let found = rustix::fs::statat(folder(within)?, name, AtFlags::SYMLINK_NOFOLLOW)?;
@@ -184,7 +185,7 @@ mod tests {
         error.to_string()
     }
 
-    /// Gives a file to another user and returns whether that succeeded. Only root can.
+    /// Gives a file to another user and returns whether that succeeded. Only root can do that.
     fn given_away(path: &Path) -> bool {
         let given = chown(path, Some(NOBODY), None);
         assert_eq!(given.is_ok(), geteuid().is_root());

@@ -10,7 +10,7 @@ use super::private::{self, How};
 use super::{Opened, OpenedRobot, VERSION};
 use downbeat_mission::{Kept, Left, Record, Torn, sound, whole};
 
-/// A journal whose first line cannot be used.
+/// Why a journal cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum Unreadable {
     /// The file cannot be read.
@@ -21,7 +21,7 @@ pub enum Unreadable {
         /// The operating system's error.
         error: io::Error,
     },
-    /// The first line is not whole.
+    /// The first line is incomplete or damaged.
     #[error("{} does not begin with a complete line of a journal", path.display())]
     NoBegin {
         /// The journal file.
@@ -32,12 +32,12 @@ pub enum Unreadable {
     OtherVersion {
         /// The journal file.
         path: PathBuf,
-        /// The journal's version.
+        /// The version that the journal states.
         found: u32,
     },
 }
 
-/// A first line that cannot be used.
+/// Why the first line of a journal cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum BadBegin {
     Damaged,
@@ -54,7 +54,7 @@ impl BadBegin {
     }
 }
 
-/// Parses the first line of a journal and the time at which it was written.
+/// Parses the first line of a journal. Also returns the time at which it was written.
 pub(super) fn begin_of(line: &[u8]) -> Result<(Opened, Timestamp<Server>), BadBegin> {
     let line = whole(line).ok_or(BadBegin::Damaged)?;
     let version = line["version"].as_u64().and_then(|version| u32::try_from(version).ok());
@@ -70,11 +70,11 @@ pub(super) fn begin_of(line: &[u8]) -> Result<(Opened, Timestamp<Server>), BadBe
 /// The contents of a journal.
 #[derive(Clone, Debug)]
 pub struct Contents {
-    /// Its first line.
+    /// The journal's first line.
     pub opened: Opened,
     /// When the first line was written.
     pub opened_at: Timestamp<Server>,
-    /// The state of the mission.
+    /// The state of the mission that the other lines record.
     pub kept: Kept,
 }
 
@@ -85,7 +85,7 @@ impl Contents {
         Ok(Self { opened, opened_at, kept: Kept::of_bytes(bytes) })
     }
 
-    /// The state in which the mission left its robots.
+    /// Returns the state in which the mission left its robots.
     #[must_use]
     pub fn left(&self) -> Left {
         let own_id = |opened: &OpenedRobot| Some((opened.robot.clone(), opened.own_id.clone()?));
@@ -94,10 +94,10 @@ impl Contents {
     }
 }
 
-/// Reads a journal of this user up to the first line that is not whole.
+/// Reads a journal of this user up to the first damaged or incomplete line.
 ///
 /// # Errors
-/// Returns [`Unreadable`] if even the first line is not whole.
+/// Returns [`Unreadable`] if the file cannot be read, or if even its first line cannot be used.
 pub fn read(path: &Path) -> Result<Contents, Unreadable> {
     let bytes = bytes_of(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
     Contents::of_bytes(&bytes).map_err(|bad| bad.of(path))
@@ -114,18 +114,18 @@ pub(super) fn bytes_of(path: &Path) -> io::Result<Vec<u8>> {
 /// All records of a journal, for reports and pages.
 #[derive(Clone, Debug)]
 pub struct Records {
-    /// The first line.
+    /// The first line of the journal.
     pub opened: Opened,
-    /// The other lines, up to the first one that is not whole.
+    /// The other lines with their times, up to the first damaged or incomplete line.
     pub all: Vec<(Timestamp<Server>, Record)>,
-    /// The position of that line, if there is one.
+    /// The position of the first damaged or incomplete line. `None` if all lines are whole.
     pub torn: Option<Torn>,
 }
 
-/// Parses the bytes of a journal up to the first line that is not whole. `path` is for error messages.
+/// Parses the bytes of a journal up to the first damaged or incomplete line. `path` is for error messages.
 ///
 /// # Errors
-/// Returns [`Unreadable`] if even the first line is not whole.
+/// Returns [`Unreadable`] if the file cannot be read, or if even its first line cannot be used.
 pub fn records(bytes: &[u8], path: &Path) -> Result<Records, Unreadable> {
     #[derive(Deserialize)]
     struct Dated {

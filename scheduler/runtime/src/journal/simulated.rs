@@ -10,12 +10,12 @@ pub struct SimulatedDisk {
     bytes: Vec<u8>,
     /// Number of bytes, from the beginning, that survive a power loss.
     synced: usize,
-    /// Maximum size of the file in bytes.
+    /// Maximum size of the file in bytes. `None` for no limit.
     capacity: Option<usize>,
 }
 
 impl SimulatedDisk {
-    /// An empty file that cannot grow beyond `capacity` bytes.
+    /// Creates an empty file that cannot grow beyond `capacity` bytes. `None` sets no limit.
     #[must_use]
     pub fn with_capacity(capacity: Option<usize>) -> Self {
         Self { capacity, ..Self::default() }

@@ -162,7 +162,7 @@ fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
     assert_eq!((kept.stopped, kept.dropped), (vec![], vec![robot()]));
 }
 
-/// The line of act 0, with only the parts of its report that a reader of the journal needs.
+/// Returns the journal line for the end of act 0, with only those parts of the act's report that a reader of the journal needs.
 fn ended_line(fate: ActFate, flaws: ActFlaws, again: bool) -> Vec<u8> {
     #[derive(serde::Serialize)]
     struct Ended {
@@ -250,7 +250,7 @@ fn a_journal_whose_first_line_is_damaged_is_named() {
     std::fs::write(&path, &bytes).unwrap();
     let missions = Missions::of(state.path()).unwrap();
     assert_eq!((missions.found.len(), missions.damaged), (0, vec![path.clone()]));
-    // Cut off at its start: nothing had been sent.
+    // The first line is cut off, so the mission had sent nothing.
     std::fs::write(&path, &bytes[..40]).unwrap();
     assert!(Missions::of(state.path()).unwrap().damaged.is_empty());
 }
@@ -523,7 +523,7 @@ fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lo
         |state| std::fs::remove_dir_all(state).unwrap(),
         |state| std::fs::remove_file(state.join("m/journal")).unwrap(),
         |state| std::fs::rename(state, state.with_extension("elsewhere")).unwrap(),
-        // Replaced by a copy of its beginning.
+        // The journal is replaced by a copy of its beginning.
         |state| {
             let journal = state.join("m/journal");
             let bytes = std::fs::read(&journal).unwrap();
@@ -587,7 +587,7 @@ async fn the_thread_writes_a_removed_journal_again_before_its_records_are_durabl
     assert_eq!(writer.next().await, News::WrittenAgain);
     while writer.next().await != News::Recorded(2) {}
     assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);
-    // The thread also notices it when no record arrives.
+    // The thread also notices the removal when no record arrives.
     std::fs::remove_dir_all(stage.path().join("state")).unwrap();
     assert_eq!(writer.next().await, News::WrittenAgain);
     assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);

@@ -10,25 +10,25 @@ use urrcp::{Server, Timestamp};
 use super::{Disk, FileDisk, Journal, Name};
 use downbeat_mission::Record;
 
-/// Maximum number of records that may wait for the disk. With one more, the journal is treated as lost.
+/// Maximum number of records that may wait for the disk. If one more record arrives, the journal is treated as lost.
 pub const WAITING_MAX: usize = 4_096;
-/// Maximum time for the disk at the end of a mission.
+/// Maximum time to wait for the disk at the end of a mission.
 const FINISH_MAX: Duration = Duration::from_secs(5);
 /// Interval between checks that the journal is still found under its name, if no record arrives.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 
-/// The progress of a mission's records.
+/// How far the records of a mission have been written.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Written {
     /// Number of durable records on the disk.
     count: u64,
     /// Number of times that the journal was removed or replaced and written again.
     again: u32,
-    /// The reason why the journal takes no further records.
+    /// The reason why the journal takes no further records. `None` while it takes records.
     lost: Option<String>,
 }
 
-/// A report from the thread.
+/// A report from the thread that writes the journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum News {
     /// The number of durable records on the disk.
@@ -40,8 +40,8 @@ pub enum News {
 }
 
 impl Written {
-    /// Returns the next news in `now` for a reader that knows `self`. `WrittenAgain` comes before `Recorded`, because only the rewritten
-    /// file makes the records durable.
+    /// Returns the next news that `now` contains for a reader that already knows `self`, and adds it to `self`. `WrittenAgain` comes
+    /// before `Recorded`, because only the rewritten file makes the records durable.
     fn learn(&mut self, now: &Self) -> Option<News> {
         if self.again != now.again {
             self.again = now.again;
@@ -66,12 +66,12 @@ pub struct Writer<D = FileDisk> {
     written: watch::Receiver<Written>,
     /// The state that [`Writer::next`] has already reported.
     known: Written,
-    /// Returns the journal once the thread has ended.
+    /// Receives the journal from the thread once the thread has ended.
     back: oneshot::Receiver<Journal<D>>,
 }
 
 impl<D: Disk + Send + 'static> Writer<D> {
-    /// Starts the thread. It ends once the writer is dropped and everything is on the disk.
+    /// Starts the thread that writes the journal. The thread ends once the writer is dropped and all records are on the disk.
     ///
     /// # Errors
     /// Fails if the operating system cannot start a thread.
@@ -99,27 +99,27 @@ impl<D: Disk + Send + 'static> Writer<D> {
         })
     }
 
-    /// Waits until more records are on the disk, or until the journal has been written again or lost.
+    /// Waits for the next report from the thread: more records are on the disk, or the journal has been written again or lost.
     pub async fn next(&mut self) -> News {
         loop {
             if let Some(news) = self.known.learn(&self.written.borrow_and_update()) {
                 return news;
             }
             if self.written.changed().await.is_err() {
-                // The thread ends only with this writer, unless it fails.
+                // The thread ends before this writer only if it fails.
                 std::future::pending::<()>().await;
             }
         }
     }
 
-    /// Waits at most 5 s until everything is on the disk, and returns the journal.
+    /// Waits at most 5 s until all records are on the disk, and returns the journal. Returns `None` if that takes longer.
     pub async fn finish(self) -> Option<Journal<D>> {
         drop(self.queue);
         tokio::time::timeout(FINISH_MAX, self.back).await.ok()?.ok()
     }
 }
 
-/// Writes all records from the queue, with one sync for all that are waiting.
+/// Writes all records from the queue. One sync covers all records that are waiting.
 fn write_all<D: Disk>(
     mut journal: Journal<D>,
     records: &Receiver<(Timestamp<Server>, Record)>,

@@ -1,4 +1,4 @@
-//! The files of an authority. Files with a key are private, and every file is replaced as a whole.
+//! The files of an authority. Files that contain a key are private. A file is never changed in part: a new version replaces it.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -11,17 +11,17 @@ use urrcp::RobotId;
 
 use super::KeysError;
 
-/// The characters that remain unchanged in a file name. A full stop is not among them, so no name is `..` or hidden.
+/// All characters except those that remain unchanged in a file name. The full stop is encoded, so no file name is `..` or hidden.
 const KEPT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'_');
 
-/// Maximum number of bytes read from a file: the record of some 100,000 certificates.
+/// Maximum number of bytes read from a file. The record of about 100,000 certificates has this size.
 const BYTES_MAX: u64 = 32 * 1024 * 1024;
 
 fn at(path: &Path) -> impl FnOnce(io::Error) -> KeysError + '_ {
     |error| KeysError::File { path: path.into(), error }
 }
 
-/// Creates a folder to which only its owner has access, unless it exists.
+/// Creates a folder to which only its owner has access, if it does not exist.
 pub(super) fn make_private_folder(path: &Path) -> Result<(), KeysError> {
     fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(at(path))
 }
@@ -33,7 +33,7 @@ pub(super) fn lock(folder: &Path) -> Result<File, KeysError> {
     Ok(file)
 }
 
-/// The path of a robot's or operator's identity.
+/// Returns the path of a robot's or operator's identity file.
 pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
     let (kind, name) = match name {
         Name::Robot(id) => ("robots", id.as_str()),
@@ -42,7 +42,7 @@ pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
     folder.join(kind).join(format!("{}.pem", utf8_percent_encode(name, KEPT)))
 }
 
-/// The folder of robots' secrets.
+/// Returns the folder that contains the robots' secrets.
 fn secrets(folder: &Path) -> PathBuf {
     folder.join("secrets")
 }
@@ -51,7 +51,7 @@ pub(super) fn secret_path(folder: &Path, robot: &RobotId) -> PathBuf {
     secrets(folder).join(format!("{}.secret", utf8_percent_encode(robot.as_str(), KEPT)))
 }
 
-/// Returns the robots that have a secret, sorted.
+/// Returns the robots that have a secret, sorted by id.
 pub(super) fn robots_with_secret(folder: &Path) -> Result<Vec<RobotId>, KeysError> {
     let folder = secrets(folder);
     if !folder.exists() {
@@ -77,13 +77,13 @@ pub(super) fn delete(path: &Path) -> Result<bool, KeysError> {
     }
 }
 
-/// Reads a whole file. A pipe or a device in its place is refused, so that the call does not block.
+/// Reads a whole regular file. Fails for a pipe or a device, so that the call does not block.
 pub(super) fn read(path: &Path) -> Result<String, KeysError> {
     let text = downbeat_scripts::open(path).and_then(|file| io::read_to_string(file.take(BYTES_MAX)));
     text.map_err(at(path))
 }
 
-/// Rejects a key that others may read.
+/// Returns an error if other users may read or write this key file.
 pub(super) fn check_private(path: &Path) -> Result<(), KeysError> {
     let mode = fs::metadata(path).map_err(at(path))?.permissions().mode() & 0o777;
     if mode & 0o077 == 0 {
@@ -104,7 +104,7 @@ pub(super) fn write_public(path: &Path, text: &str) -> Result<(), KeysError> {
     write(path, text, 0o644)
 }
 
-/// Writes so that a reader sees the old file or the new one, never a part.
+/// Writes a file so that a reader sees the old version or the new one, never a part.
 fn write(path: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
     let part = path.with_extension("part");
     let _left_by_an_interrupted_one = fs::remove_file(&part);

@@ -10,23 +10,23 @@ use super::{KeysError, files};
 
 const FILE: &str = "issued.jsonl";
 
-/// An issued certificate.
+/// The record of one issued certificate.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Entry {
     /// The serial number, in hexadecimal digits with colons.
     pub serial: String,
-    /// `robot` or `operator`.
+    /// Whether the certificate belongs to a robot or an operator.
     pub kind: Kind,
     /// The robot's id, or the operator's name.
     pub name: String,
-    /// The roles of an operator.
+    /// The operator's roles. Empty for a robot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub roles: Vec<String>,
-    /// When it was issued, in seconds since 1970, UTC.
+    /// When the certificate was issued, in seconds since 1970, UTC.
     pub issued: i64,
-    /// When it expires, in seconds since 1970, UTC.
+    /// When the certificate expires, in seconds since 1970, UTC.
     pub expires: i64,
-    /// When it was revoked, in seconds since 1970, UTC. `None` if it is not revoked.
+    /// When the certificate was revoked, in seconds since 1970, UTC. `None` if it was not revoked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revoked: Option<i64>,
 }
@@ -35,14 +35,14 @@ pub struct Entry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// A robot.
+    /// The certificate of a robot.
     Robot,
-    /// An operator.
+    /// The certificate of an operator.
     Operator,
 }
 
 impl Entry {
-    /// The roles of the owner.
+    /// Returns the roles of the certificate's owner. Unknown roles are omitted.
     #[must_use]
     pub fn roles(&self) -> Roles {
         self.roles.iter().filter_map(|role| role.parse::<Role>().ok()).collect()
@@ -110,13 +110,13 @@ impl Issued {
         &self.entries
     }
 
-    /// Returns the latest certificate of a name.
+    /// Returns the certificate last issued to this robot or operator.
     #[must_use]
     pub fn latest(&self, name: &Name) -> Option<&Entry> {
         self.entries.iter().rev().find(|entry| entry.is_of(name))
     }
 
-    /// Revokes all certificates of a name. Returns how many were not revoked before.
+    /// Revokes all certificates of a robot or operator. Returns how many of them were not revoked before.
     pub(super) fn revoke(&mut self, name: &Name, now: i64) -> usize {
         let counts = self.entries.iter_mut().filter(|entry| entry.is_of(name) && entry.revoked.is_none());
         counts.map(|entry| entry.revoked = Some(now)).count()

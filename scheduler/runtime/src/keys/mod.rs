@@ -1,9 +1,9 @@
-//! The authority of a site: a folder with a key, which issues the keys of robots and operators.
+//! The certificate authority of a site: a folder that contains a key, and issues the keys of robots and operators.
 //!
 //! Only the owner has access to the folder. It contains `authority.key`, `authority.pem`, the list of revoked certificates `revoked.pem`,
-//! a record of all issued certificates (`issued.rs`), and an identity file for each robot and operator: the private key, its certificate,
-//! and then that of the authority. The contents of a certificate are defined in `downbeat_robot::tls`. For robots without TLS, the folder
-//! contains secrets, and operators' passes made from them (`secrets.rs`).
+//! and a record of all issued certificates (`issued.rs`). It also contains an identity file for each robot and operator: the private key,
+//! its certificate, and the authority's certificate. The contents of a certificate are defined in `downbeat_robot::tls`. For robots
+//! without TLS, the folder contains secrets, and operators' passes made from them (`secrets.rs`).
 
 mod files;
 mod issued;
@@ -39,15 +39,16 @@ const REVOKED: &str = "revoked.pem";
 const REVOKED_SERIALS: &str = "revoked.serials";
 /// Validity of an authority in days.
 const AUTHORITY_DAYS: i64 = 3_650;
-/// Days until the next list of revoked certificates, which the list must state. A list is made only at a revocation, so this is far away.
+/// A list of revoked certificates must state when the next list is due; this is the number of days. It is large, because a list is made
+/// only when a certificate is revoked.
 const LIST_DAYS: i64 = AUTHORITY_DAYS;
-/// Certificates are valid from this many seconds before their issue, because clocks differ.
+/// The validity of a certificate starts this number of seconds before its issue, because clocks differ.
 const BACKDATED: i64 = 300;
 const DAY: i64 = 24 * 3_600;
-/// Maximum length of a common name (RFC 5280, appendix A.1: `ub-common-name`). It is only for people.
+/// Maximum length of a common name (RFC 5280, appendix A.1: `ub-common-name`). The common name is only for people to read.
 const COMMON_NAME_MAX: usize = 64;
 
-/// Keys could not be made or used.
+/// Why keys could not be made or used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeysError {
@@ -59,10 +60,10 @@ pub enum KeysError {
         /// The operating system's error.
         error: io::Error,
     },
-    /// An authority already exists.
+    /// The folder already contains an authority.
     #[error("{} already contains an authority; robots that trust it would not accept a second one", .0.display())]
     Exists(PathBuf),
-    /// The authority does not exist.
+    /// The folder contains no authority.
     #[error("{} contains no authority; create one with `downbeat keys init`, or set its folder with --keys", .0.display())]
     NoAuthority(PathBuf),
     /// The contents of a file cannot be used.
@@ -70,7 +71,7 @@ pub enum KeysError {
     Damaged {
         /// The path of the file.
         path: PathBuf,
-        /// The fault.
+        /// The fault in the contents.
         what: String,
     },
     /// These names already have a key.
@@ -115,16 +116,16 @@ fn have(names: impl Iterator<Item = String>, what: &str) -> String {
     }
 }
 
-/// The folder of an authority.
+/// An opened authority: its locked folder.
 #[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,
-    /// Admits one process at a time. Held while this value lives.
+    /// Lock that admits one process at a time. It is held while this value lives.
     _lock: File,
 }
 
 impl Authority {
-    /// Creates a new authority.
+    /// Creates a new authority in a folder. `now` is in seconds since 1970, UTC.
     ///
     /// # Errors
     /// Returns [`KeysError`], also if an authority already exists.
@@ -135,7 +136,7 @@ impl Authority {
             return Err(KeysError::Exists(folder.into()));
         }
         let key = KeyPair::generate()?;
-        // With a mark from its key, to distinguish it from other authorities.
+        // The name contains a mark from the key, to distinguish this authority from others.
         let mark: String =
             key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
         let mut of_authority = params(&format!("Downbeat authority {mark}"), now, AUTHORITY_DAYS)?;
@@ -151,7 +152,7 @@ impl Authority {
     /// Opens an existing authority.
     ///
     /// # Errors
-    /// Returns [`KeysError`].
+    /// Returns [`KeysError`] if the folder contains no authority, or if its files cannot be used.
     pub fn open(folder: &Path) -> Result<Self, KeysError> {
         if !folder.join(AUTHORITY_KEY).exists() {
             return Err(KeysError::NoAuthority(folder.into()));
@@ -160,7 +161,7 @@ impl Authority {
         Ok(Self { folder: folder.into(), _lock: files::lock(folder)? })
     }
 
-    /// The certificates that it has issued.
+    /// Returns the record of the certificates that the authority has issued.
     ///
     /// # Errors
     /// Fails if the record cannot be read.
@@ -168,11 +169,11 @@ impl Authority {
         Issued::read(&self.folder)
     }
 
-    /// Makes the keys and certificates of robots or of an operator, valid for `days` days from `now`, in seconds since 1970. Returns the
-    /// identity files.
+    /// Makes the keys and certificates of robots or of an operator, valid for `days` days from `now` (seconds since 1970, UTC). Returns
+    /// the paths of the identity files.
     ///
     /// # Errors
-    /// Returns [`KeysError`], also if any of the names already has a key: then nothing is made.
+    /// Returns [`KeysError`], also if any of the names already has a key. Nothing is made in that case.
     pub fn issue(
         &self,
         names: &BTreeSet<Name>,
@@ -189,7 +190,8 @@ impl Authority {
         names.iter().map(|name| self.write_identity(name, roles, now, days)).collect()
     }
 
-    /// Makes a new key and certificate for the same name and roles. The old one remains valid until it expires or is revoked.
+    /// Makes a new key and certificate for a robot or operator, with the roles of its latest certificate. The old certificate remains
+    /// valid until it expires or is revoked.
     ///
     /// # Errors
     /// Returns [`KeysError`], also if the name has no key.
@@ -199,11 +201,11 @@ impl Authority {
         self.write_identity(name, &known.roles(), now, days)
     }
 
-    /// Revokes all certificates of a name and writes the list of revoked ones. For an operator, this also revokes the passes. For a
-    /// robot, it also deletes the secret and the passes made from it. Returns the number of revoked keys.
+    /// Revokes all certificates of a name and writes the list of revoked certificates. For an operator, this also revokes the passes. For
+    /// a robot, this also deletes the secret and the passes made from it. Returns the number of revoked keys.
     ///
     /// # Errors
-    /// Returns [`KeysError`], also if the name has no key, or no valid one.
+    /// Returns [`KeysError`], also if the name has no key, or only revoked ones.
     pub fn revoke(&self, name: &Name, now: i64) -> Result<usize, KeysError> {
         let mut issued = self.issued()?;
         let secret = match name {
@@ -217,20 +219,21 @@ impl Authority {
         if revoked == 0 {
             return Err(KeysError::RevokedAlready(name.clone()));
         }
-        // The list that robots obey comes first: with the record first, a failure would leave a revocation that robots do not know.
+        // The list that robots read is written first. If the record were first, a failure could leave a revocation that robots do not
+        // know.
         self.write_revoked(&issued, now)?;
         issued.write(&self.folder)?;
         self.write_passes(&issued)?;
         Ok(revoked)
     }
 
-    /// The path of the list of revoked certificates.
+    /// Returns the path of the list of revoked certificates.
     #[must_use]
     pub fn revoked(&self) -> PathBuf {
         self.path(REVOKED)
     }
 
-    /// The path of the list of revoked passes.
+    /// Returns the path of the list of revoked passes.
     #[must_use]
     pub fn revoked_serials(&self) -> PathBuf {
         self.path(REVOKED_SERIALS)
@@ -273,7 +276,7 @@ impl Authority {
             .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
         let path = files::identity_path(&self.folder, name);
         path.parent().map(files::make_private_folder).transpose()?;
-        // The record comes first: a certificate that is not in it cannot be revoked.
+        // The record is written first, because a certificate that is not in the record cannot be revoked.
         let mut issued = self.issued()?;
         issued.add(&identity, now);
         issued.write(&self.folder)?;
@@ -295,7 +298,7 @@ impl Authority {
         let list = CertificateRevocationListParams {
             this_update: instant(now - BACKDATED)?,
             next_update: instant(now + LIST_DAYS * DAY)?,
-            // A later list needs a larger number.
+            // Each list needs a larger number than the previous one.
             crl_number: SerialNumber::from(u64::try_from(now).unwrap_or_default()),
             issuing_distribution_point: None,
             revoked_certs: issued.revoked().map(revoked).collect::<Result<_, _>>()?,
@@ -306,7 +309,7 @@ impl Authority {
     }
 }
 
-/// The calendar time, which determines the validity of certificates: in seconds since 1970, UTC.
+/// Returns the calendar time in seconds since 1970, UTC. It determines whether certificates are valid.
 #[must_use]
 #[expect(clippy::disallowed_methods, reason = "certificates count by the calendar")]
 pub fn calendar() -> i64 {
@@ -314,10 +317,10 @@ pub fn calendar() -> i64 {
     i64::try_from(since.as_secs()).unwrap_or(i64::MAX)
 }
 
-/// Returns the door of a robot whose keys are in the folder of their authority.
+/// Returns the access control ([`Door`]) of a robot whose keys are in the authority's folder.
 ///
 /// # Errors
-/// Returns the reason as a sentence if the robot has no usable key there.
+/// Returns the reason as a sentence if the robot has no usable key in that folder.
 pub fn door_of(folder: &Path, robot: &RobotId, protection: Protection) -> Result<Door, String> {
     match protection {
         Protection::Open => Ok(Door::Open),

@@ -1,6 +1,6 @@
-//! Secrets of robots without TLS, and the passes that are made from them for operators.
+//! Secrets of robots without TLS, and the operators' passes that are made from these secrets.
 //!
-//! A pass has the name, roles, expiry and number of the operator's certificate, so both expire and are revoked together.
+//! A pass has the same name, roles, expiry and serial number as the operator's certificate, so both expire and are revoked together.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -11,20 +11,20 @@ use urrcp::RobotId;
 
 use super::{Authority, Entry, Issued, KeysError, Kind, files};
 
-/// What to do with an existing secret.
+/// What to do if a robot already has a secret.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IfThere {
-    /// Keep it and refuse to make another.
+    /// Keep the existing secret and refuse to make another.
     Keep,
-    /// Replace it. Passes made from the old secret become invalid once the robot has the new one.
+    /// Replace the existing secret. Passes made from the old secret become invalid once the robot has the new one.
     Replace,
 }
 
 impl Authority {
-    /// Makes secrets for robots, and passes for them for each operator. Returns the files of the secrets.
+    /// Makes a secret for each robot, and a pass for each operator and robot. Returns the paths of the secrets' files.
     ///
     /// # Errors
-    /// Returns [`KeysError`], also if any of the robots already has a secret that is to be kept: then nothing is made.
+    /// Returns [`KeysError`], also if any of the robots already has a secret that must be kept. Nothing is made in that case.
     pub fn make_secrets(
         &self,
         robots: &BTreeSet<RobotId>,
@@ -42,7 +42,7 @@ impl Authority {
             Ok(path)
         };
         let made = robots.iter().map(make).collect::<Result<_, KeysError>>();
-        // Even if one secret could not be written, because the others exist.
+        // The list is written even if one secret could not be written, because the other secrets exist.
         let issued = self.issued()?;
         self.write_revoked_serials(&issued)?;
         self.write_passes(&issued)?;
@@ -57,12 +57,12 @@ impl Authority {
         files::robots_with_secret(&self.folder)
     }
 
-    /// Deletes a robot's secret and returns the number of deleted ones.
+    /// Deletes a robot's secret. Returns 1 if there was one, else 0.
     pub(super) fn delete_secret(&self, robot: &RobotId) -> Result<usize, KeysError> {
         Ok(usize::from(files::delete(&files::secret_path(&self.folder, robot))?))
     }
 
-    /// Writes the passes of all operators, one for each robot with a secret. Revoked operators get none.
+    /// Writes the passes of all operators, one for each robot with a secret. Revoked operators get no passes.
     pub(super) fn write_passes(&self, issued: &Issued) -> Result<(), KeysError> {
         let robots = self.robots_with_secret()?.into_iter().map(|robot| {
             let secret = Secret::read(&files::secret_path(&self.folder, &robot))?;
@@ -94,7 +94,7 @@ impl Authority {
         Ok(())
     }
 
-    /// Writes the list of revoked passes in the format for robots without TLS.
+    /// Writes the list of revoked passes: one serial number per line, for robots without TLS.
     pub(super) fn write_revoked_serials(&self, issued: &Issued) -> Result<(), KeysError> {
         let head = "# Numbers of revoked passes, written by `downbeat keys`.\n".to_owned();
         let is_revoked = |entry: &&Entry| entry.kind == Kind::Operator && entry.revoked.is_some();

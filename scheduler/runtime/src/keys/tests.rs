@@ -1,4 +1,4 @@
-//! Tests issued certificates against each other in real handshakes.
+//! Tests in which robots and operators authenticate each other with issued certificates in real handshakes.
 
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
@@ -235,7 +235,7 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
     let (cf1, cf2) = ("cf 1/ö".parse().unwrap(), "cf2".parse().unwrap());
     let secret = site.of_secret(&cf1, IfThere::Keep).unwrap();
     site.of_secret(&cf2, IfThere::Keep).unwrap();
-    // A user who is added later has them as well.
+    // An operator who is added later has passes as well.
     site.of(&Name::Operator("bert".into()), &[Role::Observe]);
     let path = site.folder.path().join("keys/operators/anna.passes");
     for private in [&secret, &path] {

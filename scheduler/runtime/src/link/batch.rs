@@ -1,40 +1,40 @@
-//! Messages that are written at once. Scripts published for several robots are left out of their bytes.
+//! A batch of messages that are written at once. It omits the bytes of scripts that were published for several robots.
 
 use urrcp::{Command, ControlRequest, Encoding, Message, Script, encode_as};
 
 use super::reach::Text;
 
-/// The end of the line of a request without steps.
+/// The last bytes of an encoded request whose script has no steps.
 const NO_STEPS: &[u8] = b"[]}}\n";
 
-/// Messages as bytes, with published texts to be inserted.
+/// Encoded messages, and the published texts that the robot's side inserts into them.
 #[derive(Debug, Default)]
 pub(crate) struct Batch {
     bytes: Vec<u8>,
-    /// Each text with the number of bytes before it.
+    /// The published texts, each with its position in `bytes`.
     texts: Vec<(usize, Text)>,
     text_bytes: usize,
 }
 
 impl Batch {
-    /// The bytes without the texts.
+    /// Returns the bytes without the published texts.
     pub(crate) fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// The texts, each with the number of bytes before it.
+    /// Returns the published texts, each with its position in the bytes.
     #[cfg(feature = "zenoh")]
     pub(crate) fn texts(&self) -> &[(usize, Text)] {
         &self.texts
     }
 
-    /// Number of bytes that the robot reads.
+    /// Number of bytes that the robot reads, including the published texts.
     pub(crate) const fn len(&self) -> usize {
         self.bytes.len() + self.text_bytes
     }
 
-    /// Appends a message and returns the number of bytes that the robot reads of it. `offer` publishes the message's script if it goes to
-    /// other robots too.
+    /// Appends a message. Returns the number of bytes that it has for the robot, including a published text. `offer` publishes the
+    /// message's script if other robots receive the same script.
     pub(crate) fn push(
         &mut self,
         encoding: Encoding,
@@ -64,7 +64,8 @@ impl Batch {
     }
 }
 
-/// Returns the request without its script, and the text that was published instead.
+/// Publishes the script of a request. Returns the request without the script, and the published text. Returns `None` if the script was
+/// not published.
 fn published(
     request: &ControlRequest,
     offer: impl FnOnce(&Script) -> Option<Text>,
@@ -82,7 +83,7 @@ mod tests {
 
     use super::*;
 
-    /// Assembles the batch as the robot's side does.
+    /// Inserts the texts into the batch as the robot's side does.
     fn put_together(batch: &Batch) -> Vec<u8> {
         let (mut all, mut done) = (Vec::new(), 0);
         for (at, text) in batch.texts() {

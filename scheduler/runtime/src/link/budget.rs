@@ -1,11 +1,12 @@
-//! Limits how much a robot may send: the answers to its requests, and a little more. A robot that sends more floods its link.
+//! Limits how much a robot may send: the responses to requests that it has received, and a little more. A robot that sends more floods
+//! its link.
 //!
-//! Each message to a robot allows the answers to it, in messages and in bytes. Anything beyond that is taken from a reserve, which
-//! refills with time. Once the reserve is empty, the link is closed: a robot that sends endlessly costs the mission's time and memory,
-//! and working robots never do that.
+//! Each message to a robot permits a number of response messages and bytes. Anything else that the robot sends is taken from a reserve
+//! that refills with time. Once the reserve is empty, the link is closed: a robot that sends endlessly costs the mission's time and
+//! memory, and a working robot never does that.
 //!
-//! A robot that floods may still move, so a link to stop it is permitted. On that link, only answers to requests on such links pass, and
-//! it closes after a short time.
+//! A robot that floods may still move, so the mission may open another link to stop it. On that link, only responses to requests sent
+//! since the flooding are accepted. It closes after a short time.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -22,22 +23,24 @@ const RESERVE_BYTES: u64 = 4 * 1024 * 1024;
 const REFILL_MESSAGES: u64 = 100;
 /// Refill rate of the reserve, in bytes per second.
 const REFILL_BYTES: u64 = 64 * 1024;
-/// Number of answers to a control request: `Accepted`, `Started`, and `OK` or `Failed`.
+/// Maximum number of responses to a control request: `Accepted`, `Started`, and `OK` or `Failed`.
 const ANSWERS_TO_A_REQUEST: u64 = 3;
-/// Size of an answer, in bytes, in addition to the repeated request: names, times, hash, reason.
+/// Maximum size of a response in bytes, without the request that it repeats: names, times, hash, reason.
 const ANSWER_BYTES: u64 = 4 * 1024;
-/// Size factor for an accepted script in the answer: it may be repeated in JSON after it was sent in the compact encoding.
+/// Maximum size of a script repeated in a response, relative to the script as sent: the robot may repeat in JSON a script that it
+/// received in the compact encoding.
 const REPEATED: u64 = 8;
-/// Maximum number of pending answers: enough for three scripts on each of 32,000 devices, and more.
+/// Maximum number of responses that are permitted but have not arrived. It suffices for three scripts on each of 32,000 devices, and
+/// more.
 const ASKED_MESSAGES_MAX: u64 = 500_000;
-/// Maximum size of all pending answers in bytes.
+/// Maximum total size, in bytes, of responses that are permitted but have not arrived.
 const ASKED_BYTES_MAX: u64 = 1024 * 1024 * 1024;
 
-/// Time for which messages are read on a link to a robot that has flooded.
+/// How long messages are read on a link to a robot that has flooded, from the first received bytes.
 const SIFTED_FOR: Span = Span::from_millis(2_000);
 
-/// What a robot may send, on all its links together. Answers to requests on a broken link arrive on the next one, and a robot that closes
-/// its link gets no new reserve.
+/// How much a robot may still send on all its links together. It is kept per robot, because responses to requests on a broken link arrive
+/// on the next link. A robot that closes its link gets no new reserve.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Asked(Arc<Mutex<Allowance>>);
 
@@ -45,18 +48,18 @@ pub(crate) struct Asked(Arc<Mutex<Allowance>>);
 struct Allowance {
     asked_for: Amount,
     reserve: Amount,
-    /// When the reserve was last filled. `None` until the first bytes arrive.
+    /// When the reserve was last refilled. `None` until the first bytes arrive.
     filled: Option<Timestamp<Server>>,
-    /// The messages that may pass from a robot that has flooded. `None` if it never did.
+    /// The responses that are still accepted from a robot that has flooded. `None` if the robot never flooded.
     sieve: Option<Sieve>,
 }
 
-/// The requests to a robot since it flooded.
+/// The responses still permitted to requests sent to a robot since it flooded.
 #[derive(Debug, Default)]
 struct Sieve {
-    /// The number of answers that each request may still receive.
+    /// Number of responses that may still arrive for each request.
     answers: HashMap<RequestId, u64>,
-    /// The number of descriptions that may still arrive.
+    /// Number of initialization blocks that may still arrive.
     descriptions: u64,
 }
 
@@ -98,7 +101,7 @@ struct Amount {
 }
 
 impl Asked {
-    /// Notes a message that is about to be written and its size in bytes.
+    /// Notes a message of `bytes` bytes that is about to be written to the robot, and permits the responses to it.
     pub(crate) fn note(&self, message: &Message, bytes: usize) {
         if let Some(sieve) = &mut self.lock().sieve {
             return sieve.note(message);
@@ -107,7 +110,7 @@ impl Asked {
         let (messages, bytes) = match message {
             Message::InitializationRequest(_) => {
                 let mut allowance = self.lock();
-                // A robot that does not describe itself is asked repeatedly, but may describe itself only once.
+                // A robot that does not send its initialization block is asked repeatedly, but may send the block only once.
                 let bytes = allowance.asked_for.bytes.max(LINE_BYTES_MAX as u64);
                 allowance.asked_for.bytes = bytes;
                 (1, 0)
@@ -128,7 +131,7 @@ impl Asked {
         self.allow(messages, bytes);
     }
 
-    /// Notes that the robot holds this number of scripts from another process, and will report on them.
+    /// Permits the responses to scripts that another process has sent to the robot. `scripts` is their number.
     pub(crate) fn note_held(&self, scripts: usize) {
         let messages = u64::try_from(scripts).unwrap_or(u64::MAX).saturating_mul(ANSWERS_TO_A_REQUEST);
         self.allow(messages, messages.saturating_mul(ANSWER_BYTES));
@@ -146,7 +149,7 @@ impl Asked {
 }
 
 impl Allowance {
-    /// Refills the reserve for the elapsed time.
+    /// Refills the reserve for the time since the last refill.
     fn fill(&mut self, now: Timestamp<Server>) {
         let filled = self.filled.get_or_insert(now);
         let passed = u64::try_from((now - *filled).max(Span::ZERO).as_nanos()).unwrap_or(0);
@@ -154,7 +157,7 @@ impl Allowance {
             u64::try_from(u128::from(a_second) * u128::from(passed) / 1_000_000_000).unwrap_or(u64::MAX)
         };
         let messages = brought(REFILL_MESSAGES);
-        // In whole messages, so that no rounding error accumulates.
+        // The reserve is refilled by whole messages, so that no rounding error accumulates.
         if messages > 0 {
             *filled = now;
             self.reserve.messages = self.reserve.messages.saturating_add(messages).min(RESERVE_MESSAGES);
@@ -163,7 +166,7 @@ impl Allowance {
     }
 }
 
-/// The incoming data of one link.
+/// The received data of one link, which is counted against the robot's allowance.
 #[derive(Debug)]
 pub(crate) struct Budget {
     asked: Asked,
@@ -171,23 +174,23 @@ pub(crate) struct Budget {
     hears: Hears,
 }
 
-/// The messages accepted on a link.
+/// Which messages are accepted on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Hears {
-    /// All messages, within the budget.
+    /// All messages, as long as the robot stays within its allowance.
     All,
-    /// Only messages that pass the sieve, with the time of the first bytes.
+    /// Only responses to requests sent since the robot flooded. Contains when the first bytes arrived, or `None` before that.
     Sifted(Option<Timestamp<Server>>),
 }
 
 impl Budget {
-    /// Creates the budget of a new link to a robot with these requests.
+    /// Creates the budget of a new link to the robot that owns `asked`.
     pub(crate) fn new(asked: Asked) -> Self {
         let hears = if asked.lock().sieve.is_some() { Hears::Sifted(None) } else { Hears::All };
         Self { asked, came: Amount::default(), hears }
     }
 
-    /// Takes received bytes from the budget.
+    /// Deducts received bytes from the budget.
     ///
     /// # Errors
     /// Returns [`Loss::Flooding`] if the robot sent more than requested. The link must then be closed.
@@ -207,10 +210,10 @@ impl Budget {
         })
     }
 
-    /// Takes a received message, or an invalid one, from the budget.
+    /// Deducts one received message, valid or not, from the budget.
     ///
     /// # Errors
-    /// Same as [`Budget::take_bytes`].
+    /// Returns [`Loss::Flooding`] if the robot sent more than requested. The link must then be closed.
     pub(crate) fn take_message(&mut self) -> Result<(), Loss> {
         self.came.messages += 1;
         if self.is_sifted() {
@@ -223,12 +226,12 @@ impl Budget {
         })
     }
 
-    /// Whether the robot has flooded before, so that only answers are accepted.
+    /// Whether the robot has flooded before, so that this link accepts only responses to later requests.
     pub(crate) const fn is_sifted(&self) -> bool {
         matches!(self.hears, Hears::Sifted(_))
     }
 
-    /// Whether a message is accepted. If so, uses up one permitted answer.
+    /// Whether a message is accepted. On a link to a robot that has flooded, an accepted message uses up one permitted response.
     pub(crate) fn passes(&self, message: &Message) -> bool {
         match self.hears {
             Hears::All => true,
@@ -241,7 +244,8 @@ impl Budget {
     }
 }
 
-/// Takes received data from the pending answers first, and the rest from the reserve.
+/// Deducts `came` bytes or messages from the permitted responses first, and the rest from the reserve. Returns `None` if the reserve is
+/// too small.
 fn take(asked_for: &mut u64, reserve: &mut u64, came: u64) -> Option<()> {
     let answers = came.min(*asked_for);
     *asked_for -= answers;

@@ -1,4 +1,4 @@
-//! Robots at keys of a Zenoh network, if this program is built with Zenoh.
+//! Robots that are reached through keys of a Zenoh network, if this program is built with Zenoh.
 
 use std::path::PathBuf;
 
@@ -7,12 +7,12 @@ use super::{Endpoint, LinkEncoding};
 #[cfg(feature = "zenoh")]
 use std::sync::OnceLock;
 
-/// The message of a build without Zenoh.
+/// The error message for `zenoh:` addresses in a build without Zenoh.
 #[cfg(not(feature = "zenoh"))]
 pub const NOT_BUILT: &str = "this build of downbeat does not support `zenoh:` addresses; build it with \
      `cargo install --path scheduler --features zenoh`";
 
-/// The Zenoh network of a site, joined once.
+/// The Zenoh network of a site, which this process joins at most once.
 #[derive(Debug, Default)]
 pub(super) struct OfSite {
     #[cfg(feature = "zenoh")]
@@ -26,7 +26,7 @@ pub(super) struct OfSite {
 #[derive(Clone, Debug)]
 pub struct Network(downbeat_robot::zenoh::Networks);
 
-/// A network that cannot exist, because this build has no Zenoh.
+/// A Zenoh network in a build without Zenoh. No value of this type exists.
 #[cfg(not(feature = "zenoh"))]
 #[derive(Clone, Copy, Debug)]
 pub enum Network {}
@@ -42,7 +42,7 @@ impl OfSite {
     }
 }
 
-/// Joins the network of a configuration.
+/// Joins the Zenoh network described by a configuration file.
 ///
 /// # Errors
 /// Returns the reason as a sentence.
@@ -57,7 +57,7 @@ pub fn join(file: Option<&std::path::Path>) -> Result<downbeat_robot::zenoh::Net
 
 #[cfg(feature = "zenoh")]
 impl Network {
-    /// Returns the endpoint of the robot at a key, or `None` if this is not a key.
+    /// Returns the endpoint of the robot at a key, or `None` if `key` is not a valid key.
     #[must_use]
     pub fn endpoint(&self, key: &str, encoding: LinkEncoding) -> Option<Endpoint> {
         let key = key.parse().ok()?;

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use urrcp::{Encoding, Message};
 
-/// The encoding of a link to a robot. JSON until the robot is known to support the encoding requested in the fleet file. Clones belong to
-/// the same robot and share this knowledge, so a new link to it need not ask again.
+/// The encoding of a link to a robot. It is JSON until the robot is known to support the encoding requested in the fleet file. Clones
+/// belong to the same robot and share this knowledge, so a new link to that robot need not ask again.
 #[derive(Clone, Debug)]
 pub struct LinkEncoding {
     wanted: Encoding,
@@ -26,12 +26,12 @@ impl LinkEncoding {
         Self { wanted, understood: Arc::new(AtomicBool::new(true)) }
     }
 
-    /// The encoding of the next message.
+    /// Returns the encoding to use for the next message.
     pub(crate) fn current(&self) -> Encoding {
         if self.understood.load(Ordering::Relaxed) { self.wanted } else { Encoding::Json }
     }
 
-    /// Notes the encodings that the robot lists, if the message is its initialization block.
+    /// If the message is the robot's initialization block, notes whether it lists the wanted encoding.
     pub(super) fn hear(&self, message: &Message) {
         if let Message::InitializationBlock(block) = message {
             self.understood.store(block.understands(self.wanted), Ordering::Relaxed);

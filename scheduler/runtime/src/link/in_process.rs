@@ -5,7 +5,7 @@ use downbeat_robot::{HostHandle, LinkEvent};
 use super::{EventSink, Queue};
 use downbeat_mission::Loss;
 
-/// Carries messages both ways until either side closes.
+/// Carries messages between the mission and a robot in this process until either side closes.
 pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut queue: Queue) {
     let Some(mut link) = host.connect(index) else {
         return sink.down(Loss::Refused, "the simulated robot has ended").await;

@@ -1,5 +1,5 @@
-//! Links to robots. A link is a pair of channels with tasks behind it. The mission does not depend on the transport that carries the
-//! messages.
+//! Links to robots. A link is a pair of channels, served by tasks that carry the messages. The mission does not depend on the transport
+//! that they use.
 
 mod batch;
 mod budget;
@@ -36,21 +36,21 @@ use downbeat_mission::drive::{Happened, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::session;
 use downbeat_mission::{Event, Loss};
 
-/// Maximum number of messages that may wait for one robot's socket. Beyond that, the link is treated as broken.
+/// Maximum number of messages that may wait to be sent to one robot. If there are more, the link is treated as broken.
 const OUTGOING_MAX: usize = 40_000;
 
-/// Number of places in the mission's queue for the events of one link. Beyond that, the link waits; the other links have their own
-/// places.
+/// Number of places that one link's events may occupy in the mission's queue. If all are occupied, this link waits; the other links have
+/// their own places.
 const PLACES: usize = 256;
-/// A message takes one place for each started block of this many bytes.
+/// A message of n bytes occupies n / `PLACE_BYTES` places, rounded down, plus one, but at most `PLACES`.
 const PLACE_BYTES: usize = 64 * 1024;
 
-/// An event, and the places that it occupies until the mission has received it.
+/// An event, and the places that it occupies in the mission's queue until the mission has received it.
 #[derive(Debug)]
 pub(crate) struct Waiting {
     /// The event.
     pub(crate) happened: Happened,
-    /// Released on drop. `None` for events with another limit.
+    /// The occupied places, which are freed on drop. `None` for an event that occupies no places.
     _places: Option<OwnedSemaphorePermit>,
 }
 
@@ -60,7 +60,7 @@ impl From<Happened> for Waiting {
     }
 }
 
-/// How a robot is reached.
+/// The transport and address of a robot, with all data needed to connect.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Endpoint {
@@ -73,9 +73,9 @@ pub enum Endpoint {
     },
     /// A robot that listens on TCP.
     Tcp {
-        /// Host name or address.
+        /// Host name or IP address.
         host: String,
-        /// Port.
+        /// TCP port.
         port: u16,
         /// The encoding of messages to the robot.
         encoding: LinkEncoding,
@@ -85,9 +85,9 @@ pub enum Endpoint {
     /// A robot at a key of a Zenoh network.
     #[cfg(feature = "zenoh")]
     Zenoh {
-        /// The network.
+        /// The Zenoh network.
         network: downbeat_robot::zenoh::Network,
-        /// Its key.
+        /// The robot's key in the network.
         key: downbeat_robot::zenoh::Key,
         /// The encoding of messages to the robot.
         encoding: LinkEncoding,
@@ -95,7 +95,8 @@ pub enum Endpoint {
 }
 
 impl Endpoint {
-    /// The Zenoh session and the place. Robots that share both can receive what is published for several robots.
+    /// Returns the Zenoh session's id and the place in the robot's key, or `None` without Zenoh. Robots that share both can receive what
+    /// is published for several robots.
     fn place(&self) -> Option<shared::Place> {
         match self {
             #[cfg(feature = "zenoh")]
@@ -113,28 +114,28 @@ pub struct Link {
     task: AbortHandle,
 }
 
-/// A robot that listens, with all that its link needs.
+/// A robot that listens on the network, with all data that a link to it needs.
 #[derive(Clone)]
 struct Peer {
     sink: EventSink,
     reach: Reach,
     encoding: LinkEncoding,
     of: OfRobot,
-    /// Scripts sent on this link, which a robot repeats when it accepts them.
+    /// Scripts sent on this link. The robot repeats a script when it accepts it.
     sent: KnownScripts,
 }
 
 /// State shared by all links to one robot.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OfRobot {
-    /// The requests to the robot on all links.
+    /// How much the robot may send, given the requests to it on all links.
     pub(crate) asked: Asked,
-    /// The scripts that other robots receive as well.
+    /// The robot's scripts that other robots receive as well.
     pub(crate) shared: SharedScripts,
     pub(crate) long_upload: LongUpload,
 }
 
-/// How long a robot may be busy reading a batch of maximum size.
+/// How long a robot may be busy reading a batch of maximum size (`WRITE_BATCH`).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LongUpload(pub(crate) Span);
 
@@ -147,15 +148,16 @@ impl Default for LongUpload {
 /// The receiving ends of a link's channels.
 struct Queue {
     outgoing: mpsc::Receiver<Outgoing>,
-    /// Stops: at most one per device, and an occasional repetition.
+    /// Urgent messages, which are stops: usually at most one per device. A stop is occasionally repeated.
     urgent: mpsc::UnboundedReceiver<Outgoing>,
 }
 
-/// Boxed, because a channel reserves room for 32 messages, and there may be thousands of links.
+/// A message to a robot. It is boxed, because a channel reserves room for 32 messages, and there may be thousands of links.
 pub(crate) type Outgoing = Box<Message>;
 
 impl Link {
-    /// Opens a link after the delay `after`. Its events are sent as events of `robot` on the link with this number.
+    /// Opens a link after the delay `after`. Its events are sent to `events` with the robot's index and the link's number, both from
+    /// `of`.
     pub fn open(
         of: (usize, LinkNumber),
         endpoint: Endpoint,
@@ -166,7 +168,7 @@ impl Link {
         Self::carrying(of, (endpoint, OfRobot::default()), clock, Events::Plain(events), after)
     }
 
-    /// Same as [`Link::open`], but the events of one link leave room for those of the others.
+    /// Like [`Link::open`], but limits the queue places that the link's events occupy, so that events of other links have room.
     pub(crate) fn open_beside_others(
         of: (usize, LinkNumber),
         (endpoint, of_robot): (Endpoint, OfRobot),
@@ -216,7 +218,7 @@ impl Link {
         Self { outgoing, urgent, task: task.abort_handle() }
     }
 
-    /// Queues a message. A link that is down drops it; the mission learns of that from a separate event.
+    /// Queues a message. A link that is down drops it; the mission receives a separate event when a link goes down.
     ///
     /// # Errors
     /// Returns [`QueueFull`] if the robot does not read. The message is then lost.
@@ -264,17 +266,17 @@ impl Queue {
 #[derive(Clone)]
 struct EventSink {
     robot: usize,
-    /// `None` on an additional connection, whose state is not that of the link.
+    /// The number of the link. `None` on an additional connection: its events do not change the link's state.
     link: Option<LinkNumber>,
     clock: ServerClock,
     events: Events,
 }
 
-/// The destination of events.
+/// The channel to which a link sends its events.
 #[derive(Clone)]
 enum Events {
     Plain(mpsc::Sender<Happened>),
-    /// Each event occupies places, if they are counted.
+    /// Each event occupies places of the semaphore. `None` if places are not counted.
     Placed(mpsc::Sender<Waiting>, Option<Arc<Semaphore>>),
 }
 
@@ -283,8 +285,8 @@ impl EventSink {
         self.put_long(event, 0).await;
     }
 
-    /// Sends an event of `bytes` bytes once it has a place. The receiver is gone only after the mission has ended; the event is not
-    /// needed then.
+    /// Sends an event of `bytes` bytes once there are enough free places. A missing receiver is ignored: the mission has ended and does
+    /// not need the event.
     async fn put_long(&self, event: Event, bytes: usize) {
         let (at, robot, event) = (self.clock.now(), self.robot, Box::new(event));
         let happened = match self.link {

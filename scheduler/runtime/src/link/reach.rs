@@ -1,4 +1,4 @@
-//! Connections to robots that listen: the transport of a link's bytes.
+//! Connections to robots that listen on the network. They transport the bytes of links and stops.
 
 use std::fmt;
 use std::io;
@@ -34,7 +34,7 @@ pub(crate) type ReadEnd = Either<BareReadEnd, Stream>;
 #[cfg(feature = "zenoh")]
 pub(crate) type WriteEnd = Either<BareWriteEnd, Stream>;
 
-/// A text published for several robots. It cannot exist without Zenoh.
+/// A text published for several robots. Without Zenoh, no value of this type exists.
 #[cfg(not(feature = "zenoh"))]
 #[derive(Debug)]
 pub(crate) enum Text {}
@@ -56,12 +56,13 @@ pub(crate) enum Reach {
     Zenoh { network: Network, key: Key },
 }
 
-/// The purpose of a connection.
+/// The purpose of a connection to a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose<'a> {
-    /// All messages of a mission. Some are published for these audiences, to which the robot belongs.
+    /// A link for all messages of a mission. Some messages are published once for an audience; `audiences` are those to which the robot
+    /// belongs.
     Link { audiences: &'a [u32] },
-    /// A stop, which nothing else may delay.
+    /// A separate connection for a stop, so that no other message delays it.
     Stop,
 }
 
@@ -69,7 +70,7 @@ pub(crate) type Ends = ((ReadEnd, WriteEnd), Option<Met>);
 
 impl Reach {
     pub(crate) async fn connect(&self, purpose: Purpose<'_>) -> io::Result<Ends> {
-        // Over TCP, the purpose makes no difference.
+        // TCP connections do not depend on the purpose.
         #[cfg(not(feature = "zenoh"))]
         let _alike = purpose;
         match self {
@@ -90,7 +91,7 @@ impl Reach {
     }
 }
 
-/// Writes messages and flushes.
+/// Writes the messages of a batch and flushes.
 pub(crate) async fn write_out(writer: &mut WriteEnd, batch: &Batch) -> io::Result<()> {
     #[cfg(feature = "zenoh")]
     if let Either::Right(stream) = writer {
@@ -101,7 +102,8 @@ pub(crate) async fn write_out(writer: &mut WriteEnd, batch: &Batch) -> io::Resul
     writer.flush().await
 }
 
-/// Publishes a script once for an audience. Returns `None` if the script must be written to each robot instead.
+/// Publishes a script once for an audience and returns the published text. Returns `None` if the script must be written to each robot
+/// instead.
 #[cfg(feature = "zenoh")]
 pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option<Text> {
     let Either::Right(stream) = writer else { return None };
@@ -109,13 +111,14 @@ pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option
     stream.offer((audience, Command::Script(script.clone()).content_hash()), text)
 }
 
-/// Publishes a script once for an audience. Returns `None` if the script must be written to each robot instead.
+/// Publishes a script once for an audience and returns the published text. Returns `None` if the script must be written to each robot
+/// instead.
 #[cfg(not(feature = "zenoh"))]
 pub(crate) const fn offer(_: &WriteEnd, _: u32, _: &Script) -> Option<Text> {
     None
 }
 
-/// Secures an established TCP connection.
+/// Adds TLS or authenticated records to an established TCP connection, as `security` requires.
 pub(crate) async fn over(stream: TcpStream, security: &Security) -> io::Result<Ends> {
     let ((reader, writer), met) = secured(stream, security).await?;
     #[cfg(feature = "zenoh")]

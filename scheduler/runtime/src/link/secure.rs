@@ -1,4 +1,4 @@
-//! The layer between a link and its bytes: none, TLS with certificates on both sides, or records authenticated by a shared secret.
+//! The security layer of a TCP connection: none, TLS with certificates on both sides, or records authenticated by a shared secret.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ pub struct Site {
 }
 
 impl Site {
-    /// Reads the files named in the fleet file, or another identity file if given.
+    /// Reads the files that the fleet file names. `identity` replaces the identity file if given.
     ///
     /// # Errors
     /// Returns the fault of the files as a sentence.
@@ -45,14 +45,14 @@ impl Site {
         Ok(site.with_zenoh(fleet.zenoh.clone()))
     }
 
-    /// Returns the same site with the Zenoh network of this configuration.
+    /// Returns this site with the Zenoh network described by the configuration `file`.
     #[must_use]
     pub fn with_zenoh(mut self, file: Option<PathBuf>) -> Self {
         self.zenoh = Arc::new(OfSite::new(file));
         self
     }
 
-    /// The Zenoh network, which is joined on first use.
+    /// Returns the Zenoh network. The first call joins it.
     ///
     /// # Errors
     /// Returns the reason why it cannot be joined, as a sentence.
@@ -60,7 +60,7 @@ impl Site {
         self.zenoh.joined()
     }
 
-    /// Reads these files. Without an identity, only plain TCP is possible.
+    /// Reads an identity file and a list of revoked certificates. Without an identity, only plain TCP is possible.
     ///
     /// # Errors
     /// Returns the fault of the files as a sentence.
@@ -94,7 +94,7 @@ impl Site {
         &self.passes
     }
 
-    /// Returns the security for a robot with this own id. `None` stands for any robot.
+    /// Returns the security of a connection to a robot. `robot` is the id that the robot uses for itself; `None` stands for any robot.
     #[must_use]
     pub fn with(&self, protection: Protection, robot: Option<&RobotId>) -> Security {
         let robot = robot.cloned();
@@ -120,7 +120,7 @@ pub enum Security {
     Tls(Arc<Tls>),
     /// Authenticated records with the operator's pass.
     Hmac(Arc<Hmac>),
-    /// The robot requires authentication, but there is no identity: no connection is possible.
+    /// The robot requires authentication, but the operator has no identity, so no connection is possible.
     Nameless,
 }
 
@@ -128,21 +128,21 @@ pub enum Security {
 #[derive(Debug)]
 pub struct Hmac {
     passes: Arc<Passes>,
-    /// The robot for which the pass must be. `None` for any robot.
+    /// The robot that the pass must be valid for. `None` for any robot.
     robot: Option<RobotId>,
 }
 
 impl Hmac {
-    /// Returns the same for this robot only.
+    /// Returns these parameters, restricted to this robot.
     #[must_use]
     pub fn for_robot(&self, robot: RobotId) -> Self {
         Self { passes: Arc::clone(&self.passes), robot: Some(robot) }
     }
 
-    /// Returns the first pass to present.
+    /// Returns the pass to present first: that for the expected robot, or the first one if any robot is permitted.
     ///
     /// # Errors
-    /// Fails if the operator has no pass. The error says how to make one.
+    /// Fails if the operator has no pass. The error message describes how to make one.
     pub fn pass(&self) -> io::Result<&Held> {
         self.first().map_err(io::Error::other)
     }
@@ -159,8 +159,8 @@ impl Hmac {
         }
     }
 
-    /// Connects. A robot that refuses another robot's pass names itself. If any robot is permitted, connects again with the pass for that
-    /// one.
+    /// Connects with the first pass. A robot that refuses the pass because it is for another robot returns its own id. If any robot is
+    /// permitted, connects again with the pass for that id.
     async fn connect(&self, stream: TcpStream) -> io::Result<Sealed<TcpStream>> {
         let address = stream.peer_addr()?;
         let held = self.pass()?;
@@ -188,17 +188,18 @@ pub struct Tls {
 }
 
 impl Tls {
-    /// The TLS configuration, with which this side authenticates.
+    /// The TLS configuration that this side uses to authenticate.
     #[must_use]
     pub const fn config(&self) -> &Arc<ClientConfig> {
         &self.config
     }
 }
 
-/// Connects to a robot, verifies that it is the expected one, and returns the validity of its certificate.
+/// Secures an established TCP connection and verifies that the other side is the expected robot. Also returns the authenticated robot
+/// with the expiry of its certificate, or `None` for plain TCP.
 ///
 /// # Errors
-/// Fails if the connection cannot be made, or if the other side does not authenticate.
+/// Fails if the connection cannot be secured, or if the other side does not authenticate.
 pub(crate) async fn secured(
     stream: TcpStream,
     security: &Security,
@@ -240,7 +241,8 @@ pub(crate) async fn secured(
     ))
 }
 
-/// Returns why one side denied access, in terms of keys and certificates. Returns `None` if the connection failed for another reason.
+/// Returns why one side denied access, as a sentence about keys and certificates. Returns `None` if the connection failed for another
+/// reason.
 #[must_use]
 pub fn denial(error: &io::Error) -> Option<String> {
     use rustls::{AlertDescription as Alert, CertificateError as Certificate, Error};
@@ -272,13 +274,13 @@ pub fn denial(error: &io::Error) -> Option<String> {
     Some(why.to_owned())
 }
 
-/// A robot that has authenticated.
+/// A robot that has authenticated on a connection.
 pub(crate) struct Met {
-    /// The expiry of its certificate, in seconds since 1970, if it has one.
+    /// When the robot's certificate expires, in seconds since 1970, UTC. `None` if it authenticated without a certificate.
     pub(crate) until: Option<i64>,
 }
 
-/// Access denied, for a reason on this side.
+/// This side denied access, for the contained reason.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Denied(String);
@@ -365,7 +367,7 @@ mod tests {
         Held { robot: robot.parse().unwrap(), pass: secret.pass(&claim), claim }
     }
 
-    /// Starts robot `b` behind a secret. It runs until its host is dropped.
+    /// Starts robot `b`, which requires passes made from `secret`. It runs until the host is dropped.
     async fn robot_b(secret: sealed::Secret) -> (Host, SocketAddr) {
         let block = r#"{"id": "b", "api_version": "1", "devices": [{"id": "eye", "name": "eye",
             "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
@@ -409,7 +411,7 @@ mod tests {
         drop(host);
     }
 
-    /// Returns the address of a listener that answers the first connection with this line, in place of the robot.
+    /// Starts a listener that poses as the robot and sends `line` on the first connection. Returns its address.
     async fn forged(line: String) -> SocketAddr {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -452,7 +454,7 @@ mod tests {
             Refused::OtherRobot("a".parse().unwrap()),
         ] {
             let (_link, _more, event) = link_to_b(forged(refused.line()).await, &security).await;
-            // It implies neither that the robot has no process, nor that another robot is there.
+            // The event implies neither that the robot has no process, nor that another robot has its address.
             assert!(matches!(event, Event::LinkDown { loss: Loss::Denied, .. }), "{refused:?}: {event:?}");
             let (_link, _more, event) = link_to_b(address, &security).await;
             assert!(

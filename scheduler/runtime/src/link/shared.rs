@@ -1,5 +1,5 @@
-//! Finds the scripts of a mission that go to several robots at one place of a Zenoh network. These are published there once, for the
-//! robots that get them.
+//! Finds the scripts of a mission that several robots at one place of a Zenoh network receive. Such a script is published at this place
+//! once, for all its receivers. The robots that receive the same script are its audience.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -9,26 +9,26 @@ use urrcp::{Command, ContentHash, RobotId, Script};
 use super::Endpoint;
 use downbeat_mission::Mission;
 
-/// Minimum number of steps of a published script. Shorter ones are written to each robot, because publishing would cost more than it
+/// Minimum number of steps of a published script. Shorter scripts are written to each robot, because publishing would cost more than it
 /// saves.
 const STEPS_MIN: usize = 16;
-/// Maximum number of audiences of one robot. Further shared scripts are written to the robot directly.
+/// Maximum number of audiences to which one robot belongs. Scripts for other audiences are written to the robot directly.
 const AUDIENCES_MAX: usize = 32;
 
-/// The Zenoh session and the place.
+/// The id of a Zenoh session, and a place in that network.
 pub(super) type Place = (String, String);
 
-/// The scripts that one robot shares with others at its place.
+/// The scripts that one robot shares with other robots at the same place of a Zenoh network.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SharedScripts {
-    /// All shared scripts at its place, each with the number of its audience.
+    /// The number of the audience for each shared script at the robot's place, by the script's hash.
     audience_of: Arc<HashMap<ContentHash, u32>>,
-    /// The audiences to which the robot belongs.
+    /// The numbers of the audiences to which the robot belongs.
     own: Vec<u32>,
 }
 
 impl SharedScripts {
-    /// Returns the shared scripts of each robot of a mission, in the order of the endpoints.
+    /// Finds the shared scripts of each robot of a mission. Returns them in the order of the endpoints.
     pub(crate) fn of(mission: &Mission, endpoints: &[Endpoint]) -> Vec<Self> {
         let ids = (0..endpoints.len()).map(|robot| (mission.robot_id(robot), robot));
         let robots: HashMap<&RobotId, usize> = ids.collect();
@@ -52,7 +52,7 @@ impl SharedScripts {
         &self.own
     }
 
-    /// Returns the audience of a script, if the robot belongs to it.
+    /// Returns the number of the script's audience, if the robot belongs to that audience.
     pub(crate) fn audience(&self, script: &Script) -> Option<u32> {
         if self.own.is_empty() || !is_long(script) {
             return None;
@@ -61,7 +61,7 @@ impl SharedScripts {
     }
 }
 
-/// Finds the shared scripts among those for the robots of one place.
+/// Finds the scripts that several robots at one place receive. `sent` contains the index of a robot and one of its scripts.
 fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> {
     sent.sort_by_key(|(robot, _)| *robot);
     let mut sets = Sets::default();
@@ -70,7 +70,7 @@ fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> 
         let set = set_of.entry(hash_of(script)).or_default();
         *set = sets.with(*set, *robot);
     }
-    // A set of robots has one number, whichever script it gets.
+    // The same set of robots has the same number for all scripts.
     let shared = set_of.into_iter().filter(|(_, set)| sets.count(*set) > 1);
     let audience_of: HashMap<_, _> =
         shared.filter_map(|(hash, set)| Some((hash, u32::try_from(set).ok()?))).collect();
@@ -89,12 +89,12 @@ fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> 
     all
 }
 
-/// Numbered sets of robots. Number 0 is the empty set. Robots must be added in order.
+/// Numbered sets of robots. Number 0 is the empty set. Robots must be added in ascending order of their index.
 #[derive(Default)]
 struct Sets {
-    /// For each set except the empty one: its last robot and its size.
+    /// The last robot and the size of each set except the empty one.
     known: Vec<(usize, usize)>,
-    /// Maps a set and an additional robot to the number of the larger set.
+    /// Maps the number of a set and an additional robot to the number of the set that also contains this robot.
     larger: HashMap<(usize, usize), usize>,
 }
 
@@ -124,7 +124,7 @@ fn is_long(script: &Script) -> bool {
     script.steps().len() >= STEPS_MIN
 }
 
-/// Cheap after the first call, because scripts cache their hash.
+/// Returns a script's hash. Later calls are cheap, because scripts cache their hash.
 fn hash_of(script: &Script) -> ContentHash {
     Command::Script(script.clone()).content_hash()
 }
@@ -144,7 +144,7 @@ mod tests {
         Script::new((0..steps).map(step).collect()).unwrap()
     }
 
-    /// Returns, for each robot, the audience of each of these scripts.
+    /// Returns, for each robot, the audience of each script in `of`.
     fn audiences(sent: &[(usize, &Script)], of: &[&Script]) -> Vec<(usize, Vec<Option<u32>>)> {
         let shared = in_one_place(sent.to_vec());
         let row = |shared: &SharedScripts| of.iter().map(|script| shared.audience(script)).collect();
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn a_script_of_several_robots_is_shared_by_them_and_one_of_a_single_robot_is_not() {
         let [all, pair, own] = [1.0, 2.0, 3.0].map(|value| script(value, STEPS_MIN));
-        // Duplicates for one robot, and any order.
+        // The list contains duplicates for one robot and is not sorted.
         let sent = [(2, &all), (0, &all), (0, &pair), (1, &all), (1, &pair), (0, &own), (0, &own)];
         let found = audiences(&sent, &[&all, &pair, &own]);
         let [(0, first), (1, second), (2, third)] = found.as_slice() else { panic!("{found:?}") };
@@ -174,7 +174,7 @@ mod tests {
     #[test]
     fn a_robot_belongs_to_so_many_audiences_at_most_and_is_written_the_rest() {
         let scripts: Vec<_> = (0..40).map(|i| script(f64::from(i), STEPS_MIN)).collect();
-        // Each shared with a different robot.
+        // Each script is shared with a different robot.
         let sent: Vec<_> =
             scripts.iter().zip(1..).flat_map(|(script, other)| [(0, script), (other, script)]).collect();
         let found = audiences(&sent, &scripts.iter().collect::<Vec<_>>());

@@ -1,4 +1,4 @@
-//! Messages over TCP or another byte stream: the robot listens, the scheduler connects.
+//! Messages over TCP or another byte stream: the robot listens, and the scheduler connects.
 
 use std::io::{self, ErrorKind};
 use std::time::Duration;
@@ -15,12 +15,12 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::{Event, Loss};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// How long to wait for answers to an overtaking stop.
+/// How long to wait for responses to a stop that was sent on a separate connection.
 const OVERTAKING_LISTENS: Duration = Duration::from_secs(10);
 /// Number of bytes collected before one write, so that a burst of requests takes one system call.
 const WRITE_BATCH: usize = 64 * 1024;
 
-/// Connects and carries messages both ways until either side closes.
+/// Connects to the robot and carries messages in both directions until either side closes.
 pub(super) async fn carry(peer: Peer, queue: Queue) {
     let Peer { sink, reach, .. } = &peer;
     let connecting = reach.connect(Purpose::Link { audiences: peer.of.shared.audiences() });
@@ -60,7 +60,7 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
 /// Delay before an invalid line is reported. If the robot floods its link with such lines meanwhile, only the flooding is reported.
 const GARBLED_AFTER: Span = Span::from_millis(50);
 
-/// The faults of the delayed invalid lines.
+/// Invalid lines whose report is delayed, with their faults.
 #[derive(Debug, Default)]
 struct Garbled {
     reasons: Vec<String>,
@@ -81,7 +81,7 @@ impl Garbled {
     }
 }
 
-/// Returns the reason why reading has ended.
+/// Reads the robot's messages until the connection ends. Returns the reason.
 async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let sink = &peer.sink;
     let mut decoder = Decoder::default().that_knows(peer.sent.clone());
@@ -116,7 +116,7 @@ async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
             return flooding(loss);
         }
         if budget.is_sifted() {
-            // A robot that sends a lot must not starve the others.
+            // The task yields, so that a robot that sends a lot does not starve others.
             tokio::task::yield_now().await;
         }
         decoder.push(&bytes[..came]);
@@ -145,7 +145,7 @@ fn flooding(loss: Loss) -> (Loss, String) {
     (loss, "the robot sends far more than requested".to_owned())
 }
 
-/// Returns a reason if writing fails, or `None` once the mission has dropped the link.
+/// Writes queued messages to the robot. Returns the reason if writing fails, or `None` once the mission has dropped the link.
 async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(Loss, String)> {
     let clock: &ServerClock = &peer.sink.clock;
     let mut long_until: Option<Timestamp<Server>> = None;
@@ -156,7 +156,7 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
             continue;
         }
         let encoding = peer.encoding.current();
-        // A new one for each batch, because thousands of links may be idle.
+        // The batch is not reused for the next write, because thousands of links may be idle.
         let mut batch = Batch::default();
         peer.encode(encoding, &message, &mut batch, &writer);
         while batch.len() < WRITE_BATCH {
@@ -182,7 +182,7 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
     None
 }
 
-/// Classifies the error of an established connection.
+/// Classifies the error that ended an established connection.
 fn ended(error: &io::Error) -> (Loss, String) {
     if let Some(denial) = denial(error) {
         return (Loss::Denied, denial);
@@ -195,7 +195,7 @@ fn ended(error: &io::Error) -> (Loss, String) {
 }
 
 impl Peer {
-    /// Appends a message and allows the robot to answer it.
+    /// Appends a message to the batch and permits the robot's responses to it.
     fn encode(&self, encoding: Encoding, message: &Message, batch: &mut Batch, writer: &WriteEnd) {
         let shared = |script: &Script| offer(writer, self.of.shared.audience(script)?, script);
         let bytes = batch.push(encoding, message, shared);
@@ -205,14 +205,14 @@ impl Peer {
         }
     }
 
-    /// Same as [`Peer::encode`] for a stop, which is never shared.
+    /// Like [`Peer::encode`], but for a stop, whose script is never published for several robots.
     fn encode_stop(&self, encoding: Encoding, message: &Message, batch: &mut Batch) {
         let bytes = batch.push(encoding, message, |_| None);
         self.of.asked.note(message, bytes);
     }
 
-    /// Sends all urgent messages on a separate connection and forwards the answers from there. A message may be sent twice: the robot
-    /// recognizes it by its id.
+    /// Sends all urgent messages on a separate connection and forwards the responses that arrive on it. A message may be sent twice; the
+    /// robot recognizes the duplicate by its id.
     fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Outgoing>) {
         let mut batch = Batch::default();
         let encoding = self.encoding.current();
@@ -222,7 +222,7 @@ impl Peer {
         }
         let mut peer = self.clone();
         peer.sink.link = None;
-        // Ends when the robot closes the connection, or once no request can still be waiting for its answers.
+        // The task ends when the robot closes the connection, or after `OVERTAKING_LISTENS`, when no response is expected any longer.
         tokio::spawn(async move {
             let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.reach.connect(Purpose::Stop)).await;
             let Ok(Ok(((reader, mut writer), _))) = connected else { return };

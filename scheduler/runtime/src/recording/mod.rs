@@ -1,5 +1,5 @@
-//! Records all messages of a mission in an MCAP file, which Foxglove and others can open: requests and responses, planned and reported
-//! values, clock offsets, decisions. All messages are JSON; `docs/recording.md` lists the topics.
+//! Records a mission in an MCAP file, which Foxglove and other programs can open: requests and responses, planned and reported values,
+//! clock offsets, decisions. All messages are JSON; `docs/recording.md` lists the topics.
 
 mod recorder;
 
@@ -25,25 +25,25 @@ use downbeat_mission::{Progress, Record};
 
 pub use recorder::Recorder;
 
-/// A recording could not be written.
+/// The error for a recording that could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the recording {}: {}", path.display(), why(path, error))]
 pub struct RecordingError {
-    /// The recording's file.
+    /// The path of the recording.
     pub path: PathBuf,
     /// The error of the MCAP writer, or of the operating system below it.
     pub error: McapError,
 }
 
 impl RecordingError {
-    /// The reason, without the file.
+    /// Returns the reason of the failure, without the path of the file.
     #[must_use]
     pub fn reason(&self) -> String {
         reason(&self.error)
     }
 }
 
-/// Returns the operating system's error and how to resolve it.
+/// Returns the reason of the failure. For an error of the operating system, also returns how to resolve it.
 fn why(path: &Path, error: &McapError) -> String {
     match error {
         McapError::Io(error) => Refusal::of(Attempt::Write(path), error).to_string(),
@@ -51,7 +51,7 @@ fn why(path: &Path, error: &McapError) -> String {
     }
 }
 
-/// Returns the operating system's message, or that of the MCAP writer.
+/// Returns the error message of the operating system or of the MCAP writer.
 fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(error) => error.to_string(),
@@ -59,10 +59,10 @@ fn reason(error: &McapError) -> String {
     }
 }
 
-/// Maximum part of a mission, by time, that may be missing in the file if the process is killed.
+/// Interval between flushes to the file. If the process is killed, at most the messages of this time are missing in the file.
 const FLUSH_EVERY: Span = Span::from_millis(1_000);
 
-/// A file that is being written.
+/// A recording file that is being written.
 pub struct Recording {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
@@ -70,7 +70,7 @@ pub struct Recording {
     sequence: u32,
     /// When the written data was last flushed to the file.
     flushed: Timestamp<Server>,
-    /// The first failure. Nothing is written after it.
+    /// The first failure, or `None`. Nothing is written after a failure.
     failed: Option<McapError>,
 }
 
@@ -80,7 +80,7 @@ impl std::fmt::Debug for Recording {
     }
 }
 
-/// A kind of topic, with the JSON Schema of its messages.
+/// The kind of a topic. It determines the JSON Schema of the topic's messages.
 #[derive(Clone, Copy)]
 enum Kind {
     Message,
@@ -118,25 +118,25 @@ impl Kind {
 /// The key of a channel's metadata that contains the [version](crate::journal::VERSION) of the recording.
 pub const VERSION_KEY: &str = "downbeat_version";
 
-/// A value of a script, at the time at which it is due.
+/// A planned value of a script. The message's timestamp is the time at which the value is due.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlannedValue {
-    /// Unit: the device's unit.
+    /// The value in the device's unit.
     pub value: f64,
-    /// The type of control.
+    /// The control type of the value, such as a position or a speed.
     pub control_type: ControlType,
-    /// The request that contained the script.
+    /// The id of the request that contained the script. `None` if the request has no id.
     pub request_id: Option<RequestId>,
 }
 
 /// A value that a robot reported for a device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReportedValue {
-    /// Unit: the device's unit.
+    /// The value in the device's unit.
     pub value: f64,
-    /// `Provide` for the reading of a sensor.
+    /// The status in the robot's response. It is `Provide` if the value is a sensor reading.
     pub status: Status,
-    /// The request that the robot answered.
+    /// The id of the request that the robot responded to. `None` if the response contains no id.
     pub request_id: Option<RequestId>,
 }
 
@@ -146,13 +146,13 @@ pub struct ClockOffset {
     /// Robot time minus server time.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// The round-trip time, without the robot's processing time.
+    /// Round-trip time of the measurement, without the robot's processing time.
     #[serde(rename = "delay_ms")]
     pub delay: Span,
 }
 
 impl Recording {
-    /// Creates a file.
+    /// Creates the recording file.
     ///
     /// # Errors
     /// Returns [`RecordingError`] if the file cannot be written.
@@ -175,7 +175,7 @@ impl Recording {
         }
     }
 
-    /// Records a message sent to a robot. The key of its session is omitted.
+    /// Records a message sent to a robot. The key of the session is omitted from the message.
     pub fn sent(&mut self, at: Timestamp<Server>, robot: &RobotId, message: Message) {
         let message = session::without_key(message);
         self.put(&format!("/robots/{robot}/requests"), Kind::Message, at, at, &message);
@@ -215,7 +215,8 @@ impl Recording {
         }
     }
 
-    /// Records a clock sample from the times in an answer: when the question was sent, received and answered.
+    /// Records a measurement of the robot's clock from the times in its response: when the request was sent and received, and when the
+    /// response was sent.
     fn clock(
         &mut self,
         at: Timestamp<Server>,
@@ -235,7 +236,7 @@ impl Recording {
         self.put(&format!("/robots/{robot}/{}/reported", response.device_id), Kind::Value, at, at, &value);
     }
 
-    /// Records an entry of the journal.
+    /// Records an entry that the mission writes to its journal.
     pub fn record(&mut self, at: Timestamp<Server>, record: &Record) {
         self.put("/mission/decisions", Kind::Record, at, at, record);
     }
@@ -298,7 +299,7 @@ impl Recording {
         Ok(())
     }
 
-    /// Writes the end of the file.
+    /// Writes the end of the file and closes it.
     ///
     /// # Errors
     /// Returns [`RecordingError`], also for an earlier failure.

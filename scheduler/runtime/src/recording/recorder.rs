@@ -1,4 +1,5 @@
-//! A recording on its own thread: the mission never waits for its disk, and a failed recording does not affect the mission.
+//! A recording that is written on its own thread, so that the mission never waits for the disk. A failed recording does not affect the
+//! mission.
 
 use std::io;
 use std::path::PathBuf;
@@ -10,27 +11,27 @@ use tokio::sync::oneshot;
 use super::Recording;
 use downbeat_mission::report::Recorded;
 
-/// Maximum number of notes that may wait for the disk. Any more are missing in the file.
+/// Maximum number of entries that may wait for the disk. Further entries are missing in the file.
 const WAITING_MAX: usize = 65_536;
-/// Maximum time for the disk at the end of a mission.
+/// Maximum time to wait for the disk at the end of a mission.
 const FINISH_MAX: Duration = Duration::from_secs(5);
 
-/// An entry for the recording.
+/// An entry for the recording: a function that writes it.
 type Note = Box<dyn FnOnce(&mut Recording) + Send>;
 
-/// Sends the entries to the thread that writes them.
+/// Sends entries of a recording to the thread that writes them.
 #[derive(Debug)]
 pub struct Recorder {
     path: PathBuf,
     notes: SyncSender<Note>,
-    /// Number of notes that did not fit into the queue.
+    /// Number of entries that were dropped because the queue was full.
     missing: u64,
-    /// Receives the reason for a failure, if there was one, once the thread has ended.
+    /// Receives the reason for a failure once the thread has ended, or `None` if nothing failed.
     ended: oneshot::Receiver<Option<String>>,
 }
 
 impl Recorder {
-    /// Starts the thread. It ends once the recorder is dropped and everything is in the file.
+    /// Starts the thread that writes the recording. The thread ends once the recorder is dropped and all entries are in the file.
     ///
     /// # Errors
     /// Fails if the operating system cannot start a thread.
@@ -48,14 +49,14 @@ impl Recorder {
         Ok(Self { path, notes, missing: 0, ended })
     }
 
-    /// Queues a note without waiting.
+    /// Queues an entry without waiting. Drops it if the queue is full.
     pub fn note(&mut self, note: impl FnOnce(&mut Recording) + Send + 'static) {
         if self.notes.try_send(Box::new(note)).is_err() {
             self.missing += 1;
         }
     }
 
-    /// Waits at most 5 s until everything is in the file.
+    /// Waits at most 5 s until all entries are in the file, and returns the result.
     pub async fn finish(self) -> Recorded {
         drop(self.notes);
         let failure = match tokio::time::timeout(FINISH_MAX, self.ended).await {

@@ -1,12 +1,13 @@
-//! A mission's socket, through which other terminals send `go` or `stop` and receive the result. Messages are lines of text.
+//! A mission's socket. Through it, other terminals send `go` or `stop` and receive the result. Messages are lines of text.
 //!
 //! The mission sends `ready` on every connection. It answers `go`, or `go ACT`, with `started ACT` or `refused: REASON`. It answers
 //! `stop`, or `home`, which sends robots to their default state, with `heard` once it has taken the command. It then sends `alive` four
-//! times a second while it stops, and finally its report, a line of JSON. `superseded` precedes the report if a later stop brought the
-//! robots to rest in the other way. A client therefore knows within a second whether the mission listens.
+//! times a second while it stops, and finally its report, a line of JSON. `superseded` precedes the report if a later stop command
+//! brought the robots to rest in the other manner. The client therefore knows within a second whether the mission responds.
 //!
 //! A mission with an identity sends `ready NONCE`. A client with its own identity then sends the line `as CERTIFICATE SIGNATURE` before
-//! its command, and may do what its roles permit ([`super::desk`]). Anything else is answered with `refused: REASON`.
+//! its command, and may send the commands that its roles permit ([`super::desk`]). The mission answers any other command with `refused:
+//! REASON`.
 
 use std::fs::Permissions;
 use std::io;
@@ -28,27 +29,28 @@ use crate::journal::private;
 use crate::stop_lane::{Operator, OperatorHandle, StopLane};
 use downbeat_mission::Rest;
 
-/// Maximum length of a line, in bytes: a command and the name of an act.
+/// Maximum length, in bytes, of a line that contains only a command and the name of an act.
 const LINE_MAX: u64 = 4_096;
-/// Maximum length, in bytes, with a certificate and a signature before the command.
+/// Maximum length, in bytes, of a line that presents an identity: a certificate and a signature.
 const PRESENTED_MAX: u64 = 16_384;
-/// Pause before connections are accepted again after the system refused one.
+/// Pause before the mission accepts connections again after the system failed to accept one.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
-/// A scheduler that is silent for this long is considered unresponsive.
+/// Time of silence after which a client considers the scheduler unresponsive.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// Interval between `alive` messages while a mission stops.
 const ALIVE_EVERY: Duration = Duration::from_millis(250);
-/// If the loop of a stopping mission makes no progress for this long, the client gives up and contacts the robots itself.
+/// If the loop of a stopping mission makes no progress for this long, the mission closes the connection. The client then contacts the
+/// robots itself.
 const STANDS_STILL: Duration = Duration::from_secs(2);
 /// Interval between checks that the socket can still be found under its name.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
-/// Polling interval for whether the mission has taken a command.
+/// Interval between checks whether the mission has taken a command.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
 
-/// Sent before the report if a later stop of the operator brings the robots to rest in the other way.
+/// The line sent before the report if a later stop command brings the robots to rest in the other manner.
 const SUPERSEDED: &str = "superseded";
 
-/// The path of the socket in a mission's folder.
+/// Returns the path of the socket in a mission's folder.
 #[must_use]
 pub fn socket(folder: &Path) -> PathBuf {
     folder.join(SOCKET)
@@ -73,7 +75,7 @@ pub struct Control {
     /// The task that accepts connections, and the task that checks the socket's name.
     listening: [AbortHandle; 2],
     report: watch::Sender<Option<String>>,
-    /// Closed once every client has received the result of its stop.
+    /// The channel closes once every client that requested a stop has received the result.
     told: mpsc::Receiver<()>,
 }
 
@@ -84,13 +86,13 @@ impl Control {
     /// # Errors
     /// Fails if the socket cannot be created, for example because its path is too long.
     pub fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> io::Result<Self> {
-        // In the lane, so that a stop is received even if everything else is blocked.
+        // The tasks run in the stop lane, so that a stop is received even if everything else is blocked.
         let _in_the_lane = lane.runtime().enter();
         let voice = lane.voice();
         let (place, listener) = Place::bind(folder)?;
         let mut listener = UnixListener::from_std(listener)?;
         let (made_again, mut again) = mpsc::channel(1);
-        // Ends with the mission.
+        // The task ends with the mission.
         let keeping = tokio::spawn(keep(place, made_again));
         let (report, reported) = watch::channel(None);
         let (telling, told) = mpsc::channel(1);
@@ -117,7 +119,7 @@ impl Control {
                 let desk = desk.clone().map(|desk| (desk, Challenge::new(&mission)));
                 let listener = Listener { writer, voice: voice.clone(), report: reported.clone(), desk, by };
                 let telling = telling.clone();
-                // Ends with the mission or with the client.
+                // The task ends with the mission or with the client.
                 tokio::spawn(async move {
                     let _gone = listener.converse(reader).await;
                     drop(telling);
@@ -136,27 +138,27 @@ impl Control {
     }
 }
 
-/// The name of a mission's socket, and the file to which it refers.
+/// A mission's socket: the folder that contains it, and the identity of the socket's file.
 struct Place {
     folder: PathBuf,
-    /// Device and inode.
+    /// The device number and inode of the socket.
     file: (u64, u64),
 }
 
 impl Place {
     fn bind(folder: &Path) -> io::Result<(Self, std::os::unix::net::UnixListener)> {
         let path = socket(folder);
-        // A killed process may have left it. The process that holds the journal's lock owns the folder.
+        // A killed process may have left the old socket. This process holds the journal's lock, so it owns the folder.
         let _absent = std::fs::remove_file(&path);
         let listener = std::os::unix::net::UnixListener::bind(&path)?;
-        // The folder is accessible to this user only, too.
+        // The folder is accessible to this user only as well.
         std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
         listener.set_nonblocking(true)?;
         let found = rustix::fs::lstat(&path)?;
         Ok((Self { folder: folder.to_path_buf(), file: (found.st_dev, found.st_ino) }, listener))
     }
 
-    /// Whether the name no longer refers to the file. If the check itself fails, the file is treated as present.
+    /// Whether the socket's name no longer refers to this socket. If the check itself fails, the socket is treated as present.
     fn is_gone(&self) -> bool {
         match rustix::fs::lstat(socket(&self.folder)) {
             Ok(found) => (found.st_dev, found.st_ino) != self.file,
@@ -179,7 +181,8 @@ impl Place {
     }
 }
 
-/// Sends each socket that had to be created again. Another thread accesses the disk, because the disk may stall.
+/// Checks the socket's name at regular intervals, and sends each socket that had to be created again. Another thread accesses the disk,
+/// because the disk may stall.
 async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
     let mut before = None;
     loop {
@@ -216,9 +219,9 @@ struct Listener {
     writer: OwnedWriteHalf,
     voice: OperatorHandle,
     report: watch::Receiver<Option<String>>,
-    /// Verifies the identity that the client presents, with the challenge that it must sign.
+    /// The desk that verifies the client's identity, and the challenge that the client must sign. `None` if the mission has no identity.
     desk: Option<(Arc<Desk>, Challenge)>,
-    /// The operator at the other end, if it is not the one who began the mission.
+    /// The operator who sends the command. `None` for the operator who began the mission.
     by: Option<String>,
 }
 
@@ -288,7 +291,7 @@ impl Listener {
                 }
                 // The mission ended without a report.
                 Ok(None) => return Ok(()),
-                // Robots are asked again at least once a second, so the loop must turn.
+                // The mission asks robots again at least once a second, so its loop must make progress.
                 Err(_) if still >= STANDS_STILL => return Ok(()),
                 Err(_) => {
                     let now = self.voice.turns();
@@ -301,33 +304,33 @@ impl Listener {
     }
 }
 
-/// A scheduler did not execute a command.
+/// Why a scheduler did not execute a command.
 #[derive(Debug, thiserror::Error)]
 pub enum Undelivered {
-    /// No process listens.
+    /// No process listens on the mission's socket.
     #[error("no process listens on its socket: {0}")]
     NobodyListens(#[from] io::Error),
-    /// The scheduler is silent.
+    /// The scheduler did not answer within 1 s.
     #[error("no answer within 1 s")]
     Silent,
     /// The scheduler closed the connection without an answer.
     #[error("it ended without an answer")]
     Ended,
-    /// The scheduler does not permit this operator to do that.
+    /// The scheduler does not permit this operator to send the command.
     #[error("refused: {0}")]
     Refused(String),
 }
 
-/// The name of the mission with this folder.
+/// Returns the name of the mission that has this folder.
 fn mission_of(folder: &Path) -> String {
     folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Begins the act that waits for the operator; `act` must match its name if given. Returns the name of the act, or the reason why none
-/// begins.
+/// Begins the act that waits for the operator. If `act` is given, it must be that act's name. Returns the name of the act that begins, or
+/// the reason why none begins.
 ///
 /// # Errors
-/// Returns [`Undelivered`]. Nothing begins then, unless the scheduler became silent during the exchange.
+/// Returns [`Undelivered`]. No act begins in that case, unless the scheduler became silent during the exchange.
 pub async fn go(
     folder: &Path,
     act: Option<&str>,
@@ -337,7 +340,8 @@ pub async fn go(
         return Ok(Err("invalid name of an act: too long, or with a line break".to_owned()));
     }
     let mut speaker = Speaker::to(folder).await?;
-    // Wait for `ready` first: a scheduler that is suspended would otherwise find the go later and begin the act at any time.
+    // Wait for `ready` first. Otherwise, a suspended scheduler would read the `go` when it continues, and begin the act at an unexpected
+    // time.
     let ready = speaker.hear().await?;
     let word = format!("go {}", act.unwrap_or_default());
     speaker.present(folder, &ready, presented, word.trim()).await?;
@@ -349,19 +353,19 @@ pub async fn go(
     }
 }
 
-/// How a mission ended after a stop was requested.
+/// The result of a mission that was stopped through its socket.
 #[derive(Clone, Debug)]
 pub struct Ending {
     /// The mission's report, a line of JSON.
     pub report: String,
-    /// Whether a later stop of the operator replaced this one.
+    /// Whether a later stop command replaced the client's stop.
     pub superseded: bool,
 }
 
-/// Stops a mission, waits for its end and returns the result.
+/// Stops a mission through its socket, waits for its end and returns the result.
 ///
 /// # Errors
-/// Returns [`Undelivered`] as soon as the mission is silent for 1 s. The stop may still take effect then.
+/// Returns [`Undelivered`], for example once the mission is silent for 1 s. The stop may still take effect in that case.
 pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<Ending, Undelivered> {
     let mut speaker = Speaker::to(folder).await?;
     let mut superseded = false;
@@ -404,7 +408,7 @@ impl Speaker {
         Ok(Self { reader: BufReader::new(reader), writer })
     }
 
-    /// Presents the identity to a mission that asks for it.
+    /// Sends the identity to a mission that asks for one.
     async fn present(
         &mut self,
         folder: &Path,
@@ -416,7 +420,7 @@ impl Speaker {
         match presented.signed(&Challenge::of(&mission_of(folder), nonce), word) {
             Ok(signed) => self.say(&format!("as {signed}")).await,
             Err(error) if word.starts_with("go") => Err(Undelivered::Refused(error)),
-            // A stop does not depend on a key.
+            // A stop is sent even without a usable key.
             Err(error) => {
                 tracing::warn!("the stop is sent without an identity: {error}");
                 Ok(())

@@ -1,8 +1,8 @@
-//! Decides who may send `go` and `stop` to a mission's socket if several operators share a computer. An operator presents its certificate
-//! and signs its command, and its roles decide.
+//! Decides who may send `go` and `stop` to a mission's socket if several operators share a computer. An operator presents a certificate
+//! and signs the command. The operator's roles decide.
 //!
-//! This serves accountability, not security. A process of the mission's user, or of root, can end the mission by other means. Without an
-//! identity, it is treated as the mission's own operator: a stop never waits for a key.
+//! This serves accountability, not security. A process of the mission's user, or of root, can end the mission by other means. A process
+//! that presents no identity is treated as the mission's own operator, because a stop must not depend on a key.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -41,24 +41,24 @@ impl Challenge {
         &self.nonce
     }
 
-    /// No other statement signed by a key has this prefix.
+    /// Returns the bytes to sign. No other statement that is signed with an operator's key has this prefix.
     fn statement(&self, word: &str) -> Vec<u8> {
         format!("downbeat control\0{}\0{}\0{word}", self.mission, self.nonce).into_bytes()
     }
 }
 
-/// The identity that a client presents.
+/// The identity that a client presents to a mission.
 #[derive(Debug)]
 pub struct Presented(Credentials);
 
 impl Presented {
-    /// Presents the identity from an identity file.
+    /// Wraps the identity that was read from an identity file.
     #[must_use]
     pub const fn new(credentials: Credentials) -> Self {
         Self(credentials)
     }
 
-    /// Returns the certificate and the signature in the format of the line.
+    /// Returns the certificate and the signature, both in Base64, as the `as` line contains them.
     pub(super) fn signed(&self, challenge: &Challenge, word: &str) -> Result<String, String> {
         let Signed { certificate, signature } = self.0.sign(&challenge.statement(word))?;
         Ok(format!("{} {}", STANDARD.encode(certificate), STANDARD.encode(signature)))
@@ -72,8 +72,8 @@ pub struct Desk {
 }
 
 impl Desk {
-    /// Creates the desk of the operator that began the mission. Returns `None` without an identity, because there is no authority to
-    /// verify others.
+    /// Creates the desk of the operator who began the mission. Returns `None` without an identity, because then no authority is known
+    /// that could verify other operators.
     ///
     /// # Errors
     /// Returns the reason why the files cannot be used, as a sentence.
@@ -85,10 +85,10 @@ impl Desk {
         Ok(Some(Self { witness: Witness::new(own, revoked)? }))
     }
 
-    /// Returns the operator that sends this command. `None` stands for the operator that began the mission, who may send any command.
+    /// Returns the operator who sends this command. Returns `None` for the operator who began the mission and may send any command.
     ///
     /// # Errors
-    /// Returns the reason for a refusal, as a sentence.
+    /// Returns the reason, as a sentence, if the operator may not send the command.
     pub(super) fn admits(
         &self,
         challenge: &Challenge,

@@ -1,4 +1,4 @@
-//! A mission in real time: robots behind sockets or in this process, a journal and a recording on the disk, an operator.
+//! Runs a mission in real time: with robots behind sockets or in this process, a journal and a recording on the disk, and an operator.
 
 pub mod control;
 pub mod desk;
@@ -19,22 +19,22 @@ use downbeat_mission::drive::drive;
 use downbeat_mission::report::Report;
 use downbeat_mission::{Mission, Progress};
 
-/// The additional resources of a mission, which it returns at its end.
+/// Optional resources of a mission. The mission returns them when it ends.
 #[derive(Debug, Default)]
 pub struct Keep {
-    /// The promises to robots.
+    /// The journal, which records the promises to robots.
     pub journal: Option<Journal>,
-    /// All messages and decisions.
+    /// The recording of all messages and decisions.
     pub recording: Option<Recorder>,
-    /// Follows NTP while the mission continues.
+    /// The watch that compares the server's clock with NTP during the mission.
     pub ntp: Option<NtpWatch>,
-    /// Stops the robots even if everything else is blocked.
+    /// The lane that stops the robots even if everything else is blocked.
     pub stop_lane: Option<StopLane>,
     /// The watchers, for example for metrics and traces.
     pub watches: Watches,
 }
 
-/// Runs a mission to its end. `endpoints` are in the order of the mission's robots.
+/// Runs a mission to its end and returns its report. `endpoints` are in the order of the mission's robots.
 pub async fn run(
     mission: Mission,
     endpoints: Vec<Endpoint>,
@@ -46,7 +46,7 @@ pub async fn run(
     run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await
 }
 
-/// Same as [`run`], with the resources in `keep`, such as a journal or a recording.
+/// Like [`run`], but also uses the resources in `keep`, such as a journal or a recording.
 pub async fn run_and_keep(
     mut mission: Mission,
     endpoints: Vec<Endpoint>,
@@ -66,6 +66,6 @@ pub async fn run_and_keep(
     let report = drive(&mut mission, &mut world).await;
     *keep = world.finish().await;
     keep.watches.each(|watch| watch.ended(clock.now(), &mission));
-    // A real process that is killed does not get here.
+    // Code after this point does not run if the real process is killed.
     report.unwrap_or_else(|| Report::as_left(&mut mission, clock.now()))
 }

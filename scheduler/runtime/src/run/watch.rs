@@ -7,26 +7,26 @@ use urrcp::{Server, Span, Timestamp};
 
 use downbeat_mission::{Mission, Progress};
 
-/// A watcher.
+/// A watcher of a mission. Every method is called in the mission's loop and must not block.
 pub trait Watch: Debug + Send {
-    /// Called for each progress report to the operator.
+    /// Called for each progress report that the mission sends to the operator.
     fn told(&mut self, at: Timestamp<Server>, progress: &Progress);
 
-    /// Called for each turn of the loop.
+    /// Called for each iteration of the mission's loop.
     fn turned(&mut self, _now: Timestamp<Server>, _mission: &Mission) {}
 
-    /// The latest time of the loop's next turn, even if nothing happens.
+    /// Returns the time by which the loop must iterate again even if nothing happens. `None` for no limit.
     fn turns_by(&self) -> Option<Timestamp<Server>> {
         None
     }
 
-    /// Called when the loop has woken up, with the delay after its due time.
+    /// Called when the loop has woken up from a timer. `_late` is the delay after the due time.
     fn woke(&mut self, _late: Span) {}
 
     /// Called when a durable record is sent to the journal.
     fn filed(&mut self, _at: Timestamp<Server>) {}
 
-    /// Called when durable records have reached the disk, with their total number.
+    /// Called when durable records have reached the disk. `_count` is the total number of durable records on the disk.
     fn recorded(&mut self, _at: Timestamp<Server>, _count: u64) {}
 
     /// Called when the mission is over.

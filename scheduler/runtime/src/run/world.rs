@@ -1,4 +1,4 @@
-//! The real environment of a mission: tokio's links and timers, the journal's thread, the recording's file.
+//! The real environment of a mission: links and timers of tokio, the thread of the journal, the file of the recording.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,23 +18,23 @@ use downbeat_mission::clock::NtpState;
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use downbeat_mission::{Event, Mission, Progress, Record};
 
-/// Maximum number of events that may wait for the mission. Beyond that, links wait.
+/// Maximum number of events that may wait for the mission. Once as many wait, links wait before they send more.
 const EVENTS_MAX: usize = 65_536;
 
-/// Maximum number of scripts from another process on which one device is expected to report, beyond the link's reserve.
+/// Number of another process's scripts per device for which responses are permitted, in addition to the link's reserve.
 const SCRIPTS_HELD: usize = 16;
 
 pub(super) struct RealWorld<T> {
     clock: ServerClock,
     endpoints: Vec<Endpoint>,
-    /// State shared by all links to each robot.
+    /// For each robot, the state that all links to it share.
     of_robots: Vec<OfRobot>,
     ids: Arc<[RobotId]>,
     links: Vec<Option<Link>>,
     events: mpsc::Sender<Waiting>,
     happened: mpsc::Receiver<Waiting>,
     operator: mpsc::Receiver<Operator>,
-    /// The pending answers to a go, oldest first.
+    /// The channels for pending answers to `go` commands, oldest first.
     unanswered: VecDeque<oneshot::Sender<Result<String, String>>>,
     ntp: Option<NtpWatch>,
     tell: T,
@@ -47,7 +47,7 @@ pub(super) struct RealWorld<T> {
 enum FileJournal {
     None,
     Written(Writer),
-    /// The journal's thread could not be started.
+    /// The thread of the journal could not be started, for the contained reason.
     Lost(String),
 }
 
@@ -88,7 +88,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
     }
 
-    /// Drops the links, gives their tasks a moment to write queued messages, and waits for the disk.
+    /// Drops the links, gives their tasks a moment to write queued messages, and waits for the disk. Returns the mission's resources.
     pub(super) async fn finish(self) -> Keep {
         if let Some(lane) = &self.stop_lane {
             lane.let_go();
@@ -121,7 +121,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
     }
 
-    /// Returns the next event before `until`, in the order of precedence that every world keeps.
+    /// Returns the next event before `until`, in the order of precedence that all environments of a mission use.
     async fn happens(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
         tokio::select! {
             biased;
@@ -211,8 +211,8 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         if self.stop_lane.as_ref().is_some_and(|lane| lane.passes(robot, &message) == Passage::Closed) {
             return Ok(());
         }
-        // Taken before the send: on a busy machine, the link may send the message long before this code continues. In the recording, that
-        // would look like an error of the robot's clock.
+        // The time is taken before the message is sent: on a busy machine, the link may send the message long before this code continues.
+        // In the recording, a later time would look like an error of the robot's clock.
         let copy = self.recording.is_some().then(|| (self.clock.now(), message.clone()));
         link.send(message, urgency)?;
         if let Some((at, message)) = copy {
@@ -260,7 +260,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 }
 
-/// A robot may still report on scripts that another process has sent to some of its devices.
+/// Returns the shared state of each robot. A robot may still report on scripts that another process has sent to some of its devices.
 fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
     let of = |(robot, shared): (usize, SharedScripts)| {
         let asked = Asked::default();
@@ -286,7 +286,7 @@ async fn next_state(ntp: &mut Option<NtpWatch>) -> NtpState {
 
 async fn wait_until(clock: ServerClock, until: Option<Timestamp<Server>>) {
     match until {
-        // Even a timer that is already due would take until the runtime's next millisecond.
+        // No timer is used for a time that has passed: even a due timer would fire only at the runtime's next millisecond.
         Some(at) if at <= clock.now() => {}
         Some(at) => tokio::time::sleep_until(tokio::time::Instant::from_std(clock.instant_of(at))).await,
         None => std::future::pending().await,

@@ -1,4 +1,4 @@
-//! A connection of the lane to one robot, kept open for a stop.
+//! A connection of the stop lane to one robot. It is kept open for a possible stop.
 
 use std::io;
 use std::net::SocketAddr;
@@ -16,13 +16,13 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::session;
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// Interval between requests that check an idle connection. It is well within 30 s: after that, a robot closes a silent connection if
+/// Interval between requests that check an idle connection. It is well below 30 s, after which a robot closes a silent connection if
 /// others wait.
 const ASK_EVERY: Duration = Duration::from_secs(10);
-/// Maximum time for the answer to such a request.
+/// Maximum time for the response to a request that checks an idle connection.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(3);
 
-/// A connection to a robot.
+/// A connection of the stop lane to a robot.
 pub(super) enum Connection {
     InProcess(RobotLink),
     Bytes(Box<Bytes>),
@@ -38,12 +38,12 @@ pub(super) struct Bytes {
     clock: ServerClock,
     asked: Asked,
     budget: Budget,
-    /// Whether the last message was written only in part, so that the robot could not decode further ones.
+    /// Whether the last message was written only in part, so that the robot cannot decode further messages.
     torn: bool,
 }
 
 impl Connection {
-    /// Connects. `known` is the robot's resolved address: a stop must not wait for a name server.
+    /// Connects to the robot. `known` is the robot's resolved address, so that a stop does not wait for a name server.
     pub(super) async fn open(
         endpoint: &Endpoint,
         (clock, asked): (ServerClock, &Asked),
@@ -116,9 +116,9 @@ impl Connection {
         }
     }
 
-    /// Sends requests at regular intervals until one is not answered or the connection ends.
+    /// Checks the connection with requests at regular intervals. Returns once the robot does not answer one or the connection ends.
     pub(super) async fn stay(&mut self) {
-        // Without a session, the request claims nothing and renews no lease.
+        // Because it contains no session, the request does not claim the robot and renews no lease.
         let ask = Message::AvailabilityRequest(AvailabilityRequest {
             timestamp: None,
             session: None,
@@ -169,7 +169,7 @@ impl Bytes {
                 Some(Ok(message)) => return Some(session::told_without_keys(message)),
                 Some(Err(error)) => tracing::debug!("on the connection for stops: {error}"),
                 None => {
-                    // A robot that sends a lot must not starve the others.
+                    // The task yields, so that a robot that sends a lot does not starve others.
                     tokio::task::yield_now().await;
                     match self.reader.read(&mut self.bytes).await {
                         Ok(0) | Err(_) => return None,

@@ -3,8 +3,8 @@
 //!
 //! The lane keeps a connection to every robot, tracks which of its devices were sent commands (`sent.rs`), and sends only stops. It
 //! receives the signals and the commands from the mission's socket (`words.rs`). It stops the robots first and then forwards the command
-//! to the mission. The mission stops them in its own way: it requests confirmations, decides and reports. After a stop command, no
-//! message that moves a robot leaves this process, except the way home if the operator requests it.
+//! to the mission. The mission also stops the robots in its own way: it requests confirmations, decides and reports. After a stop
+//! command, no message that moves a robot leaves this process, except motions home if the operator requests them.
 
 mod connection;
 mod sent;
@@ -31,26 +31,27 @@ use downbeat_mission::Rest;
 /// Maximum number of the operator's commands that may wait for the mission.
 const WORDS_MAX: usize = 64;
 
-/// Whether the operator has requested a stop.
+/// The operator's latest stop command, if any.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Alarm {
     Quiet,
     /// A stop was requested. The latest command determines how the robots come to rest.
     Ringing(Rest),
-    /// The operator's latest command was home. All robots rest, and the mission moves them to their default positions.
+    /// The operator's latest stop command sends robots home. All robots rest, and the mission moves them to their default positions.
     GoingHome,
 }
 
-/// The devices that an earlier process of the mission has moved.
+/// The session and the devices that an earlier process of the same mission has moved.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Before {
-    /// The session as the robots know it.
+    /// The session as the robots know it. `None` without a session.
     pub(crate) session: Option<SessionId>,
-    /// The moved devices of each robot, by its index.
+    /// The moved devices of each robot, in the order of the mission's robots.
     pub(crate) devices: Vec<BTreeSet<DeviceId>>,
 }
 
-/// The mission's handle to the lane. When it is dropped, the robots are released. Signals are handled until the process ends.
+/// The mission's handle to the stop lane. When it is dropped, the lane no longer guards the robots. It still handles signals until the
+/// process ends.
 #[derive(Debug)]
 pub struct StopLane {
     runtime: Handle,
@@ -62,7 +63,8 @@ pub struct StopLane {
 }
 
 impl StopLane {
-    /// Starts the thread, which handles the signals after that. Also returns the receiver of the operator's commands, for the mission.
+    /// Starts the lane's thread. The lane handles signals from that moment. Also returns the channel through which the mission receives
+    /// the operator's commands.
     ///
     /// # Errors
     /// Fails if the operating system cannot provide a thread, a runtime or signal handlers.
@@ -70,10 +72,10 @@ impl StopLane {
         Self::hearing(Some(on_hang_up))
     }
 
-    /// Same as [`start`](Self::start), but for a mission that moves nothing: the lane handles no signals, so a signal ends the process.
+    /// Like [`start`](Self::start), but for a mission that moves nothing: the lane handles no signals, so a signal ends the process.
     ///
     /// # Errors
-    /// Same as [`start`](Self::start), except for signal handlers.
+    /// Fails if the operating system cannot provide a thread or a runtime.
     pub fn deaf() -> io::Result<(Self, mpsc::Receiver<Operator>)> {
         Self::hearing(None)
     }
@@ -110,7 +112,7 @@ impl StopLane {
         Ok((Self { runtime, voice, alarm, robots, over }, operator))
     }
 
-    /// Returns a handle through which others can send commands as the operator.
+    /// Returns a handle that sends commands to the mission as the operator.
     #[must_use]
     pub fn voice(&self) -> OperatorHandle {
         self.voice.clone()
@@ -133,8 +135,8 @@ impl StopLane {
         }
     }
 
-    /// Starts guarding the mission's robots, in their order. `before` lists the devices that another process has moved in this session.
-    /// The robots' answers to stops are sent to `events`.
+    /// Starts guarding the mission's robots, given in the mission's order. `before` lists the devices that another process has moved in
+    /// this session. The robots' responses to stops are sent to `events`.
     pub(crate) fn guard(
         &mut self,
         endpoints: &[Endpoint],
@@ -173,12 +175,12 @@ impl StopLane {
         self.over.send_replace(());
     }
 
-    /// Records that the mission's loop continues.
+    /// Records that the mission's loop has made another iteration.
     pub(crate) fn turned(&self) {
         self.voice.turned();
     }
 
-    /// Permits the way home, unless the operator has requested another kind of stop meanwhile.
+    /// Permits the mission's motions home, unless the operator has requested another kind of stop meanwhile.
     pub(crate) fn goes_home(&self) {
         self.voice.goes_home();
     }

@@ -1,5 +1,5 @@
-//! The messages that the mission has sent to a robot, as far as a stop needs them. The mission's loop writes this record and the lane
-//! reads the latest state. Neither waits for the other.
+//! Information about the messages that the mission has sent to a robot, as far as a stop needs it. The mission's loop writes this record,
+//! and the stop lane reads its latest version. Neither waits for the other.
 
 use std::collections::BTreeSet;
 
@@ -9,24 +9,24 @@ use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Serve
 use crate::link::{Link, Outgoing};
 use downbeat_mission::session;
 
-/// The messages sent to a robot, as far as a stop needs them.
+/// Information about the messages that the mission has sent to a robot, as far as a stop needs it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sent {
-    /// Devices that were sent a command that moves them.
+    /// The devices for which the mission has sent a command that moves them.
     devices: BTreeSet<DeviceId>,
-    /// The latest timestamp of a request, in the robot's own clock if that differs from the server's. A stop also cancels requests up to
-    /// this timestamp that arrive later.
+    /// The latest timestamp of the requests sent to the robot, on the robot's own clock if that differs from the server's. A stop also
+    /// cancels requests up to this timestamp that arrive later.
     latest: Option<Timestamp<Server>>,
-    /// The session as the robot knows it.
+    /// The session as the robot knows it. `None` without a session.
     session: Option<SessionId>,
-    /// The mission's own link, for messages that overtake.
+    /// The channel of the mission's own link for messages that overtake all waiting ones. `None` before the first link.
     pub(super) link: Option<mpsc::UnboundedSender<Outgoing>>,
-    /// Whether a link has ever been up.
+    /// Whether a link of the mission to this robot has ever been up.
     pub(super) reached: bool,
 }
 
 impl Sent {
-    /// Creates the record for a mission that another process began.
+    /// Creates the record for a robot of a mission that another process began. `devices` are those that this process moved.
     pub(super) fn before(devices: &BTreeSet<DeviceId>, session: Option<SessionId>) -> Self {
         Self { devices: devices.clone(), session, ..Self::default() }
     }
@@ -47,7 +47,7 @@ pub(super) enum Moves {
     Devices,
 }
 
-/// The writing end of [`Sent`].
+/// The mission's end of the record: writes a new version of [`Sent`].
 #[derive(Debug)]
 pub(super) struct SentScripts(watch::Sender<Sent>);
 
@@ -84,8 +84,8 @@ impl Sent {
         self.session.clone_from(&request.session);
     }
 
-    /// Returns a stop for each device that was sent a command, each with its own request id. Devices come to rest where they are, even if
-    /// the mission moves them home afterwards.
+    /// Returns a stop for each device that may move because of the mission's commands, each with its own request id. Devices come to rest
+    /// where they are, even if the mission moves them home afterwards.
     pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
         let name = |session: &SessionId| format!("{}/", session::name_of(session));
         let session = self.session.as_ref().map(name).unwrap_or_default();

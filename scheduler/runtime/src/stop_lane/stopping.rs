@@ -16,30 +16,30 @@ use crate::server_clock::ServerClock;
 use downbeat_mission::drive::Happened;
 use downbeat_mission::{Event, Rest, may_be_for_a_stop};
 
-/// Pause between attempts to connect: initial and maximum value. It doubles each time.
+/// Pause between attempts to connect: initial and maximum value. The pause doubles after each attempt.
 const TRY_EVERY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
-/// If the answer takes longer than this, the stop is sent on the mission's own link as well.
+/// If the robot does not confirm a stop within this time, the lane sends the stop on the mission's own link as well.
 const ANSWERS_SOON: Duration = Duration::from_millis(100);
-/// Maximum duration of an attempt to stop: initial and maximum value. It doubles each time.
+/// Maximum duration of an attempt to stop: initial and maximum value. The duration doubles after each attempt.
 const TRY_WITHIN: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(1));
 
-/// Stops that the robot has not confirmed.
+/// Stops that the robot has not confirmed, by request id.
 type Open = BTreeMap<RequestId, Message>;
 
 /// The result of an attempt to stop a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Attempt {
     Over,
-    /// The operator has requested another kind of rest.
+    /// The operator has requested another kind of rest, which the variant contains.
     Otherwise(Rest),
 }
 
-/// The task that stops one robot.
+/// The data of the task that guards and stops one robot.
 pub(super) struct Guard {
     pub(super) robot: usize,
     pub(super) endpoint: Endpoint,
     pub(super) clock: ServerClock,
-    /// The requests that the lane has sent to the robot.
+    /// How much the robot may send, given the requests that the lane has sent to it.
     pub(super) asked: Asked,
     pub(super) events: mpsc::Sender<Waiting>,
     pub(super) sent: watch::Receiver<Sent>,
@@ -69,7 +69,7 @@ impl Guard {
                 opened = Connection::open(&self.endpoint, (self.clock, &self.asked), known) => opened,
             };
             match opened {
-                // A connection within this process cannot fail.
+                // A connection to a robot in this process cannot fail.
                 Ok(connection @ Connection::InProcess(_)) => {
                     return (Some(connection), ringing.await);
                 }
@@ -89,12 +89,13 @@ impl Guard {
         }
     }
 
-    /// Stops the robot. Stops it again at each different command of the operator, because the mission may have moved it home meanwhile.
+    /// Stops the robot. Stops it again at each different command of the operator, because the mission may have moved the robot home
+    /// meanwhile.
     async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, mut rest: Rest) {
         loop {
             self.stop_once(&mut connection, &mut known, &mut rest).await;
             let mut otherwise = pin!(rings(self.alarm.clone(), Some(rest)));
-            // The robot may report its scripts on this connection, because it last received this session here.
+            // The robot may report its scripts on this connection, because this is the connection on which it last received the session.
             rest = loop {
                 let Some(stands) = &mut connection else { break otherwise.await };
                 tokio::select! {
@@ -130,7 +131,7 @@ impl Guard {
                 break;
             }
             if let Ok(Attempt::Otherwise(latest)) = ended {
-                // Uses the same connection, so that it stays the one on which the robot last received this session.
+                // The same connection is used, so that it remains the one on which the robot last received the session.
                 *rest = latest;
                 open = self.stops();
                 continue;
@@ -150,7 +151,7 @@ impl Guard {
         self.sent.borrow().stops(self.clock.now(), self.robot).into_iter().collect()
     }
 
-    /// Sends the unconfirmed stops and waits until all are confirmed. Ends early if the connection ends or if the operator requests
+    /// Sends the unconfirmed stops and waits until all are confirmed. Returns earlier if the connection ends or if the operator requests
     /// another kind of rest.
     async fn attempt(
         &self,
@@ -205,7 +206,8 @@ impl Guard {
         }
     }
 
-    /// Forwards reports of scripts to the mission, if it has room for them. A response without a request id may answer the lane.
+    /// Forwards reports of scripts to the mission, if it has room for them. A response without a request id is not forwarded, because it
+    /// may belong to a request of the lane.
     fn hand_on(&self, message: Message) {
         if let Message::ControlResponse(ControlResponse { request_id: Some(_), .. }) = &message {
             let event = Box::new(Event::Received { robot: self.robot, message });
@@ -213,7 +215,7 @@ impl Guard {
         }
     }
 
-    /// Sends the stops on the mission's own link too.
+    /// Sends the stops on the mission's own link as well.
     fn overtake(&self, open: &Open) {
         if let Some(link) = &self.sent.borrow().link {
             open.values().for_each(|stop| {
@@ -227,13 +229,13 @@ fn confirms(response: &ControlResponse) -> bool {
     response.status == Status::Ok
 }
 
-/// Whether an `OK` without a request id answers a stop, instead of ending a script of the same device.
+/// Whether an `OK` without a request id responds to this stop and does not report the end of a script on the same device.
 fn is_for(stop: &Message, response: &ControlResponse) -> bool {
     may_be_for_a_stop(response)
         && matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
 }
 
-/// Waits until the operator requests a rest other than `known`, and returns it.
+/// Waits until the operator requests a kind of rest other than `known`, and returns that kind.
 async fn rings(mut alarm: watch::Receiver<Alarm>, known: Option<Rest>) -> Rest {
     let other = |alarm: &Alarm| matches!(alarm, Alarm::Ringing(rest) if Some(*rest) != known);
     match alarm.wait_for(other).await.map(|alarm| *alarm) {

@@ -1,4 +1,5 @@
-//! The operator's commands, from signals or the mission's socket. A stop rings the alarm; the mission receives every command.
+//! The operator's commands, from signals or from the mission's socket. A stop sets off the lane's alarm, and the mission receives every
+//! command.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,30 +12,30 @@ use super::Alarm;
 use crate::signals::{Asked, Signals, die_of};
 use downbeat_mission::Rest;
 
-/// Maximum time for final reports once the operator has asked to leave at once, or when the mission is over.
+/// Maximum time for final reports once the operator has asked to leave at once, or once the mission is over. The process then ends.
 const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 
 /// The operator's commands while a mission runs.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Operator {
-    /// Begin the act that waits for the operator.
+    /// Begin the act that currently waits for the operator.
     Go {
-        /// The requested act. `None` for any act that waits.
+        /// The requested act. `None` for whichever act waits.
         act: Option<String>,
-        /// Who requests it, if it is not the operator who began the mission.
+        /// The operator who sends the command. `None` for the operator who began the mission.
         by: Option<String>,
-        /// Receives the act that begins, or the reason why none does. Receives nothing if the mission ends first.
+        /// Receives the act that begins, or the reason why none does. The channel closes without a value if the mission ends first.
         answer: oneshot::Sender<Result<String, String>>,
     },
     /// Stop all robots and wait for their confirmation.
     Stop {
         /// How the robots come to rest.
         rest: Rest,
-        /// Who requests it, if it is not the operator who began the mission.
+        /// The operator who sends the command. `None` for the operator who began the mission.
         by: Option<String>,
     },
-    /// Leave at once.
+    /// End the program at once, without waiting for confirmations.
     Leave,
 }
 
@@ -43,13 +44,13 @@ pub enum Operator {
 pub struct OperatorHandle {
     mission: mpsc::Sender<Operator>,
     alarm: watch::Sender<Alarm>,
-    /// Number of turns of the mission's loop, or [`OVER`] once it has ended.
+    /// Number of iterations of the mission's loop, or [`OVER`] once the loop has ended.
     turns: Arc<AtomicU64>,
 }
 
 const OVER: u64 = u64::MAX;
 
-/// The mission is over and takes no further commands.
+/// The error for a command to a mission that is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissionOver;
 
@@ -58,7 +59,7 @@ impl OperatorHandle {
         Self { mission, alarm, turns: Arc::default() }
     }
 
-    /// Records that the mission's loop continues.
+    /// Records that the mission's loop has made another iteration.
     pub(super) fn turned(&self) {
         self.turns.fetch_add(1, Ordering::Relaxed);
     }
@@ -68,17 +69,18 @@ impl OperatorHandle {
         self.turns.store(OVER, Ordering::Relaxed);
     }
 
-    /// Number of turns of the mission's loop. `None` once it has ended. The number of a blocked loop does not change.
+    /// Returns the number of iterations of the mission's loop, or `None` once the loop has ended. While the loop is blocked, the number
+    /// does not change.
     #[must_use]
     pub fn turns(&self) -> Option<u64> {
         Some(self.turns.load(Ordering::Relaxed)).filter(|turns| *turns != OVER)
     }
 
-    /// Sends a command. Returns once it is in the mission's queue. A stop rings the alarm before that. If the queue has room, the command
-    /// is queued before the alarm rings, so that the mission knows why its robots end their scripts.
+    /// Sends a command. Returns once it is in the mission's queue. A stop always sets off the alarm before this function returns. If the
+    /// queue has room, the command is queued before the alarm, so that the mission knows why its robots end their scripts.
     ///
     /// # Errors
-    /// Returns [`MissionOver`].
+    /// Returns [`MissionOver`] if the mission takes no further commands.
     pub async fn say(&self, word: Operator) -> Result<(), MissionOver> {
         let rest = match word {
             Operator::Stop { rest, .. } => Some(rest),
@@ -98,7 +100,7 @@ impl OperatorHandle {
         }
     }
 
-    /// Whether `rest` is how the operator's latest stop brings the robots to rest.
+    /// Whether the operator's latest stop brings the robots to rest in the manner `rest`.
     #[must_use]
     pub fn latest_is(&self, rest: Rest) -> bool {
         match *self.alarm.borrow() {
@@ -108,7 +110,7 @@ impl OperatorHandle {
         }
     }
 
-    /// Permits the way home if home is still the operator's latest command.
+    /// Permits the mission's motions home if the operator's latest stop command still sends robots home.
     pub(super) fn goes_home(&self) {
         self.alarm.send_if_modified(|alarm| {
             let wanted = *alarm == Alarm::Ringing(Rest::Home);
@@ -119,7 +121,7 @@ impl OperatorHandle {
         });
     }
 
-    /// Whether the mission has taken all commands, or is over.
+    /// Whether the mission has taken all commands from its queue, or is over.
     #[must_use]
     pub fn is_heard(&self) -> bool {
         self.mission.is_closed() || self.mission.capacity() == self.mission.max_capacity()
@@ -150,8 +152,9 @@ async fn die_soon(asked: Asked) {
     die_of(asked);
 }
 
-/// Every signal stops the robots, but a Ctrl-C after another signal leaves. Any other signal may arrive twice on its own, for example
-/// when a terminal closes. While robots may be on their way home, a Ctrl-C stops them first.
+/// Returns the command that a signal stands for. Every signal stops the robots, but a Ctrl-C after another signal ends the program. A
+/// second signal of any other kind does not: it may arrive unasked, for example when a terminal closes. While robots may be moving home,
+/// a Ctrl-C stops them first.
 const fn word_of(asked: Asked, before: Option<Asked>, goes_home: bool) -> Operator {
     match (before, asked) {
         (_, Asked::Home) => Operator::Stop { rest: Rest::Home, by: None },

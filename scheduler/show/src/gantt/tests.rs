@@ -1,4 +1,4 @@
-//! Charts in full, and charts of any width.
+//! Tests of complete charts, and of charts of any width.
 
 use downbeat_scripts::{Choreography, DeviceScript, Plan, RobotPlan};
 use urrcp::{ControlType, Millis, Script, Setpoint, Step, StopCondition};
@@ -18,7 +18,7 @@ fn cue(name: &str, times: [i64; 3], critical: bool) -> PlannedCue {
     }
 }
 
-/// An arm that reaches these values at these times, in milliseconds.
+/// Returns the plan of an arm that reaches these values at these times, given as pairs of milliseconds and value.
 fn arm(steps: &[(f64, f64)]) -> RobotPlan {
     let step = |(at, to): &(f64, f64)| {
         Step::new(Millis::new(*at).unwrap(), Setpoint::new(ControlType::Position, *to))

@@ -1,4 +1,4 @@
-//! A graph in the DOT language of Graphviz: acts are clusters.
+//! Writes a graph in the DOT language of Graphviz. Each act is a cluster.
 
 use std::fmt::Write;
 
@@ -56,7 +56,8 @@ fn relation(edge: &RelationEdge) -> String {
     format!("    {} -> {} [label={text}{critical}];\n", edge.from, edge.to)
 }
 
-/// Edges connect nodes and are clipped at the surrounding clusters.
+/// Returns the DOT statement for an edge between two acts. In DOT, the edge connects a node of each act and is clipped at the surrounding
+/// clusters.
 fn course(edge: &CourseEdge, graph: &Graph) -> String {
     let act = |id: &str| graph.acts.iter().find(|act| act.id == id);
     let last = |act: &ActNode| {
@@ -82,7 +83,7 @@ fn course(edge: &CourseEdge, graph: &Graph) -> String {
     format!("  {from} -> {to} [{ltail}{lhead}, {style}, label={text}];\n")
 }
 
-/// A quoted string; Graphviz interprets backslashes and HTML entities in it.
+/// Returns lines of text as a quoted DOT string. Backslashes and HTML entities are escaped, because Graphviz would interpret them.
 fn label(lines: &[String]) -> String {
     let escaped = lines.iter().map(|line| {
         let line = downbeat_scripts::shown::shown(line);
@@ -114,7 +115,7 @@ mod tests {
     fn no_name_ends_its_string() {
         let text = dot(&hostile());
         let outside: Vec<&str> = text.lines().filter(|line| line.contains("script")).collect();
-        // The title of the act, and the node of its cue.
+        // The two lines are the title of the act and the node of its cue.
         assert_eq!(outside.len(), 2, "{text}");
         for line in outside {
             let string = line.split_once("label=\"").unwrap().1;

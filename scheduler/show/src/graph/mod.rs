@@ -1,4 +1,5 @@
-//! The graph of a scenario: acts connected by the course, and in each act its cues with their relations. `dot` writes it for Graphviz.
+//! The graph of a scenario. The course connects the acts; each act contains its cues and their relations. The module `dot` writes the
+//! graph for Graphviz.
 
 mod dot;
 
@@ -7,25 +8,25 @@ use downbeat_scripts::{Act, Choreography, Gap, Moment, Outline, PlannedCue, Way,
 use serde::Serialize;
 use urrcp::Span;
 
-/// Maximum columns of a name or a sentence in a picture; longer texts end in `…`.
+/// Maximum width, in columns, of a name or a sentence in a picture. Longer texts are cut and end in `…`.
 const TEXT_MAX: usize = 60;
 
-/// Acts and cues as nodes, with generated ids: no name is part of an id.
+/// A graph whose nodes are acts and cues. The ids of the nodes are generated and contain no names.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Graph {
     scenario: String,
     acts: Vec<ActNode>,
-    /// The edges from act to act.
+    /// The edges that lead from act to act.
     course: Vec<CourseEdge>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct ActNode {
     id: String,
-    /// Empty if the scenario has no acts of its own.
+    /// Name of the act. Empty if the scenario does not define acts.
     act: String,
     duration_ms: Span,
-    /// The condition that starts it; `None` if it follows the previous act immediately.
+    /// The condition that starts the act, as text. `None` if the act follows the previous one immediately.
     waits_for: Option<String>,
     cues: Vec<CueNode>,
     relations: Vec<RelationEdge>,
@@ -46,18 +47,18 @@ struct CueNode {
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct RelationEdge {
-    /// The earlier cue.
+    /// The id of the earlier cue.
     from: String,
     to: String,
     text: String,
-    /// Whether both cues are on the critical path and there is no slack between them.
+    /// Whether both cues are on the critical path and the relation leaves no slack between them.
     critical: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct CourseEdge {
     from: String,
-    /// The id of an act, or `end`.
+    /// The id of the act to which the edge leads, or `end`.
     to: String,
     kind: Course,
     text: String,
@@ -75,7 +76,7 @@ enum Course {
 const END: &str = "end";
 
 impl Graph {
-    /// Builds the graph of all acts, or only of the act at index `only`.
+    /// Builds the graph of all acts, or only of the act with the index `only`.
     #[must_use]
     pub fn of(choreography: &Choreography, outline: &Outline, only: Option<usize>) -> Self {
         let shown = |index: &usize| only.is_none_or(|only| only == *index);
@@ -177,7 +178,7 @@ fn course(index: usize, act: &Act) -> Vec<CourseEdge> {
 }
 
 impl ActNode {
-    /// The lines of its title; the first one is its name.
+    /// Returns the lines of the act's title. The first line is the act's name, or the scenario's if the act has no name.
     fn title(&self, scenario: &str) -> Vec<String> {
         let name = if self.act.is_empty() { scenario } else { &self.act };
         let waits = self.waits_for.as_ref().map(|waits| format!("waits for {}", within(waits, TEXT_MAX)));
@@ -204,7 +205,7 @@ pub(super) mod tests {
     use super::*;
     use downbeat_scripts::{Fleet, NoFiles, Source, compile, outline};
 
-    /// Marks need no robots.
+    /// Builds the graph of a scenario without a fleet. The cues in `text` must be marks, because marks need no robots.
     pub(in crate::graph) fn graph(text: &str) -> Graph {
         let source = Source { name: "s.yaml".into(), text: text.to_owned() };
         let fleet = Fleet::default();

@@ -1,4 +1,4 @@
-//! The cues of an act as bars, in as few rows as their names allow.
+//! Draws the cues of an act as bars, in as few rows as possible without overlapping names.
 
 use std::fmt::Write;
 
@@ -10,13 +10,13 @@ use super::{Frame, NAME_MAX, escaped};
 
 const ROW: f64 = 18.0;
 const BAR: f64 = 14.0;
-/// Cues beyond these rows are counted, not drawn.
+/// Maximum number of rows. Cues that would need more rows are counted, not drawn.
 const ROWS_MAX: usize = 40;
-/// Minimum pixels between two cues of a row.
+/// Minimum distance between two cues of a row in pixels.
 const GAP: f64 = 6.0;
-/// Columns of a name that are drawn; the bar's title contains the whole name.
+/// Maximum width of a drawn name in columns. The bar's title contains the whole name.
 const LABEL_MAX: usize = 32;
-/// Maximum width of a column of small text in common fonts, in pixels.
+/// Maximum width of one character column of small text in common fonts, in pixels.
 const COLUMN: f64 = 6.2;
 
 /// The position of a name relative to its bar.
@@ -37,7 +37,7 @@ struct Placed<'a> {
     label: Label,
 }
 
-/// The cues of an act with their positions.
+/// The cues of an act with their positions in the picture.
 pub(super) struct Cues<'a> {
     placed: Vec<Placed<'a>>,
     rows: usize,
@@ -45,7 +45,8 @@ pub(super) struct Cues<'a> {
 }
 
 impl<'a> Cues<'a> {
-    /// Places all cues with their names. If that takes too many rows, only those names are drawn that fit into their bars.
+    /// Assigns a row to every cue and places its name. If this takes too many rows, only names that are narrower than their bars are
+    /// drawn.
     pub(super) fn place(act: &'a Act, frame: &Frame) -> Self {
         let named = Self::in_rows(act, frame, label_of);
         if named.left_out == 0 { named } else { Self::in_rows(act, frame, label_within) }
@@ -55,7 +56,7 @@ impl<'a> Cues<'a> {
     fn in_rows(act: &'a Act, frame: &Frame, label: fn(&PlannedCue, (f64, f64), &Frame) -> Label) -> Self {
         let mut cues: Vec<_> = act.cues.iter().collect();
         cues.sort_by_key(|cue| cue.start);
-        // The end of the last cue of each row.
+        // The right end of the last cue of each row, in pixels.
         let mut ends: Vec<f64> = Vec::new();
         let mut placed = Vec::new();
         for cue in cues {
@@ -113,7 +114,7 @@ impl Placed<'_> {
     }
 }
 
-/// The start and end of a cue's bar, which is at least wide enough to be visible.
+/// Returns the start and end of a cue's bar in pixels. The bar is at least wide enough to be visible.
 fn bar_of(cue: &PlannedCue, frame: &Frame) -> (f64, f64) {
     let [start, end] = [cue.start, cue.end].map(|at| frame.x(at.as_millis_f64()));
     (start, end.max(start + 2.0))
@@ -139,7 +140,7 @@ fn label_within(cue: &PlannedCue, bar: (f64, f64), frame: &Frame) -> Label {
     }
 }
 
-/// The space that a cue covers together with its name.
+/// Returns the start and end, in pixels, of the space that a cue and its name cover.
 fn extent(cue: &PlannedCue, (start, end): (f64, f64), label: Label) -> (f64, f64) {
     let width = label_width(cue) + 4.0;
     match label {
@@ -149,7 +150,8 @@ fn extent(cue: &PlannedCue, (start, end): (f64, f64), label: Label) -> (f64, f64
     }
 }
 
-/// The first row whose last cue has ended, or a new row.
+/// Returns the index of the first row whose last cue has ended, or of a new row. Returns `None` if that would exceed the maximum number
+/// of rows.
 fn row(ends: &mut Vec<f64>, (start, end): (f64, f64)) -> Option<usize> {
     let free = ends.iter().position(|before| before + GAP <= start);
     let row = free.or_else(|| {

@@ -1,4 +1,4 @@
-//! The parts above and behind cues and lanes: title, legend, rulers.
+//! Draws the parts of the picture above and behind the cues and lanes: title, legend and rulers.
 
 use std::fmt::Write;
 
@@ -12,7 +12,7 @@ const STYLE: &str = "text{font:12px sans-serif;fill:#222}.small,.name{font-size:
 .grid{stroke:#ddd}.lane{fill:#fff;fill-opacity:0;stroke:#eee}.robot{fill:#eef2f6}\
 .cue{fill:#cfe3f5;stroke:#2a6fb0;stroke-width:.6}.critical{fill:#ffd8a8;stroke:#a85a00;stroke-width:1.2}";
 
-/// Opens the picture with its title and the outcome.
+/// Writes the start of the picture, with its title and the outcome of the act.
 pub(super) fn open(svg: &mut String, title: &str, played: &Played, (width, height): (f64, f64)) {
     let spread = played.report.true_spread.map_or_else(|| "-".to_owned(), |spread| spread.to_string());
     let _infallible = write!(
@@ -26,7 +26,7 @@ pub(super) fn open(svg: &mut String, title: &str, played: &Played, (width, heigh
     );
 }
 
-/// Draws a sample of each kind of drawing that occurs, with its meaning.
+/// Draws the legend: a sample of each kind of drawing in the picture, with its meaning.
 pub(super) fn legend(svg: &mut String, y: f64, kinds: &[Kind]) {
     let mut x = 14.0;
     for kind in kinds {
@@ -39,7 +39,7 @@ pub(super) fn legend(svg: &mut String, y: f64, kinds: &[Kind]) {
     }
 }
 
-/// A kind of drawing.
+/// A kind of drawing that the legend explains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Cue,
@@ -50,7 +50,7 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    /// A sample, its meaning, and the width of both in pixels.
+    /// Returns the sample in SVG, its meaning, and the width of both in pixels.
     const fn entry(self) -> (&'static str, &'static str, f64) {
         match self {
             Self::Cue => ("<rect y='-5' width='22' height='10' class='cue'/>", "cue", 62.0),
@@ -66,7 +66,7 @@ impl Kind {
     }
 }
 
-/// Draws lines at round times from the upper ruler to the lower one.
+/// Draws vertical lines at the ticks, from the upper ruler to the lower one.
 pub(super) fn grid(svg: &mut String, frame: &Frame, (top, bottom): (f64, f64)) {
     for tick in &frame.ticks {
         let (x, label) = (LEFT + frame.offset(tick.millis), &tick.label);

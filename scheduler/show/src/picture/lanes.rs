@@ -1,4 +1,4 @@
-//! A lane per device, grouped by robot: planned values as a line, the values that the robot set as dots.
+//! Draws one lane per device, grouped by robot. A line shows the planned values, and dots show the values that the robot set.
 
 use std::fmt::Write;
 
@@ -14,37 +14,37 @@ use downbeat_rehearsal::dry_run::{Played, act_of};
 
 const LANE: f64 = 34.0;
 const HEADER: f64 = 22.0;
-/// Pixels between a lane's edge and its lowest or highest value.
+/// Distance, in pixels, from a lane's edge to its lowest or highest value.
 const MARGIN: f64 = 6.0;
-/// Lanes beyond this are counted, not drawn.
+/// Maximum number of lanes. Further lanes are counted, not drawn.
 const LANES_MAX: usize = 120;
-/// Columns of a device's name that fit to the left of its lane.
+/// Maximum width, in columns, of a device's name to the left of its lane.
 const LABEL_MAX: usize = 22;
-/// Width in pixels of a column in which dots overlap.
+/// Width, in pixels, of a column whose dots are reduced to a few because they overlap.
 const DOTS: f64 = 2.0;
-/// If more than half of a lane's dots are followed by the next one within this many pixels, all of them are drawn smaller to keep the
-/// line visible.
+/// Distance in pixels. If more than half of a lane's dots are closer than this to the next dot, all its dots are smaller. The line then
+/// stays visible.
 const DOTS_APART: f64 = 5.0;
 
-/// All scripts of one device.
+/// The lane of one device, with all its scripts.
 struct Lane<'a> {
     robot: &'a RobotId,
     device: &'a DeviceId,
     scripts: Vec<&'a DeviceScript>,
-    /// Milliseconds from a command to its motion: the lane shows the times of motions.
+    /// Milliseconds from a command to the resulting motion. The lane shows when motions happen, not when commands are sent.
     latency_ms: f64,
     holds: bool,
 }
 
-/// The lanes of an act.
+/// The lanes of an act in the picture.
 pub(super) struct Lanes<'a> {
-    /// The lanes of a robot are adjacent.
+    /// The drawn lanes. Lanes of the same robot are adjacent.
     lanes: Vec<Lane<'a>>,
     left_out: usize,
 }
 
 impl<'a> Lanes<'a> {
-    /// Creates the lanes in the order of the plan; `robots` are those of the plan.
+    /// Creates the lanes in the order of the act's plan. `robots` are the robots of the plan, in the same order.
     pub(super) fn of(act: &'a Act, robots: &[&FleetRobot]) -> Self {
         let mut lanes: Vec<Lane<'a>> = Vec::new();
         for (index, plan) in act.plan.robots.iter().enumerate() {
@@ -69,12 +69,12 @@ impl<'a> Lanes<'a> {
         HEADER * self.groups().count() as f64 + LANE * self.lanes.len() as f64
     }
 
-    /// Whether a device has more than one value per step.
+    /// Whether the steps of any device have more than one value.
     pub(super) fn has_further_values(&self) -> bool {
         self.lanes.iter().any(|lane| lane.values() > 1)
     }
 
-    /// Note on the devices that are not drawn.
+    /// Returns a note with the number of devices that are not drawn. `None` if all devices are drawn.
     pub(super) fn note(&self) -> Option<String> {
         (self.left_out > 0).then(|| format!("and {} more devices", self.left_out))
     }
@@ -126,7 +126,8 @@ impl Lane<'_> {
         svg.push_str("</g>");
     }
 
-    /// Opens the group of the lane; its origin is the start of the act and the top of the lane.
+    /// Writes the start of the lane's SVG group, and its labels. The origin of the group is at the start of the act and the top of the
+    /// lane.
     fn label(&self, svg: &mut String, top: f64, frame: &Frame, scale: &Scale) {
         let range = format!("{} .. {}", rounded(scale.least), rounded(scale.largest));
         let steps: usize = self.scripts.iter().map(|script| script.script.steps().len()).sum();
@@ -144,14 +145,14 @@ impl Lane<'_> {
         );
     }
 
-    /// The maximum number of values in a step.
+    /// Returns the maximum number of values in a step of the lane.
     fn values(&self) -> usize {
         let steps = self.scripts.iter().flat_map(|script| script.script.steps());
         steps.map(|step| step.setpoint.values().count()).max().unwrap_or(0)
     }
 
-    /// The planned values as points until the movement ends; `which` selects the value of each step, from 0. A device that holds its
-    /// values is drawn as a staircase.
+    /// Returns the planned values as points until the movement ends. `which` is the index of the value in each step. A device that holds
+    /// its values is drawn as a staircase.
     fn planned(&self, which: usize, frame: &Frame, scale: &Scale) -> Vec<(f64, f64)> {
         let mut points: Vec<(f64, f64)> = Vec::new();
         for script in &self.scripts {
@@ -170,7 +171,7 @@ impl Lane<'_> {
         points
     }
 
-    /// The values that the robot set, at the true times at which they become visible.
+    /// Returns the values that the robot set as points, at the true times at which they become visible.
     fn set(&self, frame: &Frame, scale: &Scale, reported: &ActReport, played: &Played) -> Vec<(f64, f64)> {
         let log = played.log_of(self.robot).unwrap_or_default().iter().filter(|entry| {
             let of_act = entry.request_id.as_deref().and_then(act_of) == Some(reported.number);
@@ -187,7 +188,7 @@ fn are_close(dots: &[(f64, f64)]) -> bool {
     2 * dots.windows(2).filter(close).count() > dots.len()
 }
 
-/// The vertical positions of values in a lane.
+/// The scale that maps values to vertical positions in a lane.
 struct Scale {
     least: f64,
     largest: f64,
@@ -210,7 +211,7 @@ impl Scale {
     }
 }
 
-/// Rounds a value for people.
+/// Rounds a value to four decimal places, for people.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

@@ -1,17 +1,17 @@
-//! Compact SVG path data: tenths of a pixel, each point relative to the previous one.
+//! Writes compact SVG path data: coordinates are in tenths of a pixel, and each point is relative to the previous one.
 
 use std::fmt::Write;
 
-/// Writes one path. Rounding errors do not accumulate: the output is the difference of rounded points.
+/// Writes the data of one path. Rounding errors do not accumulate, because the output is the difference of rounded points.
 #[derive(Default)]
 pub(super) struct Pen {
     data: String,
-    /// The last point in tenths of a pixel.
+    /// The last written point in tenths of a pixel. `None` before the first point.
     at: Option<(i64, i64)>,
 }
 
 impl Pen {
-    /// A line through these points.
+    /// Returns the path data of a line through these points.
     pub(super) fn line(points: &[(f64, f64)]) -> String {
         let mut pen = Self::default();
         for point in points {
@@ -23,7 +23,7 @@ impl Pen {
         pen.data
     }
 
-    /// A stroke without length at each of these points; a round cap makes it a dot.
+    /// Returns the path data of a stroke of zero length at each of these points. With round line caps, each stroke is a dot.
     pub(super) fn dots(points: &[(f64, f64)]) -> String {
         let mut pen = Self::default();
         for point in points {

@@ -1,8 +1,8 @@
-//! Reduces the number of points without visible changes.
+//! Reduces the number of points of a line without changing its appearance.
 
-/// Keeps the first, the lowest, the highest and the last point of each column of `column` pixels. A line through them covers the same
-/// pixels as one through all points, and no spike is lost (Jugel, Jerzak, Hackenbroich and Markl, M4, VLDB 2014). Points are in the order
-/// of x.
+/// Keeps the first, the lowest, the highest and the last point of each column of `column` pixels. A line through these points covers the
+/// same pixels as a line through all points. No spike is lost (Jugel, Jerzak, Hackenbroich and Markl, M4, VLDB 2014). `points` must be in
+/// ascending order of x.
 pub(super) fn thinned(points: &[(f64, f64)], column: f64) -> Vec<(f64, f64)> {
     let of = |point: &(f64, f64)| (point.0 / column).floor();
     points.chunk_by(|a, b| of(a) == of(b)).flat_map(extremes).collect()

@@ -1,8 +1,8 @@
-//! (a) An act starts on all of its robots or on none.
+//! Checks invariant (a): an act starts on all of its robots or on none.
 //!
-//! A robot is excused only by a fault of its own link, process or clock that begins within the window that was stated at the decision of
-//! this very act. The remaining robots must agree. If they do not, only two events excuse the whole act: the end or a stall of the
-//! scheduler between the commitment and the last start, and a stop after the point of no return.
+//! A robot is excused only by a fault of its own link, process or clock that begins within the window stated at the decision of this act.
+//! The remaining robots must agree. If they do not, only two events excuse the whole act: the end or a stall of the scheduler between the
+//! commitment and the last start, and a stop after the point of no return.
 
 use std::collections::HashMap;
 
@@ -15,23 +15,23 @@ use crate::{DrawnRobot, Fault, Happened, Network};
 use downbeat_mission::ClockMode;
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// A robot skips a start that is delayed by more than this.
+/// Maximum delay with which a robot still performs a start.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
-/// Maximum time in which an edge cannot notice that its hardware has died silently.
+/// Maximum time until an edge notices that its hardware has died silently.
 const HARDWARE_SILENT: Span = Span::from_millis(150);
 
-/// How long a lost report is awaited, including the remaining duration of its script.
+/// How long the mission waits for a lost report, including the remaining duration of the script.
 const AWAITED: Span = Span::from_millis(2_500);
 
-/// Nominal start of an act that was never sent, for the comparison with a start without a decision.
+/// Nominal start of an act that was never sent, used for the comparison with a "go" message.
 const NEVER_SENT: Span = Span::from_millis(1_500);
 
-/// The start of a robot.
+/// Whether a robot started an act, and its excuse.
 struct Started {
     robot: usize,
     began: bool,
-    /// The robot's own fault that explains it.
+    /// The robot's own fault that explains why it started or did not start.
     excuse: Option<Cause>,
 }
 
@@ -70,8 +70,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A robot with `pending_until` begins no act before an inquiry has moved the limit beyond the start, regardless of its link, its clock
-/// and the scheduler. Only the commitment moves the limit.
+/// Checks that a robot with `pending_until` starts no act unless an inquiry has moved the limit beyond the start. This holds regardless
+/// of the robot's link, its clock and the scheduler. Only the commitment moves the limit.
 fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], verdict: &mut Verdict) {
     let knows = |robot: &&Started| facts.drawn().robots[robot.robot].block.inquiry;
     for robot in
@@ -85,7 +85,7 @@ fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], ve
     }
 }
 
-/// Whether an inquiry about a script of the act reached the robot and moved its limit beyond its start, by its own clock.
+/// Whether an inquiry reached the robot and moved the limit of a script of the act beyond the start, by the robot's own clock.
 fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let beyond = |inquiry: &urrcp::Inquiry| {
         let Some((until, named)) = inquiry.pending_until.zip(inquiry.requests.first()) else { return false };
@@ -98,7 +98,7 @@ fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     })
 }
 
-/// The first act of a mission that sent none: no robot started it.
+/// The result for the first act of a mission that sent no act: no robot started it.
 fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
     let plan = &facts.drawn().choreography.acts.first()?.plan;
     let robots = plan.robots.iter().filter_map(|robot| facts.index_of(&robot.robot));
@@ -107,8 +107,9 @@ fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
     Some(ActStarts { number: 0, start, robots, starts: Starts::None })
 }
 
-/// Whether a robot has a part in the act at its start. A robot that was left out earlier has none, unless it moves nevertheless; one that
-/// was left out because it missed its start has one. A robot with a later start in an act that was stopped has not missed its start.
+/// Whether a robot takes part in the act at the act's start. A robot that was left out earlier does not, unless it moves nevertheless. A
+/// robot that was left out because it missed its start does. A robot with a later start in an act that was stopped has not missed its
+/// start.
 fn counts(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let Some(first) = act.first_movement(robot).filter(|_| facts.honest(robot)) else { return false };
     let began = act.of(robot).any(SentScript::began);
@@ -128,7 +129,7 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<C
         started.iter().filter(|robot| robot.excuse.is_none()).map(|robot| robot.began).collect();
     let agree = left.windows(2).all(|two| two[0] == two[1]);
     if agree {
-        // Only robots that differ from those without an excuse need theirs.
+        // Only robots that behaved differently from those without an excuse need an excuse.
         let common = left.first().copied();
         let differs = |robot: &&Started| common.is_none_or(|common| robot.began != common);
         return started.iter().filter(differs).filter_map(|robot| robot.excuse).min();
@@ -136,13 +137,13 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<C
     why_the_scheduler(facts, act).or_else(|| late_stop(facts, act))
 }
 
-/// The latest instant at which a robot starts, if it does.
+/// The latest instant at which a robot can start the act.
 fn latest_start(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
     let (_, late) = early_and_late(facts, robot);
     Some(act.first_movement(robot)? + late + START_LATE_MAX)
 }
 
-/// The first relevant fault of a robot that begins between two instants.
+/// The most relevant fault of a robot that satisfies a condition and begins between two instants.
 fn own_fault(
     facts: &Facts<'_>,
     robot: usize,
@@ -172,7 +173,8 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
 }
 
 /// The latest instant at which a robot's process may end early enough to withdraw the act: three round trips before the point of no
-/// return. Applies if its system closes its connection and refuses the next one, and its link and the scheduler have no other fault.
+/// return. `None` unless the robot's operating system closes its connection and refuses the next one, and neither its link nor the
+/// scheduler has another fault.
 fn known_to_be_gone(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
     let drawn = facts.drawn();
     let usual = drawn.network == Network::Stream && drawn.tail == 0.0;
@@ -189,8 +191,8 @@ fn known_to_be_gone(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Optio
     (usual && all_told && !facts.hits.iter().any(other)).then_some(by)
 }
 
-/// The excuse of a robot that starts later than the act, as planned or because its clock is slow, and was left out in between. Its own
-/// fault may have begun earlier, for example a lost report that is no longer awaited.
+/// The excuse of a robot that starts later than the act, as planned or because its clock is slow, and was left out after the act's start.
+/// The fault may have begun earlier, for example the loss of a report that the mission no longer awaits.
 fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let (_, late) = early_and_late(facts, robot);
     let first = act.first_movement(robot)? + late;
@@ -199,7 +201,7 @@ fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Op
     own_fault(facts, robot, before, |_| true).or_else(|| told_nobody(facts, robot, before))
 }
 
-/// The robot reports only once, and the scheduler's process was not running at that time.
+/// The excuse that the scheduler's process was not running when the robot reported. It applies only to robots that report only once.
 fn told_nobody(
     facts: &Facts<'_>,
     robot: usize,
@@ -210,7 +212,7 @@ fn told_nobody(
     found.map(|hit| hit.cause)
 }
 
-/// Whether hardware died without informing its edge.
+/// Whether a fault is the death of hardware that did not inform its edge.
 fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
     let untold =
         |fault: &Fault| matches!(fault, Fault::HardwareDies { robot, told: false, .. } if hit.is_of(*robot));
@@ -219,14 +221,14 @@ fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
         && at_once.into_iter().any(|(_, what)| matches!(what, Happened::Fault(fault) if untold(fault)))
 }
 
-/// The own fault of a robot that explains why it started although the others did not: its clock was set, or a stop did not reach it in
-/// time.
+/// The robot's own fault that explains why it started although the others did not: its clock was set, or a stop did not reach it in time.
 fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let until = latest_start(facts, act, robot)?;
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot));
     if facts.drawn().robots[robot].block.inquiry && act.committed.is_none() {
-        // It respects `pending_until`, and no inquiry has moved it: it drops the script, regardless of its link and the processes.
+        // The robot respects `pending_until`, and no inquiry has moved that limit. So it drops the script, regardless of its link and the
+        // processes.
         return set;
     }
     let set = set
@@ -243,8 +245,9 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
 }
 
-/// A script of an act that was never decided arrived late, because the robot's link carried nothing or its process stalled. Therefore its
-/// lease extended beyond the start, or the script before it had been dropped. The scheduler was not running to withdraw it.
+/// The excuse for starting an act that was never decided. A script arrived late, because the robot's link carried nothing or its process
+/// stalled. Therefore the script's lease extended beyond the start, or the robot had dropped the preceding script. The scheduler was not
+/// running to withdraw the act.
 fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
     let lasts = |hit: &&Hit| hit.overlaps(act.at, until);
     let away = facts.hits.iter().filter(lasts).any(|hit| hit.robot.is_none());
@@ -254,8 +257,9 @@ fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestam
     hits.filter(lasts).filter(late).map(|hit| hit.cause).min()
 }
 
-/// A robot accepts no inquiries, so no inquiry limits its lease. A message that was sent in time, but delayed too long by its own link or
-/// process, renewed the lease beyond the start of an act that was not committed. The scheduler was not running to withdraw the act.
+/// The excuse of a robot that accepts no inquiries, so that no inquiry limits its lease. A message was sent in time, but the robot's own
+/// link or process delayed it too long. It renewed the lease beyond the start of an act that was not committed. The scheduler was not
+/// running to withdraw the act.
 fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let first = |script: &SentScript<'_>| {
         let entry = script.log.first()?;
@@ -268,7 +272,8 @@ fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ca
     if facts.drawn().robots[robot].block.inquiry || !uncommitted || !facts.hits.iter().any(away) {
         return None;
     }
-    // A later message carries its lease over its start. Either it was sent by this instant, or it was sent too late.
+    // A message that is sent after `latest` extends the lease beyond the start even without a delay, so only messages sent until then
+    // count.
     let (early, _) = early_and_late(facts, robot);
     let latest = act.promise.start - early - act.promise.lease;
     let kept = |at: Timestamp<Server>, message: &Message| {
@@ -291,9 +296,9 @@ fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ca
     causes?.into_iter().min()
 }
 
-/// A script waits under the running lease of the preceding script of its device. The link or process of a robot without inquiries delayed
-/// it until the robot had dropped the preceding script, whose pending lease had ended. The script begins alone, in an act that was not
-/// committed, and the scheduler was not running to withdraw it.
+/// The excuse for a script that begins without the preceding script of its device, in an act that was not committed. Such a script waits
+/// under the running lease of the preceding one. The robot accepts no inquiries. Its link or process delayed the script until the pending
+/// lease of the preceding script had ended and the robot had dropped that. The scheduler was not running to withdraw the act.
 fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let begins = |script: &SentScript<'_>| {
         let entry = script.log.first()?;
@@ -326,8 +331,8 @@ fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Opt
     hits.filter(own).map(|hit| hit.cause).min()
 }
 
-/// Its clock was set so shortly before it started by it that no inquiry could show that: the answer and a subsequent stop would have been
-/// too late.
+/// The excuse of a robot whose clock was set so shortly before it started that no inquiry could reveal it in time. The answer and a
+/// subsequent stop would have been too late.
 fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let first = act.of(robot).flat_map(|script| script.log.first()).map(|entry| entry.true_ns).min()?;
     let began = Timestamp::<Server>::from_nanos(first);
@@ -336,12 +341,12 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
     own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
 }
 
-/// The end of a pending lease, the send time of the inquiry that states it, and the lease. An older inquiry that arrives after it lifts
-/// nothing.
+/// The end of a pending lease, the send time of the inquiry that set this end, and the length of the lease. An older inquiry that arrives
+/// afterwards does not remove the end.
 type LeaseEnd = (Timestamp<Server>, Option<Timestamp<Server>>, Span);
 
-/// Whether a message that permits the robot to start arrived well before the end of its lease, and the lease, including its renewals by
-/// later messages, extended beyond the start. In that case its link is no excuse.
+/// Whether a message that permits the robot to start arrived well before the end of the robot's lease, and the lease extended beyond the
+/// start. Renewals of the lease by later messages count. In that case the robot's link is no excuse.
 fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let offset = facts.drawn().robots[robot].settings.clock_offset;
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
@@ -364,7 +369,7 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
             // An inquiry without an instant leaves the leases unchanged.
             None if until.is_none() => {}
             None => {
-                // Devices that begin at different instants have separate leases: if one of them has ended, the robot has lost its
+                // Devices that begin at different instants have separate leases. If one of these leases has ended, the robot has lost its
                 // scripts.
                 let lifts = |(ends, asked, _): &(_, _, _)| at < ends && inquiry.timestamp >= *asked;
                 if leases.contains_key(named) && leases.values().all(lifts) {
@@ -378,15 +383,16 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
     false
 }
 
-/// Whether the running lease had not expired at its start either.
+/// Whether the robot received a message so shortly before its start that the running lease had not expired either.
 fn heard_lately(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let running = act.of(robot).filter_map(|script| script.promised.running).map(urrcp::Millis::span).min();
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
     running.zip(last).is_none_or(|(lease, last)| last + lease > act.promise.start + START_LATE_MAX)
 }
 
-/// The scheduler ended or stalled after the commitment was recorded and before every robot had started. Once all robots have answered the
-/// commitment, their leases extend beyond the start of the act: robots that start with it no longer need the scheduler.
+/// The excuse that the scheduler ended or stalled after the commitment was recorded and before every robot had started. Once all robots
+/// have answered the commitment, their leases extend beyond the start of the act. From that time, robots that start at the act's start no
+/// longer need the scheduler.
 fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let committed = act.committed?;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
@@ -397,7 +403,7 @@ fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     facts.hits.iter().filter(own).map(|hit| hit.cause).min()
 }
 
-/// A stop after the point of no return may reach some robots before their start and others after it.
+/// The excuse of a stop after the point of no return: it may reach some robots before their start and others after it.
 fn late_stop(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let no_return = act.decided?.no_return;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
@@ -405,8 +411,8 @@ fn late_stop(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     late.then_some(Cause::LateStop)
 }
 
-/// How much earlier and later than planned a robot may start, according to its drawn clock: by its offset or, if the offset is measured,
-/// by half of the possible asymmetry of the paths.
+/// How much earlier and later than planned a robot may start, according to its drawn clock: by the clock's offset or, if the offset is
+/// measured, by half of the possible asymmetry of the paths.
 fn early_and_late(facts: &Facts<'_>, robot: usize) -> (Span, Span) {
     let DrawnRobot { clock, settings, slow, .. } = &facts.drawn().robots[robot];
     let paths = (facts.drawn().delay.1 + *slow) / 2;

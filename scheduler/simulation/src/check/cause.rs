@@ -1,5 +1,5 @@
-//! The faults with their times, durations and subjects: a robot's own link, process or clock, the scheduler, or only the operator's stop.
-//! Every excuse must be one of these, and concern the robot that is excused.
+//! Collects the faults of a run, each with its interval and with what it affects: a robot's own link, process or clock, or the scheduler.
+//! Every excuse must be such a fault or an operator's stop, and concern the robot that is excused.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use crate::{Fault, Happened, Ran};
 
-/// The reason for an excuse.
+/// The cause that excuses a violation of an invariant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Cause {
     /// The robot's own process ended.
@@ -16,11 +16,11 @@ pub enum Cause {
     RobotPause,
     /// The robot's own clock was set.
     ClockSet,
-    /// Another robot answered at the robot's own address, or another session requested it.
+    /// Another robot answered at the robot's own address, or another session claimed the robot.
     Stranger,
     /// The robot's own hardware died.
     Hardware,
-    /// The robot's own link carried nothing in at least one direction, or next to nothing.
+    /// The robot's own link carried no messages, or hardly any, in at least one direction.
     Partition,
     /// The robot's own link was down, or being re-established.
     LinkDown,
@@ -39,7 +39,7 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// All causes, in the order of precedence if several apply.
+    /// All causes. If several apply, the first one takes precedence.
     pub const ALL: [Self; 13] = [
         Self::RobotCrash,
         Self::RobotPause,
@@ -56,8 +56,8 @@ impl Cause {
         Self::LateStop,
     ];
 
-    /// The largest share of acts in which this cause may excuse a violation of an invariant: about a quarter more than in a million
-    /// seeds. A larger share means that an excuse has become broader, or that missions react differently to this fault.
+    /// The largest share of acts in which this cause may excuse a violation of an invariant: about a quarter more than observed in a
+    /// million seeds. A larger share means that the excuse has become broader, or that missions react differently to the fault.
     #[must_use]
     pub const fn largest_share(self, invariant: char) -> f64 {
         let of_100_000 = match (invariant, self) {
@@ -81,7 +81,7 @@ impl Cause {
         of_100_000 / 100_000.0
     }
 
-    /// Whether it concerns the robot's link.
+    /// Whether the cause concerns the robot's link.
     pub(super) const fn is_of_link(self) -> bool {
         matches!(self, Self::Partition | Self::LinkDown | Self::Slow | Self::Lost)
     }
@@ -107,11 +107,11 @@ impl fmt::Display for Cause {
     }
 }
 
-/// A fault with its interval.
+/// A fault with the interval in which it has effect.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     pub(super) cause: Cause,
-    /// The affected robot; `None`: the scheduler.
+    /// The index of the affected robot. `None`: the fault affects the scheduler.
     pub(super) robot: Option<usize>,
     pub(super) from: Timestamp<Server>,
     /// End of the fault.
@@ -125,13 +125,13 @@ impl Hit {
         self.robot == Some(robot)
     }
 
-    /// Whether it overlaps the interval between two instants, both included.
+    /// Whether the fault overlaps the interval between two instants, both included.
     pub(super) fn overlaps(&self, from: Timestamp<Server>, until: Timestamp<Server>) -> bool {
         self.from <= until && self.until >= from
     }
 }
 
-/// All faults of a run.
+/// Collects all faults of a run.
 pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     let mut hits = Hits { all: Vec::new(), open: Vec::new() };
     for (at, happened) in &ran.history {
@@ -142,7 +142,7 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
             Happened::Fault(Fault::ClockStep { robot, by }) => {
                 hits.all.push(Hit { by: *by, ..hit(Cause::ClockSet, Some(*robot), Span::ZERO) });
             }
-            // The state of the connections of a machine that is gone is unknown.
+            // If a machine is gone, the state of its connections is unknown.
             Happened::Fault(Fault::RobotCrash { robot, told: false, .. }) => {
                 hits.begin(hit(Cause::RobotCrash, Some(*robot), Span::ZERO), End::Back);
                 hits.begin(hit(Cause::Partition, Some(*robot), Span::ZERO), End::Linked(*at));
@@ -171,21 +171,21 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     hits.all
 }
 
-/// The faults so far, and those that continue.
+/// The faults collected so far, and which of them continue.
 struct Hits {
     all: Vec<Hit>,
-    /// The end conditions of continuing faults, with the indices of these.
+    /// The end condition of each continuing fault, with the index of the fault in `all`.
     open: Vec<(End, usize)>,
 }
 
 /// The end condition of a continuing fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
-    /// The next message from the robot.
+    /// The fault ends with the next message from the robot.
     Heard,
-    /// An established connection that was made at or after this instant.
+    /// The fault ends when a connection is established that was started at or after this instant.
     Linked(Timestamp<Server>),
-    /// The return of the robot.
+    /// The fault ends when the robot returns.
     Back,
 }
 
@@ -221,7 +221,7 @@ impl Hits {
     }
 }
 
-/// The affected party and the duration of a fault; `None` if it affects no party.
+/// The cause, the affected robot and the duration of a fault; `None` if the fault excuses nothing.
 const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
     Some(match *fault {
         Fault::RobotCrash { robot, .. } => (Cause::RobotCrash, Some(robot), Lasts::Until(End::Back)),
@@ -245,7 +245,7 @@ const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
         Fault::DiskStalls { lasts } => (Cause::Disk, None, Lasts::For(lasts)),
         // Each delayed message is counted instead.
         Fault::Lag { .. } => return None,
-        // Only the next process has that clock, and its promises are measured by it.
+        // Only the next process uses the clock after the change, and its promises are measured by that clock.
         Fault::ServerClockStep { .. } | Fault::Stop | Fault::Home | Fault::StopByJournal => return None,
         // Handled above, with their additional effects.
         Fault::ClockStep { .. } | Fault::DeadLink { .. } | Fault::HalfOpen { .. } => return None,

@@ -1,4 +1,4 @@
-//! The events of a run, ordered by act, robot and script, as the invariants need them.
+//! The events of a run, ordered by act, robot and script, for the checks of the invariants.
 
 use std::collections::{HashMap, HashSet};
 
@@ -10,21 +10,22 @@ use super::cause::{Cause, Hit, hits_of};
 use crate::{Drawn, Fault, Happened, Names, Network, Ran};
 use downbeat_mission::{Progress, Promise, PromisedScript, Record, SkewBudget, promised_name};
 
-/// On a link that loses answers, a clock that was set is noticed a second later, with the next inquiry.
+/// Maximum time until the mission notices that a clock was set. On a link that loses answers, only the next inquiry, a second later,
+/// shows it.
 const SEEN_AFTER: Span = Span::from_millis(1_100);
 
-/// A run in the form that the invariants need.
+/// The events of a run in a form that the checks of the invariants need.
 pub(super) struct Facts<'a> {
     pub(super) ran: &'a Ran,
     /// The acts that were sent, in order.
     pub(super) acts: Vec<SentAct<'a>>,
-    /// The faults in order.
+    /// The faults, in order of their start.
     pub(super) hits: Vec<Hit>,
-    /// When each robot was left out.
+    /// For each robot: when it was left out, if it was.
     pub(super) dropped: Vec<Option<Timestamp<Server>>>,
-    /// The times of stops of everything.
+    /// The times at which all robots were stopped.
     pub(super) stopping: Vec<Timestamp<Server>>,
-    /// How far the clock of the scheduler's process was ahead of the true time, and since when.
+    /// The clock of the scheduler's process minus the true time, each value with the instant from which it applied.
     ahead: Vec<(Timestamp<Server>, Span)>,
     planned: Vec<(Timestamp<Server>, &'a Choreography)>,
 }
@@ -32,19 +33,19 @@ pub(super) struct Facts<'a> {
 /// An act that was sent.
 pub(super) struct SentAct<'a> {
     pub(super) promise: &'a Promise,
-    /// The act as its scheduler had planned it.
+    /// The act as the scheduler had planned it.
     pub(super) written: &'a Act,
-    /// When it was promised.
+    /// When the act was promised.
     pub(super) at: Timestamp<Server>,
-    /// The clock of the promise minus the true time. `promise` itself is in true time.
+    /// The clock of the process that promised the act, minus the true time. The times in `promise` are already converted to true time.
     pub(super) ahead: Span,
-    /// Whether a process that resumed the mission promised another act under its number: the earlier one is forgotten.
+    /// Whether a process that resumed the mission promised another act with the same number, so that this act is forgotten.
     pub(super) superseded: bool,
-    /// Whether it was withdrawn and prepared again under another number.
+    /// Whether the act was withdrawn and prepared again with another number.
     pub(super) repeated: bool,
-    /// The skew budget that the operator received before anything was sent.
+    /// The skew budget that was reported to the operator before the act was sent.
     pub(super) skew: Option<&'a SkewBudget>,
-    /// The message to the operator at the decision.
+    /// The message to the operator that reported the decision.
     pub(super) decided: Option<Decision>,
     /// When the commitment was first recorded.
     pub(super) committed: Option<Timestamp<Server>>,
@@ -53,32 +54,32 @@ pub(super) struct SentAct<'a> {
     pub(super) scripts: Vec<SentScript<'a>>,
 }
 
-/// The message to the operator at the decision.
+/// The message to the operator that reported the decision.
 #[derive(Clone, Copy)]
 pub(super) struct Decision {
-    /// The act is withdrawn after failures that are known at this instant.
+    /// The latest instant at which the act is withdrawn if a failure is known.
     pub(super) no_return: Timestamp<Server>,
-    /// Silence that begins later than this before the start may be noticed too late.
+    /// Time before the start of the act. Silence of a robot that begins later may be noticed too late.
     pub(super) doubt: Span,
 }
 
-/// A script of an act that was sent, and the actions of its robot.
+/// A script of an act that was sent, and what the robot did with it.
 pub(super) struct SentScript<'a> {
     pub(super) robot: usize,
     pub(super) promised: &'a PromisedScript,
-    /// The shift of its timestamp for its robot's clock, according to the journal.
+    /// The shift of the script's timestamp for the robot's clock, according to the journal.
     pub(super) shift: Span,
-    /// The shift in the request that arrived first, for a later script of a device whose robot's clock is measured.
+    /// The shift in the request that arrived first. Set only for a later script of a device whose robot's clock is measured.
     pub(super) arrived_shift: Option<Span>,
-    /// `None` if the choreography has no such script.
+    /// The script in the choreography; `None` if the choreography has no such script.
     pub(super) written: Option<&'a DeviceScript>,
-    /// Time from its start to its first movement: zero if its device moves linearly to the first value.
+    /// Time from the script's start to the first movement: zero if the device moves linearly to the first value.
     pub(super) starts_after: Span,
-    /// The log entries of its robot for it, in order.
+    /// The robot's log entries for this script, in order.
     pub(super) log: Vec<&'a LogEntry>,
 }
 
-/// The choreographies with acts that were planned after stops, and the times at which they were reported.
+/// The choreographies that include acts planned after stops, each with the time at which it was reported.
 fn planned_after_stops(ran: &Ran) -> Vec<(Timestamp<Server>, &Choreography)> {
     let planned = ran.history.iter().filter_map(|(at, happened)| {
         let Happened::Told(told) = happened else { return None };
@@ -92,8 +93,9 @@ fn planned_after_stops(ran: &Ran) -> Vec<(Timestamp<Server>, &Choreography)> {
     planned.collect()
 }
 
-/// The name under which a script was promised to a robot. A script that a device had no room for is sent again under another name, but
-/// only to a robot that neither reports nor answers inquiries: the mission has to guess when there is room.
+/// The name under which a script was promised to a robot. If a device had no room for a script, the script is sent again under another
+/// name. This happens only for robots that neither report nor answer inquiries, because the mission has to guess when the device has
+/// room.
 fn promised_name_of<'n>(ran: &Ran, robot: usize, id: &'n str) -> &'n str {
     let block = &ran.drawn.robots[robot].block;
     if block.reports || block.inquiry { id } else { promised_name(id) }
@@ -171,7 +173,7 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// The choreography with all acts that were planned after stops.
+    /// The choreography, including all acts that were planned after stops.
     pub(super) fn choreography(&self) -> &'a Choreography {
         self.planned.last().map_or(&self.ran.drawn.choreography, |(_, choreography)| choreography)
     }
@@ -207,8 +209,8 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Collects the shifts with which scripts first arrived, if they may differ from that of their act: for the later scripts of a
-    /// device.
+    /// Collects the shift with which each script first arrived, if it may differ from the shift of the act. That is possible for the
+    /// later scripts of a device.
     fn take_shifts(&mut self, logs: &HashMap<&str, Vec<&'a LogEntry>>) {
         let mut sent: HashMap<_, _> = HashMap::new();
         for (at, happened) in &self.ran.history {
@@ -220,7 +222,7 @@ impl<'a> Facts<'a> {
                         sent.entry(self.promised_name(*robot, id)).or_insert((*robot, timestamp));
                     }
                 }
-                // A robot that restarts forgets scripts that have not begun, so their next arrival is the first again.
+                // A robot that restarts forgets scripts that have not begun, so their next arrival counts as the first.
                 Happened::Back(back) => sent.retain(|id, (robot, _)| {
                     let began = |entry: &&LogEntry| entry.true_ns < at.as_nanos();
                     robot != back || logs.get(*id).is_some_and(|log| log.iter().any(began))
@@ -254,7 +256,7 @@ impl<'a> Facts<'a> {
                     act.into_iter().for_each(|act| act.skew = skew.as_ref());
                 }
                 Progress::Decided { start, no_return, doubt, .. } => {
-                    // By the clock of the process that promised it, even if another one reports it.
+                    // The start is by the clock of the process that promised the act, even if another process reports it.
                     let act = acts.rfind(|act| act.promise.start + act.ahead == *start);
                     act.into_iter().for_each(|act| {
                         let no_return = *no_return - act.ahead;
@@ -295,20 +297,20 @@ impl<'a> Facts<'a> {
         &self.ran.drawn
     }
 
-    /// Whether it does not lie and no other process answers for it.
+    /// Whether the robot does not lie and no other process answers in its place.
     pub(super) fn honest(&self, robot: usize) -> bool {
         self.drawn().robots[robot].lie.is_none() && !self.has_twin(robot)
     }
 
-    /// Whether its confirmations of stops are reliable: it does not lie. If another process may have answered for it, the mission learns
-    /// from the answers to inquiries which scripts that process has lost.
+    /// Whether the robot's confirmations of stops are reliable. The robot must not lie. If another process may have answered in its
+    /// place, the answers to inquiries must show the mission which scripts that process lacks.
     pub(super) fn rests_as_reported(&self, robot: usize) -> bool {
         let drawn = &self.drawn().robots[robot];
         let is_known = drawn.block.inquiry && drawn.names == Names::Echoed;
         drawn.lie.is_none() && (is_known || !self.has_twin(robot))
     }
 
-    /// Whether another process used its id.
+    /// Whether another process used the id of the robot.
     pub(super) fn has_twin(&self, robot: usize) -> bool {
         self.drawn()
             .faults
@@ -316,7 +318,7 @@ impl<'a> Facts<'a> {
             .any(|(_, fault)| matches!(fault, Fault::Twin { robot: of, .. } if *of == robot))
     }
 
-    /// Whether it reports how many steps of a script it has completed, and how many of them were late.
+    /// Whether the robot reports how many steps of a script it has completed, and how many of them were late.
     pub(super) fn counts_steps(&self, robot: usize) -> bool {
         let drawn = &self.drawn().robots[robot];
         drawn.names == Names::Echoed || drawn.block.inquiry
@@ -335,17 +337,17 @@ impl<'a> Facts<'a> {
         &self.drawn().robots[robot].block.id
     }
 
-    /// Whether its clock was set during the run, so that its clock does not determine true times.
+    /// Whether the robot's clock was set during the run, so that it does not determine true times.
     pub(super) fn clock_was_set(&self, robot: usize) -> bool {
         self.hits.iter().any(|hit| hit.cause == Cause::ClockSet && hit.is_of(robot))
     }
 
-    /// Whether another process resumed the mission.
+    /// Whether another process of the scheduler resumed the mission.
     pub(super) fn was_taken_up(&self) -> bool {
         self.taken_up().next().is_some()
     }
 
-    /// When other processes resumed the mission, and how.
+    /// When other processes of the scheduler resumed the mission, and how.
     pub(super) fn taken_up(&self) -> impl DoubleEndedIterator<Item = (Timestamp<Server>, &'static str)> + '_ {
         self.ran.history.iter().filter_map(|(at, happened)| match happened {
             Happened::TakenUp(how) => Some((*at, *how)),
@@ -359,7 +361,7 @@ impl<'a> Facts<'a> {
         self.taken_up().any(|(at, _)| at >= act.at && ended.is_none_or(|ended| at < ended))
     }
 
-    /// When the act finally ended: a process whose disk had lost that record ends it again.
+    /// When the act ended for the last time. A process whose disk had lost the record of the end ends the act again.
     pub(super) fn ended(&self, act: &SentAct<'_>) -> Option<Timestamp<Server>> {
         self.ran.records.iter().rev().find_map(|(at, record)| match record {
             Record::ActEnded { report, .. } if report.number == act.promise.number && *at >= act.at => {
@@ -369,7 +371,7 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether a matching control request reached a robot.
+    /// Whether a control request that satisfies a condition reached a robot.
     pub(super) fn reached(
         &self,
         robot: usize,
@@ -381,8 +383,8 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether a record written at an instant was certainly on the disk when its process ended, so that the next process read it. A sync
-    /// in progress ends first.
+    /// Whether a record written at an instant was certainly on the disk when the scheduler's process ended, so that the next process read
+    /// it. A sync in progress is completed first.
     pub(super) fn was_kept(&self, at: Timestamp<Server>) -> bool {
         let crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash && hit.from >= at);
         let Some(ended) = crashes.map(|hit| hit.from).min() else { return true };
@@ -392,7 +394,7 @@ impl<'a> Facts<'a> {
         disk.capacity.is_none() && !stalls && by < ended
     }
 
-    /// The events between two instants, both included.
+    /// The events of the run between two instants, both included.
     pub(super) fn between(
         &self,
         from: Timestamp<Server>,
@@ -404,12 +406,13 @@ impl<'a> Facts<'a> {
         &history[first..end.max(first)]
     }
 
-    /// Whether a robot received an inquiry about its times since `since`, early enough for its answer to arrive before `by`.
+    /// Whether a robot received a message that asks for its clock reading at or after `since`, early enough for the answer to arrive
+    /// before `by`.
     pub(super) fn was_asked(&self, robot: usize, since: Timestamp<Server>, by: Timestamp<Server>) -> bool {
         self.asked(robot, since, by).next().is_some()
     }
 
-    /// When these inquiries reached it.
+    /// When messages that ask for a clock reading reached a robot, with the same limits as for `was_asked`.
     pub(super) fn asked(
         &self,
         robot: usize,
@@ -429,7 +432,7 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether the scheduler died between the stops of two devices of a robot that accepts no inquiries, before an act that it had not
+    /// Whether the scheduler died between stopping two devices of a robot that accepts no inquiries, before an act that was not
     /// committed. The first stop renewed the lease of the other device, and no inquiry could shorten that lease in advance.
     pub(super) fn was_stopped_in_part(&self, act: &SentAct<'_>, robot: usize) -> bool {
         let cancel = |message: &Message| match message {
@@ -449,8 +452,8 @@ impl<'a> Facts<'a> {
         act.committed.is_none() && !self.drawn().robots[robot].block.inquiry && crashes.any(was_on_its_way)
     }
 
-    /// Arrival times of the scheduler's messages at a robot that renew its leases. The request for its description does not: any server
-    /// may send it.
+    /// Arrival times of the scheduler's messages at a robot that renew its leases. A request for the robot's description does not renew
+    /// them, because any server may send one.
     pub(super) fn heard(&self, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + '_ {
         self.ran.history.iter().filter_map(move |(at, happened)| match happened {
             Happened::AtRobot(_, Message::InitializationRequest(_)) => None,
@@ -460,7 +463,8 @@ impl<'a> Facts<'a> {
     }
 }
 
-/// A process starts with the clock of its machine and keeps it.
+/// Determines how far the scheduler's clock was ahead of the true time. A process starts with the clock of its machine and keeps its own
+/// clock afterwards.
 fn ahead_of(ran: &Ran) -> Vec<(Timestamp<Server>, Span)> {
     let mut of_machine = Span::ZERO;
     let mut ahead = Vec::new();
@@ -475,12 +479,12 @@ fn ahead_of(ran: &Ran) -> Vec<(Timestamp<Server>, Span)> {
 }
 
 impl<'a> SentAct<'a> {
-    /// Whether it is the last attempt at this act.
+    /// Whether this is the last attempt to play the act.
     pub(super) const fn counts(&self) -> bool {
         !self.superseded && !self.repeated
     }
 
-    /// The scripts of one robot.
+    /// The scripts of the act for one robot.
     pub(super) fn of(&self, robot: usize) -> impl Iterator<Item = &SentScript<'a>> {
         self.scripts.iter().filter(move |script| script.robot == robot)
     }
@@ -493,17 +497,18 @@ impl<'a> SentAct<'a> {
         robots
     }
 
-    /// When a robot should start, if it has a script.
+    /// When a robot should start; `None` if it has no script in the act.
     pub(super) fn first_start(&self, robot: usize) -> Option<Timestamp<Server>> {
         self.of(robot).map(|script| self.start_of(script)).min()
     }
 
-    /// When a robot should first move: a device that does not move linearly waits for the first step of its script.
+    /// When a robot should first move; `None` if it has no script in the act. A device that does not move linearly waits for the first
+    /// step of its script.
     pub(super) fn first_movement(&self, robot: usize) -> Option<Timestamp<Server>> {
         self.of(robot).map(|script| self.start_of(script) + script.starts_after).min()
     }
 
-    /// The previous script on the same device.
+    /// The previous script of the act on the same device.
     pub(super) fn before(&self, script: &SentScript<'_>) -> Option<&SentScript<'a>> {
         let ahead = |other: &&SentScript<'_>| {
             other.promised.device == script.promised.device
@@ -514,39 +519,40 @@ impl<'a> SentAct<'a> {
             .max_by(|a, b| a.promised.start.get().total_cmp(&b.promised.start.get()))
     }
 
-    /// Whether a robot completed all its steps.
+    /// Whether a robot completed all its steps of the act.
     pub(super) fn is_whole_on(&self, robot: usize) -> bool {
         self.of(robot).all(|script| script.steps_set() == script.steps_written())
     }
 
-    /// Time from the start of the act to that of its last script.
+    /// Time from the start of the act to the start of its last script.
     pub(super) fn starts_within(&self) -> Span {
         self.promise.scripts.iter().map(|script| script.start.span()).max().unwrap_or_default()
     }
 
-    /// Its planned start in true time.
+    /// The planned start of a script, in true time.
     pub(super) fn start_of(&self, script: &SentScript<'_>) -> Timestamp<Server> {
         self.promise.start + script.promised.start.span()
     }
 
-    /// Its planned start by the clock of the process that promised it, as robots and reports use it.
+    /// The planned start of a script by the clock of the process that promised it. Robots and reports use this time.
     pub(super) fn start_as_told(&self, script: &SentScript<'_>) -> Timestamp<Server> {
         self.start_of(script) + self.ahead
     }
 
-    /// The instant after which silence may be noticed too late, as reported at the decision; without a decision, for a pending lease.
+    /// The instant after which silence of a robot may be noticed too late, as reported at the decision. Without a decision, it is one
+    /// pending lease before the start.
     pub(super) fn doubtful_from(&self) -> Timestamp<Server> {
         self.promise.start - self.decided.map_or(self.promise.lease, |decided| decided.doubt)
     }
 }
 
 impl<'a> SentScript<'a> {
-    /// The steps that were set, in order.
+    /// The log entries of the script's steps that the robot set, in order.
     pub(super) fn steps(&self) -> impl Iterator<Item = &'a LogEntry> + '_ {
         self.log.iter().copied().filter(|entry| entry.is_set() && entry.step.is_some())
     }
 
-    /// Number of distinct steps that were set.
+    /// Number of distinct steps of the script that the robot set.
     pub(super) fn steps_set(&self) -> usize {
         let mut steps: Vec<_> = self.steps().filter_map(|entry| entry.step).collect();
         steps.sort_unstable();
@@ -558,7 +564,7 @@ impl<'a> SentScript<'a> {
         self.written.map_or(0, |written| written.script.steps().len())
     }
 
-    /// Whether it moved its device.
+    /// Whether the script moved its device.
     pub(super) fn began(&self) -> bool {
         !self.log.is_empty()
     }

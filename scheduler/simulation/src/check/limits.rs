@@ -1,4 +1,4 @@
-//! (d) No value outside the limits of a device is set: no position, no speed, no acceleration.
+//! Checks invariant (d): no position, speed or acceleration outside the limits of a device is set.
 
 use urrcp::ControlType;
 

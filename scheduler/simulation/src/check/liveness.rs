@@ -1,5 +1,5 @@
-//! (h) Nothing waits forever: silence is reported within its bound, a stop reaches every reachable robot and ends within the operator's
-//! patience, and after a fault acts follow each other nearly as soon as without it.
+//! Checks invariant (h): nothing waits forever. Silence is reported within a bound. A stop reaches every reachable robot and ends within
+//! the operator's patience. After a fault, acts follow each other nearly as soon as without it.
 
 use std::iter;
 
@@ -13,24 +13,24 @@ use crate::world::PATIENCE;
 use crate::{Fault, Happened};
 use downbeat_mission::{Progress, Record};
 
-/// Maximum silence of a robot without a running lease.
+/// Maximum silence of a robot whose scripts have no running lease.
 const SILENCE_MAX: Span = Span::from_millis(3_000);
-/// Time in which the scheduler acts on received events.
+/// Time within which the scheduler reacts to received events.
 const AT_ONCE: Span = Span::from_millis(2);
-/// Maximum ratio of a lead or a gap to that of the same mission without faults; `MORE` is added.
+/// Maximum ratio of a lead or a gap to the corresponding one in the same mission without faults. `MORE` is permitted in addition.
 const TIMES: i64 = 3;
 const MORE: Span = Span::from_millis(500);
-/// If the start time of an act is known, it is sent up to 2 s ahead, and with a lease that is longer by up to 2 s.
+/// Additional lead of an act whose start time is known: the act is sent up to 2 s earlier, with a lease that is longer by up to 2 s.
 const AHEAD: Span = Span::from_millis(2_000 + 2_000);
 /// The minimum lead: one margin, the minimum pending lease and another margin.
 pub(crate) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 50);
-/// The number of round trips in a lead, based on the longest round trip that its links nearly always achieve: three for the answers, six
-/// for the lease, and one and a half for the margin. `ROUND_TRIP_MAX` limits that round trip.
+/// The number of round trips in a lead, based on the round trip that the links nearly always achieve: three for the answers, six for the
+/// lease, and one and a half for the margin. `ROUND_TRIP_MAX` limits that round trip.
 const ROUND_TRIPS: i64 = 11;
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
 const HELD_UP_LEAST: Span = Span::from_millis(40);
-/// Maximum delay of a report, in addition to two round trips. The scheduler requests a missing report after this time, and gives up after
-/// the same time again.
+/// Maximum delay of a report, in addition to two round trips. The scheduler requests a missing report after this time, and stops waiting
+/// after the same time again.
 const REPORT_GRACE: Span = Span::from_millis(500);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -47,15 +47,15 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     operator_is_heard(facts, verdict);
 }
 
-/// The instant after the sending of an act from which nothing more is expected of a robot: it has finished the act or failed, or
-/// everything is being stopped or has ended.
+/// The instant, after an act was sent, from which nothing more is expected of a robot. It has finished the act or failed, all robots are
+/// being stopped, or the mission has ended.
 fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Server> {
     let name = facts.name(robot);
     let words =
         facts.ran.history.iter().filter(|(at, _)| *at >= act.at).find(|(_, happened)| match happened {
             Happened::Told(progress) => match &**progress {
                 Progress::Failed(failure) => failure.robot == *name,
-                // By its own clock, which may be ahead of the clock of the process that sent the act.
+                // The times are by the robot's own clock, which may be ahead of the clock of the process that sent the act.
                 Progress::Finished { robot, number } => robot == name && *number == act.promise.number,
                 Progress::Stopping { .. } => true,
                 _ => false,
@@ -69,26 +69,26 @@ fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Serv
     words.chain(facts.dropped[robot]).min().unwrap_or(Timestamp::from_nanos(i64::MAX))
 }
 
-/// The longest round trip of a robot until an instant, or without faults. Messages still in transit do not count: a message that arrives
-/// at the end of a partition took as long as the silence that it ends.
+/// The longest round trip of a robot until an instant, including delays by faults. Messages still in transit do not count, because a
+/// message that arrives at the end of a partition took as long as the silence that it ends.
 fn round_trip(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
     usual_round_trip(facts, robot) + slow_until(facts, robot, until)
 }
 
-/// The longest round trip without faults.
+/// The longest round trip of a robot without faults.
 fn usual_round_trip(facts: &Facts<'_>, robot: usize) -> Span {
     let drawn = facts.drawn();
     drawn.delay.1 * 2 + drawn.robots[robot].slow + waited(facts, robot) * 2
 }
 
-/// The additional delay by faults until an instant.
+/// The additional delay of a robot's messages by faults until an instant.
 fn slow_until(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);
     let slow = slow.filter(|hit| hit.until <= until);
     slow.map(|hit| hit.until - hit.from).max().unwrap_or_default()
 }
 
-/// The longest queuing delay of a message on a link with low bandwidth: a measured round trip is queued in both directions.
+/// The longest queuing delay of a message on a robot's link, if its bandwidth is low. A measured round trip is queued in both directions.
 fn waited(facts: &Facts<'_>, robot: usize) -> Span {
     let waited = facts.ran.history.iter().filter_map(|(_, happened)| match happened {
         Happened::Queued(r, waited) if *r == robot => Some(*waited),
@@ -97,8 +97,7 @@ fn waited(facts: &Facts<'_>, robot: usize) -> Span {
     waited.max().unwrap_or_default()
 }
 
-/// While a robot plays, the scheduler receives a message from it at least once within its running lease plus a round trip, or reports
-/// that it has failed.
+/// Checks that the scheduler hears from a playing robot at least once per running lease plus a round trip, or reports its failure.
 fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Verdict) {
     if act.committed.is_none() {
         return;
@@ -118,7 +117,7 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
         if two[1] - two[0] <= bound {
             continue;
         }
-        // A link that is down is given up in its own time, and a scheduler that was not running forgives missed answers.
+        // A link that is down has a separate timeout, and a scheduler that was not running ignores missed answers.
         let down = |hit: &Hit| hit.is_of(robot) && hit.cause == Cause::LinkDown;
         let otherwise = facts
             .hits
@@ -134,8 +133,8 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
     }
 }
 
-/// The longest running lease of a robot's scripts. If none of them plays, waiting scripts are lost only when their pending lease has
-/// expired as well.
+/// The longest running lease of a robot's scripts. If none of the scripts plays, waiting scripts are lost only when their pending lease
+/// has expired as well.
 fn lease(act: &SentAct<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     let running = act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span));
     let running = running.map(|lease| lease.unwrap_or(SILENCE_MAX)).max().unwrap_or(SILENCE_MAX);
@@ -146,13 +145,13 @@ fn lease(act: &SentAct<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     if act.of(robot).any(plays) { running } else { running.max(act.promise.lease) }
 }
 
-/// Whether the scheduler was ended or stalled at any time between two instants.
+/// Whether the scheduler was not running or stalled at any time between two instants.
 fn scheduler_was_away(facts: &Facts<'_>, from: Timestamp<Server>, until: Timestamp<Server>) -> bool {
     facts.hits.iter().any(|hit| hit.robot.is_none() && hit.overlaps(from, until))
 }
 
-/// A stop ends, confirmed or not, when the operator's patience does. A later stop that brings robots to rest in another way has its own
-/// deadline. A repetition of the same stop does not extend the deadline.
+/// Checks that a stop ends, confirmed or not, within the operator's patience. A later stop that brings robots to rest in a different way
+/// has its own deadline. A repetition of the same stop does not extend the deadline.
 fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (stopping, record) in &facts.ran.records {
         let Record::Stopping { rest: first, .. } = record else { continue };
@@ -173,7 +172,7 @@ fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A reachable robot that received scripts receives a stop within the maximum delay of its link.
+/// Checks that a reachable robot that received scripts receives a stop within the maximum delay of its link.
 fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
     for stopping in &facts.stopping {
         for robot in 0..facts.drawn().robots.len() {
@@ -233,7 +232,7 @@ fn came_to_rest(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, by: Timestam
     })
 }
 
-/// Whether an act has not ended at this instant, so that its robots may still hold parts of it.
+/// Whether an act has not ended at an instant, so that its robots may still hold scripts of it.
 fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool {
     let ended = facts.ran.records.iter().any(|(when, record)| match record {
         Record::ActEnded { report, .. } => *when < at && report.number == act.promise.number,
@@ -242,7 +241,7 @@ fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool 
     act.at <= at && !ended
 }
 
-/// When the operator requests a stop, everything is stopped at once, or nothing was under way.
+/// Checks that a stop by the operator stops all robots at once, unless nothing was under way.
 fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         if !matches!(happened, Happened::Fault(Fault::Stop | Fault::Home | Fault::StopByJournal)) {
@@ -259,7 +258,7 @@ fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Compares leads and gaps of acts that the same robots play in both missions.
+/// Compares the leads and gaps of a mission with those of the same mission without faults, for acts that the same robots play in both.
 pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut Verdict) {
     for act in facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act)) {
         let same = |other: &&SentAct<'_>| {
@@ -320,16 +319,16 @@ pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
 }
 
 /// How much a lead may exceed the permitted multiple of a lead without faults. Includes twice the recent write time of the disk, for the
-/// promise and for the commitment, and the delays of links at their previous slowness. Includes no other fault. Nobody waits for an act
-/// that starts at its own time: after a fault, it is sent earlier than without if the previous acts do not play, and no later.
+/// promise and for the commitment, and delays of links that were slow before. Includes no other fault. An act that starts at its own time
+/// may be sent earlier after a fault, if the previous acts do not play, but not later.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = (slow_again(facts, act) + held_up(facts, act)).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
     let ahead = if starts_at_its_time(act) { AHEAD } else { Span::ZERO };
     MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow + ahead
 }
 
-/// The addition to the longest round trip after acts were withdrawn because this machine was too slow, and prepared again: twice the
-/// delay, at least `HELD_UP_LEAST`, and at least twice the previous addition.
+/// The addition to the longest round trip after acts were withdrawn, because the scheduler's machine was too slow, and prepared again. It
+/// is twice the delay, at least `HELD_UP_LEAST`, and at least twice the previous addition.
 fn held_up(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let withdrawn = facts.acts.iter().filter(|before| before.repeated && before.at < act.at).count();
     let of_this_machine = |hit: &&Hit| hit.robot.is_none() && hit.from <= act.at;
@@ -338,25 +337,25 @@ fn held_up(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     (0..withdrawn).fold(Span::ZERO, |addition, _| first.max(addition * 2))
 }
 
-/// The start of such an act is judged only by that time: after a delay, it may be that of the next day.
+/// Whether an act waits for a time of day. Its start is judged only by that time: after a delay, it may be on the next day.
 const fn waits_for_a_time_of_day(act: &SentAct<'_>) -> bool {
     matches!(act.written.wait, Wait::TimeOfDay(_))
 }
 
-/// Whether it waits for an instant and is not late for it.
+/// Whether an act waits for an instant and is sent in time for it.
 fn starts_at_its_time(act: &SentAct<'_>) -> bool {
     matches!(act.written.wait, Wait::Instant(at) if act.promise.start + act.ahead <= at)
 }
 
-/// How much a gap may exceed the permitted multiple of a gap without faults plus the excess of the lead. An act is sent later by the
-/// amount by which a clock was set back.
+/// How much a gap may exceed the permitted multiple of a gap without faults, in addition to the excess of the lead. If a clock was set
+/// back, the act is sent later by that amount.
 fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lasted = disk_stood_still(facts, act) * 2 + lasted(facts, before, act);
     let lasted = lasted + report_awaited(facts, before, act);
     MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
 }
 
-/// How long an act waits for a report of the previous act that may be lost, alone or with its connection.
+/// How long an act waits for a report on the previous act that may be lost, alone or with its connection.
 fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lost = |hit: &&Hit| {
         let may_lose = matches!(hit.cause, Cause::Lost | Cause::LinkDown);
@@ -372,13 +371,13 @@ fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) ->
         .unwrap_or_default()
 }
 
-/// Whether everything was being stopped between two acts.
+/// Whether all robots were stopped between two acts.
 fn was_stopped(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
     facts.stopping.iter().any(|at| *at > before.at && *at <= act.at)
 }
 
-/// Whether an act whose time had passed was sent only after the end of the preceding act, because a link of one of its robots had been
-/// slow: a script that follows the preceding act on its device might have arrived late.
+/// Whether an act whose time had passed was sent only after the end of the preceding act. That happens if a link of one of the act's
+/// robots had been slow, so that a script following the preceding act on its device might have arrived late.
 fn waited_for_room(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
     let has_passed = matches!(act.written.wait, Wait::Instant(at) if at < act.promise.start + act.ahead);
     let slow = |hit: &Hit| {
@@ -388,13 +387,14 @@ fn waited_for_room(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -
     has_passed && gap(before, act) >= lead(act) - DRIFT && facts.hits.iter().any(slow)
 }
 
-/// The act that was sent before another one.
+/// The act that was sent before the act `act`; `None` for the first act.
 fn before<'f, 'a>(facts: &'f Facts<'a>, act: &SentAct<'_>) -> Option<&'f SentAct<'a>> {
     facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)
 }
 
-/// The amount by which the clocks of an act's robots until `by`, and that of the process that sent it, were set. A robot's early start by
-/// its clock enters the lead twice: within the last lease, and after it. Its late end by its clock enters the gap after it.
+/// The amount by which the clocks of an act's robots, until `by`, and the clock of the process that sent the act were set. If a robot
+/// starts early by its clock, this affects the lead twice: within the last lease, and after it. If a robot ends late by its clock, this
+/// affects the gap after the act.
 fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Span {
     let robots = act.robots();
     let of_act = |hit: &&Hit| {
@@ -404,8 +404,8 @@ fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Sp
     of_robots + act.ahead.abs()
 }
 
-/// Duration of the second slow period of a link of an act's robots before the act was sent. A single slow period leaves the lead
-/// unchanged; two are considered typical of the link.
+/// Delay in the second slow period of a link of the act's robots, before the act was sent. A single slow period leaves the lead
+/// unchanged; the mission considers two typical of the link.
 fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let of_robot = |robot: usize| {
         let slow = |hit: &&Hit| {
@@ -438,24 +438,24 @@ fn lead(act: &SentAct<'_>) -> Span {
     act.promise.start - act.promise.timestamp
 }
 
-/// The lead that the scenario specifies: it is used if no previous act still plays.
+/// The lead that the scenario specifies, which applies if no previous act still plays.
 const fn asked_for(act: &SentAct<'_>) -> Option<Span> {
     act.written.plan.lead
 }
 
-/// Total duration of disk stalls before an act was sent.
+/// Total duration of the stalls of the scheduler's disk before an act was sent.
 fn disk_stood_still(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let stalls = facts.hits.iter().filter(|hit| hit.cause == Cause::Disk && hit.from <= act.at);
     stalls.map(|hit| hit.until - hit.from).fold(Span::ZERO, |sum, lasts| sum + lasts)
 }
 
-/// Time from the planned end of the previous act to the start of this one.
+/// Time from the planned end of the act `before` to the start of `act`.
 fn gap(before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
-    // As planned: a robot that was left out leaves a gap of its own.
+    // The planned end is used because a robot that was left out leaves a gap of its own.
     act.promise.start - (before.promise.start + before.written.plan.duration())
 }
 
-/// Total duration of faults of the scheduler or a robot since the previous act was sent: the later act waits for them.
+/// Total duration of faults of the scheduler or a robot since the previous act was sent. The later act waits until these faults end.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);

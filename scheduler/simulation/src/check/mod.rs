@@ -1,4 +1,5 @@
-//! The invariants, checked against the values that the robots really set. One file each; `docs/simulation.md` describes them.
+//! Checks the invariants against the values that the robots really set. Each invariant has its own file; `docs/simulation.md` describes
+//! them.
 
 mod all_or_none;
 mod cause;
@@ -28,15 +29,15 @@ pub(super) use self::liveness::LEAD_LEAST;
 pub use self::situation::Situation;
 use super::Ran;
 
-/// Maximum contribution of a drifting clock to a lease or a start within a mission.
+/// Maximum error of a lease or a start within a mission due to the drift of a clock.
 const DRIFT: Span = Span::from_millis(1);
 
 /// A violation of an invariant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
-    /// The letter of the invariant: one of [`Verdict::INVARIANTS`].
+    /// The letter of the violated invariant, one of [`Verdict::INVARIANTS`].
     pub invariant: char,
-    /// Description of the violation.
+    /// A description of the violation for people.
     pub what: String,
 }
 
@@ -46,7 +47,7 @@ impl fmt::Display for Violation {
     }
 }
 
-/// The result of an act's starts.
+/// Whether all, no or some robots started an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Starts {
     /// Every robot started.
@@ -57,38 +58,39 @@ pub enum Starts {
     Mixed,
 }
 
-/// An act that was sent, or the first one of a mission that sent none, and the result of its starts.
+/// The starts of an act that was sent, or of the first act of a mission that sent none.
 #[derive(Clone, Debug)]
 pub struct ActStarts {
-    /// Its number in the mission.
+    /// The number of the act in the mission.
     pub number: u32,
-    /// The planned start of its first cue.
+    /// The planned start of the first cue of the act.
     pub start: Timestamp<Server>,
-    /// The honest robots that had a part in it at its start.
+    /// The indices of the honest robots that took part in the act at its start.
     pub robots: Vec<usize>,
-    /// The result of its starts.
+    /// Whether all, none or some of these robots started.
     pub starts: Starts,
 }
 
-/// A violation that a fault excuses.
+/// A violation of an invariant that a fault excuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Excuse {
-    /// Letter of the invariant.
+    /// The letter of the invariant.
     pub invariant: char,
-    /// The fault.
+    /// The fault that excuses the violation.
     pub cause: Cause,
 }
 
-/// The findings of a run.
+/// The findings of the checks of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Verdict {
-    /// The violations.
+    /// The violations without an excuse.
     pub violations: Vec<Violation>,
-    /// The excused violations: one for each act with mixed starts, and one for each robot that is excused of another invariant.
+    /// The excused violations: one for each act with mixed starts, and one for each robot that has an excuse for violating another
+    /// invariant.
     pub excuses: Vec<Excuse>,
-    /// Each act that was sent, or the first one if none was sent.
+    /// The starts of each act that was sent, or of the first act if none was sent.
     pub acts: Vec<ActStarts>,
-    /// The situations that the mission reached, repeated as often as they occurred.
+    /// The situations that the mission reached, each listed as often as it occurred.
     pub situations: Vec<Situation>,
 }
 
@@ -117,7 +119,7 @@ impl Verdict {
 }
 
 impl Ran {
-    /// Checks all invariants.
+    /// Checks all invariants that one run can violate by itself.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         if let Some(broken) = &self.broken {
@@ -141,13 +143,14 @@ impl Ran {
         verdict
     }
 
-    /// The number of the last act for which a comparison with the same mission without its faults could find anything.
+    /// The number of the last act for which a comparison with the same mission without faults could find a violation; `None` if there is
+    /// none.
     #[must_use]
     pub fn last_to_compare(&self) -> Option<u32> {
         liveness::last_to_compare(&Facts::of(self))
     }
 
-    /// Compares a mission under faults with the same one without them.
+    /// Compares a mission with faults with `undisturbed`, the same mission without faults.
     #[must_use]
     pub fn compared_with(&self, undisturbed: &Self) -> Verdict {
         let mut verdict = Verdict::default();

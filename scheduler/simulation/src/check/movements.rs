@@ -1,4 +1,5 @@
-//! (m) Every movement has one reason: an unaltered step of a script, coming to rest from such a step, or a stop with `home`.
+//! Checks invariant (m): every movement has one reason. The reason is an unaltered step of a script, coming to rest from such a step, or
+//! a stop with `home`.
 
 use std::collections::{HashMap, HashSet};
 
@@ -19,8 +20,7 @@ const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
 }
 
-/// Whether the mission must recognize this as a jump: the robot states its positions, or a sensor shows this one with sufficient
-/// accuracy.
+/// Whether the mission must recognize a jump: the robot states its positions, or a sensor shows the position with sufficient accuracy.
 fn has_to_be_seen(drawn: &DrawnRobot, jump: &JumpAfterStop<'_>) -> bool {
     if states_positions(drawn) {
         return true;
@@ -97,8 +97,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// The limits and the braking of a device that comes to rest. `None` if its hardware has just returned: it may have missed the last
-/// values, so its speeds are set to zero again.
+/// The limits and the braking of a device that comes to rest. `None` if the device's hardware has just returned. The hardware may have
+/// missed the last values, so the speeds are set to zero again.
 fn resting<'a>(facts: &Facts<'a>, robot: usize, entry: &LogEntry) -> Option<Resting<'a>> {
     let is_back = |(at, fault): &(Span, Fault)| match fault {
         Fault::HardwareDies { robot: of, back_after: Some(after), .. } => {
@@ -112,8 +112,8 @@ fn resting<'a>(facts: &Facts<'a>, robot: usize, entry: &LogEntry) -> Option<Rest
     (!drawn.faults.iter().any(is_back)).then_some(Resting { device, braking })
 }
 
-/// Whether there was nothing to move on the way home: a stop left the device at its default position, and the mission sent all robots
-/// home before it promised the act in which the device jumps.
+/// Whether the device was already at home. A stop left the device at its default position, and the mission sent all robots home before it
+/// promised the act in which the device jumps.
 fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> bool {
     let device = facts.drawn().robots[robot].block.device(jump.stop.device.as_str());
     let is_there = device.is_some_and(|device| {
@@ -125,8 +125,8 @@ fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> 
     is_there && were_sent_home(facts, robot, Timestamp::from_nanos(jump.stop.true_ns), jump.entry)
 }
 
-/// Whether an earlier act with a part for the device of this entry was withdrawn before the device moved, and the mission sent all robots
-/// home afterwards.
+/// Whether an earlier act with a script for the device of `entry` was withdrawn before the device moved, and the mission then sent all
+/// robots home.
 fn was_sent_home(facts: &Facts<'_>, robot: usize, entry: &LogEntry) -> bool {
     let of_device = |script: &SentScript<'_>| script.promised.device == entry.device;
     let first = facts.acts.iter().find(|act| act.of(robot).any(of_device));
@@ -134,7 +134,7 @@ fn was_sent_home(facts: &Facts<'_>, robot: usize, entry: &LogEntry) -> bool {
 }
 
 /// Whether the mission sent all robots home between `since` and the promise of the act of `entry`. Such an act begins as the scenario
-/// specifies, just as after a way home that moves the device. An approach would have moved the device to the first position of the act.
+/// specifies, just as if the device had moved home. An approach would have moved the device to the first position of the act.
 fn were_sent_home(facts: &Facts<'_>, robot: usize, since: Timestamp<Server>, entry: &LogEntry) -> bool {
     let id = entry.request_id.as_deref();
     let is_it = |script: &SentScript<'_>| id == Some(script.promised.request_id.as_str());
@@ -150,7 +150,7 @@ fn were_sent_home(facts: &Facts<'_>, robot: usize, since: Timestamp<Server>, ent
     home == Some(true)
 }
 
-/// The log of a robot, divided among its processes. A new process does not know the movements of the previous one.
+/// The log of a robot, divided by process. A new process does not know the movements of the previous one.
 fn processes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<&'a [LogEntry]> {
     let mut rest = facts.ran.logs[robot].as_slice();
     let mut processes = Vec::new();
@@ -163,7 +163,7 @@ fn processes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<&'a [LogEntry]> {
     processes
 }
 
-/// Whether a policy of this mission, or its operator, sends robots to their default state.
+/// Whether a failure policy of the mission, or the operator, may send robots to their default state.
 fn may_go_home(facts: &Facts<'_>) -> bool {
     let drawn = facts.drawn();
     let mut acts = drawn.choreography.acts.iter();

@@ -1,4 +1,5 @@
-//! (b) Nothing starts late, and nothing happens twice: an act is prepared again only if none of its robots has begun it.
+//! Checks invariant (b): nothing starts late, and nothing happens twice. An act is prepared again only if none of its robots has begun
+//! it.
 
 use std::collections::HashSet;
 
@@ -7,7 +8,7 @@ use urrcp::Span;
 use super::Verdict;
 use super::facts::Facts;
 
-/// A robot drops a command whose start is delayed by more than this.
+/// Maximum delay with which a robot still starts a command.
 const START_LATE_MAX: Span = Span::from_millis(51);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {

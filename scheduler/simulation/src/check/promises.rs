@@ -1,4 +1,4 @@
-//! The scheduler's promises during a mission, compared with the messages that reached the robots. (a) Nothing starts that was not
+//! Compares the scheduler's promises during a mission with the messages that reached the robots. (a) Nothing starts that was not
 //! committed, and nothing is committed after its planned start. (c) Only a stop cancels, and only the end of a lease ends a playing
 //! script. (d) Only the intended robots move. (f) Nothing is sent whose skew budget exceeds the tolerance. (g) A decided act was
 //! accepted, a script that is reported as begun had working hardware, and data on the disk is read again. (h) A robot that is reachable
@@ -14,11 +14,12 @@ use crate::world::PATIENCE;
 use downbeat_mission::{FailureKind, Progress, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// Time in which the scheduler and a robot continue if neither waits for anything.
+/// Time within which the scheduler or a robot reacts if it waits for nothing.
 const AT_ONCE: Span = Span::from_millis(2);
-/// Assumed error of the clocks and travel time of an unmeasured inquiry, before a lease of a process that resumed the mission.
+/// Allowance for the error of the clocks and the travel time of an unmeasured inquiry. A process that resumes a mission keeps silent this
+/// long before a lease.
 const HUSHED_AHEAD: Span = Span::from_millis(30);
-/// A robot drops a start that is delayed by more than this.
+/// Maximum delay with which a robot still performs a start.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -35,8 +36,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     commitments_are_in_time(facts, verdict);
 }
 
-/// The commitment is not recorded after the planned start of the act, by the clock of the process that records it: another process would
-/// consider robots as started that had lost their scripts.
+/// Checks that the commitment is not recorded after the planned start of the act, by the clock of the process that records it. Otherwise
+/// another process would consider robots as started that had lost their scripts.
 fn commitments_are_in_time(facts: &Facts<'_>, verdict: &mut Verdict) {
     for act in &facts.acts {
         let start = act.promise.start + act.ahead;
@@ -47,8 +48,8 @@ fn commitments_are_in_time(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// No robot starts an act without a recorded commitment. Exceptions are robots that earlier messages reached too late, and robots whose
-/// stop was cut off.
+/// Checks that no robot starts an act without a recorded commitment. Exceptions are robots that earlier messages reached too late, and
+/// robots whose stop was cut off.
 fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
     for act in facts.acts.iter().filter(|act| act.committed.is_none()) {
         for script in act.scripts.iter().filter(|script| script.began() && facts.honest(script.robot)) {
@@ -67,9 +68,9 @@ fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// During the greeting, a robot that refuses connections may still be starting.
+/// Checks that the mission waits for a robot that refuses connections during the greeting, because the robot may still be starting.
 fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
-    /// Minimum patience with such a robot.
+    /// Minimum time for which the mission waits for such a robot.
     const STARTS_WITHIN: Span = Span::from_millis(500);
     let first_act = facts.acts.first().map(|act| act.at);
     let mut lost: Vec<Option<Timestamp<Server>>> = vec![None; facts.drawn().robots.len()];
@@ -82,7 +83,7 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
             Happened::Told(progress) => {
                 let Progress::Failed(failure) = &**progress else { continue };
                 let robot = facts.index_of(&failure.robot).filter(|_| first_act.is_none_or(|act| *at < act));
-                // Patience may end earlier.
+                // The operator's patience may end earlier.
                 let robot = robot.filter(|_| *at < BEGIN + PATIENCE);
                 let Some((robot, since)) = robot.and_then(|robot| Some((robot, lost[robot]?))) else {
                     continue;
@@ -98,7 +99,7 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// An empty script reaches a robot only after it was left out or during a stop of everything.
+/// Checks that an empty script reaches a robot only after the robot was left out or while all robots are being stopped.
 fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::AtRobot(robot, Message::ControlRequest(request)) = happened else { continue };
@@ -114,7 +115,7 @@ fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A robot reports that the server was silent for longer than its lease only if nothing reached it for this long.
+/// Checks that a robot reports silence of the server beyond its lease only if no message reached the robot for that time.
 fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::Told(progress) = happened else { continue };
@@ -127,7 +128,7 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
             continue;
         }
         let Some((from, lease)) = least_lease(facts, robot, *at) else { continue };
-        // It begins at some time in between, and a lease that has already expired ends it at once.
+        // The script begins at some time in between, and a lease that has already expired ends it at once.
         let planned = from - START_LATE_MAX;
         let last = facts.heard(robot).filter(|heard| *heard <= planned).last().unwrap_or(planned);
         let heard = facts.heard(robot).filter(|heard| *heard > planned && heard <= at);
@@ -142,8 +143,8 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// For a robot that has begun all its scripts: since when, and the shortest lease under which it plays. `None` if it may have lost a
-/// script that had not begun.
+/// For a robot that has begun all its scripts: since when it plays, and the shortest lease under which it plays. `None` if the robot may
+/// have lost a script that had not begun.
 fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option<(Timestamp<Server>, Span)> {
     let mut acts = facts.acts.iter().filter(|act| act.at <= at && act.of(robot).next().is_some());
     let act = acts.next_back()?;
@@ -164,7 +165,7 @@ fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option
     (begun < at).then_some((begun, leases?.into_iter().min()?))
 }
 
-/// Another robot at the address of the intended one receives nothing that moves it.
+/// Checks that another robot at the address of the intended one receives nothing that moves it.
 fn strangers_rest(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (robot, log) in facts.ran.logs_of_strangers.iter().enumerate() {
         if let Some(entry) = log.iter().find(|entry| entry.request_id.is_some()) {
@@ -185,7 +186,7 @@ fn budgets_fit(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// When an act is decided, the first script of each device has reached its robot.
+/// Checks that when an act is decided, the first script of each device has reached its robot.
 fn decisions_are_accepted(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, record) in &facts.ran.records {
         let Record::Decided { number, .. } = record else { continue };
@@ -213,9 +214,9 @@ fn decisions_are_accepted(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A script begins only if the hardware is not known to be dead, provided there was time for an inquiry.
+/// Checks that no script begins while the edge could know that the hardware is dead, provided that there was time for an inquiry.
 fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
-    /// A script that arrives this shortly before its start begins without an inquiry.
+    /// A script that arrives within this time before its start begins without an inquiry.
     const NOTICE: Span = Span::from_millis(250);
     for (robot, names) in
         facts.ran.starts_of_dead.iter().enumerate().filter(|(robot, _)| facts.honest(*robot))
@@ -253,16 +254,17 @@ fn what_was_written_is_read(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// From the critical instant, nothing is sent until the commitment, because an inquiry would carry scripts over the start. This instant
-/// lies within the announced doubt. A process that resumes an act assumes the lease with which the act was sent, so it is silent from one
-/// lease before the start. That lease also covers clocks and travel times.
+/// Whether the scheduler has to be silent before the commitment of an act. From the critical instant it sends nothing until the
+/// commitment, because an inquiry would extend the leases of scripts beyond the start. The critical instant lies within the reported
+/// doubt. A process that resumes an act assumes the lease with which the act was sent, so it is silent from one lease before the start.
+/// That lease also covers clock errors and travel times.
 fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Timestamp<Server>) -> bool {
     let history = facts.between(act.at, at);
     let taken_up = history.iter().rfind(|(_, what)| matches!(what, Happened::TakenUp(_)));
     let hushed_from = act.promise.start - act.promise.lease - HUSHED_AHEAD;
     match taken_up {
         Some((taken_up, _)) => {
-            // A process that resumes the act before that leaves a commitment unsent that was recorded ahead of time.
+            // A process that resumes the act before that does not send a commitment that was recorded ahead of time.
             let counts = |committed: Timestamp<Server>| {
                 committed <= by && (committed >= *taken_up || *taken_up >= hushed_from)
             };
@@ -272,7 +274,8 @@ fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Ti
     }
 }
 
-/// A reconnected robot with pending scripts receives more than the request for its description as soon as that is answered.
+/// Checks that a reconnected robot with pending scripts receives further messages as soon as it has answered the request for its
+/// description.
 fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
     let drawn = facts.drawn();
     for (at, happened) in &facts.ran.history {
@@ -282,14 +285,14 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
             let ends = act.of(*robot).map(|script| act.start_of(script) + script.promised.duration).max();
             act.at < *at && ends.is_some_and(|ends| by < ends)
         });
-        // Every message renews all leases of a robot, so one act silences the others.
+        // Every message renews all leases of a robot, so one act that requires silence silences the others.
         let holds = held.clone().next().is_some() && !held.any(|act| is_hushed(facts, act, *at, by));
         let over = |until: Timestamp<Server>| until <= by;
         let done = facts.stopping.iter().any(|at| over(*at)) || facts.dropped[*robot].is_some_and(over);
         let links = |hit: &Hit| hit.cause == Cause::LinkDown && hit.from < *at;
         let hit = facts.hits.iter().any(|hit| {
             let counts = hit.is_of(*robot) || hit.robot.is_none();
-            // Faults of the robot that end with this link no longer block anything. A process that has just resumed the mission may have
+            // Faults of the robot that end with this link no longer block messages. A process that has just resumed the mission may have
             // to be silent.
             let goes_on = hit.robot.is_none() || hit.until > *at || hit.from >= *at;
             counts && !links(hit) && goes_on && hit.overlaps(*at - Span::from_nanos(1), by)

@@ -1,4 +1,4 @@
-//! (c) After a confirmed stop, and beyond the end of its leases, a robot does not move.
+//! Checks invariant (c): a robot does not move after a confirmed stop, nor after the end of its leases.
 
 use std::collections::HashMap;
 
@@ -44,8 +44,8 @@ fn moved_after_a_stop(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// The intervals in which a speed or an acceleration was not zero, each with the entry that started it. A stop ends an interval as soon
-/// as it slows the device down.
+/// The intervals in which a speed or an acceleration of a device was not zero. Each is given as the log entry that started it and the end
+/// of the interval. A stop ends an interval as soon as it slows the device down.
 fn turning<'a>(facts: &Facts<'a>, robot: usize) -> Vec<(&'a LogEntry, Timestamp<Server>)> {
     let log = &facts.ran.logs[robot];
     let rate = |entry: &&LogEntry| !is_of(entry, ControlType::Position);
@@ -59,13 +59,13 @@ fn turning<'a>(facts: &Facts<'a>, robot: usize) -> Vec<(&'a LogEntry, Timestamp<
     intervals
 }
 
-/// Finds a device that continues to turn although the robot has received nothing for longer than the lease of that movement.
+/// Finds a device that continues to move at a speed although the robot has received nothing for longer than the lease of that movement.
 fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     let scripts = || facts.acts.iter().flat_map(|act| act.of(robot));
     let heard: Vec<Timestamp<Server>> = facts.heard(robot).collect();
     for (entry, until) in turning(facts, robot) {
         let from = Timestamp::<Server>::from_nanos(entry.true_ns);
-        // The behaviour of a process that is gone or stalls, and of its hardware, is unknown.
+        // If a process is gone or stalls, its behaviour and that of its hardware are unknown.
         let known = |hit: &Hit| !hit.is_of(robot) || hit.cause.is_of_link() || !hit.overlaps(from, until);
         if !facts.hits.iter().all(known) {
             continue;
@@ -92,7 +92,7 @@ fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
 }
 
 /// Finds a movement before which the robot had received nothing for longer than the current lease. A script starts only if neither of its
-/// leases has expired: the one under which it waits, and the one under which it would play.
+/// leases has expired: neither the pending lease, under which it waits, nor the running lease, under which it plays.
 fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
     if facts.clock_was_set(robot) {
         return None;
@@ -104,7 +104,7 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
         .flat_map(|act| act.of(robot).map(move |script| (act, script)))
         .map(|(act, script)| {
             let running = script.promised.running.map(urrcp::Millis::span);
-            // A script that follows another one of its device waits under the running lease of that one, if that is longer.
+            // A script that follows another script of its device waits under the running lease of that script, if that is longer.
             let pending = match act.before(script) {
                 Some(before) => before.promised.running.map(|lease| lease.span().max(act.promise.lease)),
                 None => Some(act.promise.lease),

@@ -1,4 +1,5 @@
-//! (c) A seized robot performs no further action of its previous mission. (g) The report names the operator that seized it.
+//! Checks invariants (c) and (g) for seized robots. (c) A seized robot performs no further action of its previous mission. (g) The report
+//! names the operator that seized the robot.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Span, Timestamp};
@@ -10,7 +11,7 @@ use crate::world::SEIZED_BY;
 use crate::{Happened, Names};
 use downbeat_mission::Record;
 
-/// Time within which the mission knows that it has lost a robot, unless there is another fault.
+/// Time within which the mission learns that it has lost a robot, unless another fault prevents that.
 const KNOWN_WITHIN: Span = Span::from_millis(1_000);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -43,7 +44,7 @@ fn plays_on(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize, verdict: &mu
     }
 }
 
-/// Whether a script had begun at that time and never ended.
+/// Whether a script of the robot had begun at the time `at` and never ended.
 fn was_cut_short(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool {
     let scripts = facts.acts.iter().flat_map(|act| act.of(robot));
     let began =
@@ -51,7 +52,8 @@ fn was_cut_short(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool
     scripts.into_iter().any(|script| began(script) && script.steps_set() < script.steps_written())
 }
 
-/// Whether the robot can report it, and no other fault keeps the mission from receiving that report while it plays.
+/// Whether the mission has to learn that a playing robot was seized: the robot can report it, and no other fault prevents the mission
+/// from receiving the report.
 fn has_to_be_known(facts: &Facts<'_>, at: Timestamp<Server>, robot: usize) -> bool {
     let drawn = &facts.drawn().robots[robot];
     let tells = drawn.names == Names::Echoed && drawn.block.reports;

@@ -1,4 +1,4 @@
-//! Situations that missions of the simulation have to reach. A simulation that never reaches one of them shows nothing about it.
+//! Situations that missions of the simulation have to reach. If no mission reaches a situation, the simulation does not test it.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -14,36 +14,36 @@ use crate::draw::{ClockChange, shows_within};
 use crate::{Fault, Happened, Names, Ran};
 use downbeat_mission::{ClockMode, Failure, FailureKind, Progress};
 
-/// A situation of a device or a robot.
+/// A situation of a device, a robot or an act that the simulation has to reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Situation {
-    /// A speed goes to zero within the acceleration of its device.
+    /// A device slows its speed to zero within its declared acceleration.
     SpeedSlows,
-    /// A speed goes to zero at once: its device declares no acceleration.
+    /// A device sets its speed to zero at once, because it declares no acceleration.
     SpeedStops,
-    /// A position slows down within the acceleration of its device.
+    /// A device slows the change of its position within its declared acceleration.
     PositionSlows,
-    /// A position slows down harder to stay within its limit.
+    /// A device brakes harder than its declared acceleration to stay within its position limit.
     SlowsAtLimit,
-    /// A stop reaches a device that slows down.
+    /// A stop reaches a device that is already slowing down.
     StoppedAgain,
-    /// A device continues to turn after its script.
+    /// A device continues to move at a speed after the end of its script.
     TurnsAfterScript,
-    /// The lease of such a device ends.
+    /// The lease of a device that continues to move after its script ends.
     LeaseEndsTurning,
-    /// An act starts at a time of day.
+    /// An act starts at the time of day that it waits for.
     AtItsTime,
-    /// An act starts at a time of day that the clocks show twice.
+    /// An act waits for a time of day that the clocks show twice, and starts.
     AtTimeShownTwice,
-    /// An act starts at the instant at which the clocks skip its time of day.
+    /// An act starts at the instant at which the clocks skip the time of day that it waits for.
     AtSkippedTime,
-    /// An act waits for a time of another day.
+    /// An act waits for a time on another day.
     WaitsForAnotherDay,
     /// The clock of a robot drifts by more than the tolerance while it plays.
     DriftsApart,
-    /// A sensor shows that a device that moved before would jump.
+    /// A sensor shows that a device that has moved before would jump, so the act does not start.
     RefusedBySensor,
-    /// Sensors show the positions of a robot's devices, the robot omits the names of requests, and it plays.
+    /// A robot plays although its responses omit request ids, because sensors show the positions of its devices.
     ReadWithoutNames,
     /// A stop reaches a process that answers in place of a robot, and the robot moves afterwards.
     MovesBehindTwin,
@@ -92,7 +92,7 @@ impl fmt::Display for Situation {
     }
 }
 
-/// The situations of a mission, repeated as often as they occurred.
+/// Collects the situations that a mission reached, each as often as it occurred.
 pub(super) fn reached(facts: &Facts<'_>) -> Vec<Situation> {
     let mut met = Vec::new();
     for robot in 0..facts.drawn().robots.len() {
@@ -159,8 +159,8 @@ fn twins_stopped<'a>(facts: &'a Facts<'_>) -> impl Iterator<Item = usize> + 'a {
     })
 }
 
-/// How far the last step of a robot deviated from the plan of an act, by the true time. `None` if the robot did not finish the act, lies,
-/// follows NTP, or had its clock set.
+/// How far the last step of a robot in an act deviated from the plan, in true time. `None` if the robot did not finish the act, lies or
+/// follows NTP, or if its clock was set.
 pub(super) fn off_its_plan(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Span> {
     let measured = facts.drawn().robots[robot].clock == ClockMode::Measured;
     if !measured || !facts.honest(robot) || facts.clock_was_set(robot) || !act.is_whole_on(robot) {
@@ -174,7 +174,7 @@ pub(super) fn off_its_plan(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -
     Some((Timestamp::<Server>::from_nanos(entry.true_ns) - late - planned).abs())
 }
 
-/// How an act starts that waits for a time of day.
+/// The situation in which an act that waits for a time of day starts; `None` for other acts.
 fn at_its_time(change: ClockChange, act: &SentAct<'_>) -> Option<Situation> {
     let Wait::TimeOfDay(time) = act.written.wait else { return None };
     let start = act.promise.start + act.ahead;
@@ -209,7 +209,7 @@ fn brakings(ran: &Ran, robot: usize, met: &mut Vec<Situation>) {
     }
 }
 
-/// Notes the situations of a device whose script has set a nonzero speed.
+/// Adds the situations of a device whose script has set a nonzero speed.
 fn after_script(facts: &Facts<'_>, script: &SentScript<'_>, met: &mut Vec<Situation>) {
     let is_speed = |entry: &&LogEntry| is_of(entry, ControlType::Speed);
     let last = script.steps().filter(is_speed).last();

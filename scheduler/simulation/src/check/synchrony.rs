@@ -1,9 +1,9 @@
-//! (f) Robots start at the announced times: relative to the plan and to each other, within the skew budget that was printed before
-//! anything was sent.
+//! Checks invariant (f): robots start at the announced times. They stay within the skew budget that was printed before anything was sent,
+//! relative to the plan and to each other.
 //!
-//! The true start is used, by the clock of the simulated world, not the robot's own report. A clock that is set, or a process that
-//! stalls, excuses only its own robot. A clock that was set before the act became doubtful must be noticed: then the start is still
-//! within the scenario's tolerance, or the robot does not start.
+//! The check uses the true start by the clock of the simulated world, not the robot's own report. A clock that is set, or a process that
+//! stalls, excuses only its own robot. The mission must notice a clock that was set before the act became doubtful. In that case the
+//! start is still within the scenario's tolerance, or the robot does not start.
 
 use urrcp::{Message, RequestId, Server, Span, Timestamp};
 
@@ -13,16 +13,16 @@ use super::facts::{Facts, SentAct, SentScript};
 use crate::Happened;
 use downbeat_mission::RobotSkew;
 
-/// The simulated world has a resolution of nanoseconds, and clocks are read by division.
+/// Maximum rounding error of times: the simulated world has a resolution of nanoseconds, and clock readings are computed by division.
 const GRAIN: Span = Span::from_micros(1);
-/// A robot drops a start that is delayed by more than this.
+/// Maximum delay with which a robot still performs a start.
 const START_LATE_MAX: Span = Span::from_millis(50);
-/// Maximum difference between a robot's own instant and the one that follows from the reported clock data.
+/// Maximum difference between an instant by a robot's own clock and the instant computed from the reported clock data.
 const CLOCKS: Span = Span::from_millis(1);
-/// Maximum drift of a clock that was good when the act began, as a fraction: the bound of the clock estimate.
+/// Maximum drift, as a fraction, of a clock that was correct when the act began: the bound of the clock estimate.
 const DRIFT_BOUND: f64 = downbeat_mission::clock::DRIFT_BOUND;
 
-/// A start with its deviation from the plan.
+/// The start of a robot's script, with its deviation from the plan.
 struct Start {
     robot: usize,
     error: Span,
@@ -54,7 +54,7 @@ fn within(told: &RobotSkew, error: Span, grain: Span) -> bool {
     error >= earliest - grain && error <= latest + grain
 }
 
-/// The announced range of a robot's deviation from the plan.
+/// The announced range of a robot's deviation from the plan: its lower and its upper bound.
 fn range(told: &RobotSkew) -> (Span, Span) {
     (Span::ZERO - told.offset - told.uncertainty, told.uncertainty + told.wake_up - told.offset)
 }
@@ -70,7 +70,7 @@ fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span
     }
 }
 
-/// Robots that are within their own budgets are also within that of the fleet.
+/// Checks that robots that are within their own budgets are also within the budget of the fleet relative to each other.
 fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdict) {
     let least = starts.iter().min_by_key(|start| start.error);
     let Some((least, most)) = least.zip(starts.iter().max_by_key(|start| start.error)) else { return };
@@ -83,15 +83,15 @@ fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdic
     }
 }
 
-/// True start minus plan; `None` if it did not start.
+/// True start of a script minus its planned start; `None` if the script did not start.
 fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
     let first = script.log.first()?;
     let planned = act.start_of(script) + script.starts_after;
     Some(Timestamp::<Server>::from_nanos(first.true_ns) - planned)
 }
 
-/// A fault of the robot's own clock since it was measured, or of its own process at the start. An exchange does not reveal a clock change
-/// that is smaller than its own duration.
+/// The excuse of a robot: a fault of its clock since the last measurement, or of its process at the start. An exchange does not reveal a
+/// clock change that is smaller than the duration of the exchange.
 fn excuse(
     facts: &Facts<'_>,
     act: &SentAct<'_>,
@@ -130,7 +130,8 @@ fn arrived(facts: &Facts<'_>, script: &SentScript<'_>) -> Timestamp<Server> {
     first.map_or(Timestamp::from_nanos(0), |(at, _)| *at)
 }
 
-/// Additional travel time of the messages of an exchange whose question reached a robot at this instant; zero if it was usual.
+/// Additional travel time of the messages of an exchange whose question reached a robot at the instant `at`; zero if the travel time was
+/// usual.
 fn held_up(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Span {
     let answered = at + facts.drawn().robots[robot].slow;
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);

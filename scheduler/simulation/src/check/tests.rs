@@ -1,4 +1,4 @@
-//! Each invariant can fail: histories and reports of valid missions are falsified by hand.
+//! Tests that each invariant can fail: they falsify histories and reports of valid missions.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{ControlType, Message, Span};
@@ -11,7 +11,7 @@ use downbeat_mission::report::StopState;
 use downbeat_mission::{Outcome, Progress, Record, Standing};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// The first run that matches.
+/// Finds the first seed whose drawn mission satisfies `like` and whose run satisfies `sound`.
 #[track_caller]
 fn first(like: impl Fn(&Drawn) -> bool, sound: impl Fn(&Ran) -> bool) -> Ran {
     let found = (0..3_000).filter(|seed| like(&draw(*seed))).map(run).find(|ran| sound(ran));
@@ -20,7 +20,7 @@ fn first(like: impl Fn(&Drawn) -> bool, sound: impl Fn(&Ran) -> bool) -> Ran {
     ran
 }
 
-/// Two or more robots play one act to its end without faults.
+/// Whether two or more honest robots play one act, without faults.
 fn calm(drawn: &Drawn) -> bool {
     let sound = |robot: &crate::DrawnRobot| {
         robot.lie.is_none() && robot.names == Names::Echoed && robot.block.reports && robot.block.inquiry
@@ -43,7 +43,7 @@ fn played() -> Ran {
     first(calm, done)
 }
 
-/// The letters of the violated invariants.
+/// Returns the letters of the violated invariants.
 fn violated(ran: &Ran) -> String {
     let mut all: Vec<char> = ran.verdict().violations.iter().map(|violation| violation.invariant).collect();
     all.dedup();
@@ -65,18 +65,18 @@ fn promised(ran: &Ran) -> downbeat_mission::Promise {
     ran.records.iter().find_map(promise).unwrap()
 }
 
-/// A robot of the act, by its index.
+/// The index of a robot of the act.
 fn member(ran: &Ran) -> usize {
     let robot = &promised(ran).scripts[0].robot;
     ran.drawn.robots.iter().position(|drawn| drawn.block.id == *robot).unwrap()
 }
 
-/// The reported data of the first script of the first robot.
+/// The part of the report about the first script of the first robot.
 fn said(ran: &mut Ran) -> &mut downbeat_mission::DeviceReport {
     &mut ran.report.as_mut().unwrap().acts[0].robots[0].devices[0]
 }
 
-/// Inserts a fault of a robot just before the start.
+/// Inserts a fault into the history, `before_start` before the start of the act.
 fn hit(ran: &mut Ran, before_start: Span, fault: Fault) {
     let at = promised(ran).start - before_start;
     let place = ran.history.partition_point(|(when, _)| *when <= at);
@@ -87,7 +87,7 @@ fn crash(robot: usize) -> Fault {
     Fault::RobotCrash { robot, back_after: None, told: true }
 }
 
-/// A robot of the act sets nothing, and the report states that.
+/// Makes a robot of the act set nothing, and the report state that.
 fn one_misses(ran: &mut Ran) -> usize {
     let robot = member(ran);
     ran.logs[robot].clear();
@@ -144,7 +144,7 @@ fn the_end_of_a_process_is_no_excuse_if_it_was_known_before_the_point_of_no_retu
             _ => None,
         })
     };
-    // The start minus the latest instant at which the end is known in time.
+    // The start of the act minus the latest instant at which the end of a process becomes known in time.
     let known = |ran: &Ran| {
         let slow = ran.drawn.robots[member(ran)].slow;
         let (no_return, doubt) = no_return(ran)?;
@@ -160,8 +160,8 @@ fn the_end_of_a_process_is_no_excuse_if_it_was_known_before_the_point_of_no_retu
     }
 }
 
-/// Whether it is excused that a robot without inquiries starts alone. The last question to it was sent `sent_late` later than its lease
-/// before the start, arrived 120 ms after that, and was slow on the link of a robot.
+/// Whether a robot without inquiries has an excuse for starting alone. The last message to it was sent `sent_late` after the instant one
+/// lease before the start. It arrived 120 ms later and was slow on the link of the robot that `slow` selects.
 fn is_carried_over(sent_late: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let as_with_inquiries = |drawn: &Drawn| {
         let mut drawn = drawn.clone();
@@ -209,8 +209,8 @@ fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_whil
     assert!(!is_carried_over(1, |robot, _| robot, true), "it was sent too late");
 }
 
-/// Whether it is excused that a script of a robot without inquiries begins without the preceding script. The script arrived after a
-/// silence with this number of interruptions, and was slow on the link of a robot.
+/// Whether a robot without inquiries has an excuse for beginning a script without the preceding one. The script arrived after a silence
+/// with `questions` interruptions, and was slow on the link of the robot that `slow` selects.
 fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let undisturbed = |drawn: &Drawn| {
         let sound = |robot: &crate::DrawnRobot| robot.lie.is_none() && robot.names == Names::Echoed;
@@ -289,7 +289,7 @@ fn a_commitment_that_is_written_down_after_the_start_is_found() {
     });
 }
 
-/// A robot of the act misses its start shortly after a brief interruption of its link.
+/// A run in which a robot of the act misses its start shortly after a brief interruption of its link.
 fn missing_behind_a_link() -> (Ran, usize) {
     let mut ran = played();
     let missing = one_misses(&mut ran);
@@ -302,7 +302,7 @@ fn missing_behind_a_link() -> (Ran, usize) {
 fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
     let (mut ran, missing) = missing_behind_a_link();
     assert!(violated(&ran).contains('a'));
-    // As if the commitment had not arrived.
+    // Removes the commitment, as if it had not arrived.
     ran.history.retain(|(_, happened)| match happened {
         Happened::AtRobot(robot, Message::Inquiry(inquiry)) => {
             *robot != missing || inquiry.pending_lease.is_some()
@@ -324,7 +324,7 @@ fn a_link_is_an_excuse_for_a_robot_one_of_whose_leases_had_ended_when_the_commit
         _ => None,
     };
     let (at, until, inquiry) = ran.history.iter().find_map(shortened).unwrap();
-    // Another of its devices begins at another instant.
+    // Another device of the robot begins at another instant.
     let requests = urrcp::RequestId::new("another".to_owned()).into_iter().collect();
     let pending_until = Some(until - promised(&ran).lease);
     let message = Message::Inquiry(urrcp::Inquiry { requests, pending_until, ..inquiry });
@@ -384,7 +384,8 @@ fn a_movement_without_a_reason_is_found() {
     });
 }
 
-/// The first request of a robot is refused once, so it moves under another name. The robot may report the outcome.
+/// A run in which a robot refuses a request once, so that it executes the script under another name. `tells`: whether the robot reports
+/// outcomes.
 fn moves_under_another_name(tells: bool) -> (Ran, usize) {
     let mut ran = played();
     let robot = member(&ran);
@@ -427,7 +428,7 @@ fn a_movement_after_a_stop_or_beyond_the_shorter_lease_is_found() {
     let mut ran = first(leased, done);
     let robot = member(&ran);
     let promise = promised(&ran);
-    // Nothing arrives for longer than the pending lease, and for less than the running one.
+    // Nothing arrives for longer than the pending lease, but not for as long as the running lease.
     let silent_from = promise.start - promise.lease - Span::from_millis(20);
     ran.history.retain(
         |(at, happened)| !matches!(happened, Happened::AtRobot(r, _) if *r == robot && *at >= silent_from),
@@ -537,7 +538,7 @@ fn a_robot_that_is_blamed_for_nothing_and_one_that_is_left_out_without_a_reason_
     });
 }
 
-/// No message arrives from any robot while it plays, for longer than its lease, and nobody is informed.
+/// A run in which no message arrives from any robot for longer than its lease while it plays, and the operator is not informed.
 fn silent() -> Ran {
     let long = |drawn: &Drawn| {
         let plan = &drawn.choreography.acts[0].plan;
@@ -612,7 +613,8 @@ fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found()
     assert!(found.iter().all(|violation| violation.invariant == 'h') && found.len() == 1, "{found:?}");
 }
 
-/// Whether a jump after a stop at this position is found. In between, the mission may send robots home and approach the act.
+/// Whether the check finds a jump after a stop at `position`. Between stop and jump, the mission may send robots home and plan an
+/// approach.
 fn jumps_after_a_stop_at(position: f64, home: bool, approaches: bool) -> bool {
     let states = |drawn: &Drawn| {
         let at_home = |device: &urrcp::Device| device.default_value.is_some();
@@ -647,7 +649,7 @@ fn a_jump_after_a_stop_is_found_unless_it_begins_at_home() {
     assert!(jumps_after_a_stop_at(0.0, true, true), "it stayed on the approach");
 }
 
-/// The number of findings for a mission whose lead exceeds the permitted one by `by`.
+/// The number of violations found in a mission whose lead exceeds the permitted lead by `by`.
 fn with_a_lead_beyond(by: i64, wrong: impl Fn(&mut Ran, &downbeat_mission::Promise)) -> usize {
     let ran = played();
     let mut slow = played();
@@ -700,7 +702,7 @@ fn a_robot_that_lies_is_held_to_its_limits_and_believed_nothing_else() {
     assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
 }
 
-/// The first mission with devices that are driven by their speed, or have a limited acceleration, in which this occurs.
+/// Finds the first run with speed-driven devices or limited accelerations for which `occurs` returns true.
 #[track_caller]
 fn with_rates(occurs: impl Fn(&Ran, &Verdict) -> bool) -> Ran {
     let such = (RATES..20_000).step_by(FAMILIES as usize).map(run).find(|ran| {

@@ -1,4 +1,5 @@
-//! (h) An act that waits for a time of day starts when the clocks next show it, or when they skip it, and never earlier.
+//! Checks a part of invariant (h): an act that waits for a time of day starts when the clocks next show or skip that time, and never
+//! earlier.
 
 use downbeat_plan::Wait;
 use urrcp::{Server, Span, Timestamp};
@@ -52,7 +53,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// The first instant not before `since` at which the clocks show or skip this time.
+/// The first instant not before `since` at which the clocks show or skip the time of day `time`.
 fn next(change: ClockChange, time: Span, since: Timestamp<Server>) -> Timestamp<Server> {
     let offset = |seconds: i32| Span::from_millis(i64::from(seconds) * 1_000);
     let midnight = Timestamp::<Server>::from_nanos(since.as_nanos() / DAY.as_nanos() * DAY.as_nanos());
@@ -60,7 +61,7 @@ fn next(change: ClockChange, time: Span, since: Timestamp<Server>) -> Timestamp<
     let instants =
         days.flat_map(|day| [change.before_s, change.after_s].map(|seconds| day + time - offset(seconds)));
     let shown = instants.filter(|at| change.time_of_day(*at) == time);
-    // The times that the clocks show just before and just after the change.
+    // The time that the clocks show just before the change.
     let before = change.time_of_day(change.at() - Span::from_nanos(1)) + Span::from_nanos(1);
     let into = Span::from_nanos((time - before).as_nanos().rem_euclid(DAY.as_nanos()));
     let skipped = (into < change.forward()).then(|| change.at());

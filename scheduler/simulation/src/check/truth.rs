@@ -1,4 +1,4 @@
-//! (e) Every mission ends in a report. (g) The report is true.
+//! Checks invariants (e) and (g). (e) Every mission ends with a report. (g) The report is true.
 //!
 //! Each number of the report is compared with the robots' own logs, per robot and script. Sums are compared with their terms, and earlier
 //! messages with the report. Times are equal within [`GRAIN`], counts exactly. Unknowable values must be reported as unknown.
@@ -17,7 +17,7 @@ use crate::Happened;
 use downbeat_mission::report::Report;
 use downbeat_mission::{Progress, Record};
 
-/// Maximum difference of equal times.
+/// Maximum difference between two times that count as equal.
 const GRAIN: Span = Span::from_micros(1);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -43,18 +43,19 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     wrong.into_iter().for_each(|what| verdict.violated('g', what));
 }
 
-/// A report and the facts.
+/// A report, and the facts with which it is compared.
 struct Said<'a> {
     facts: &'a Facts<'a>,
     report: &'a Report,
-    /// When the reporting process resumed the mission, if another one had begun it.
+    /// When the reporting process resumed the mission; `None` if that process had also begun it.
     resumed_at: Option<Timestamp<Server>>,
-    /// Whether that process has only withdrawn the mission: it knows nothing about the earlier part.
+    /// Whether the reporting process has only withdrawn the mission, so that it knows nothing about the earlier part.
     is_withdrawn: bool,
 }
 
 impl Said<'_> {
-    /// Whether the robot failed by an impossible claim, for example because its clock was set: the mission believes nothing more from it.
+    /// Whether the robot failed because it made an impossible claim, for example because its clock was set. The mission then ignores all
+    /// its further reports.
     fn is_discredited(&self, robot: usize) -> bool {
         let name = self.facts.name(robot);
         let claim = |happened: &Happened| match happened {

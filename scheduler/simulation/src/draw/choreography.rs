@@ -1,4 +1,4 @@
-//! The choreography: acts with chains of scripts, their waits, and the consequences of failures.
+//! Draws the choreography: acts with chains of scripts, their waits, and the consequences of failures.
 
 use downbeat_fleet::sensor_range::SensorRange;
 use downbeat_plan::{
@@ -12,7 +12,7 @@ use super::fleet::{DrawnRobot, Show};
 use super::{millis, one_in};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// Reading from which a sensor satisfies a waiting act.
+/// The sensor reading from which a waiting act starts.
 pub(crate) const BRIGHT: f64 = 50.0;
 
 pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show) -> Choreography {
@@ -109,7 +109,7 @@ fn draw_wait(rng: &mut Rng, robots: &[DrawnRobot], act: &mut Act, index: usize, 
         _ => Wait::Done,
     };
     act.timeout = (kind < 2).then(|| millis(rng, 300, 2_500));
-    // Only forward, so that every mission ends.
+    // An act leads only to later acts, so that every mission ends.
     act.on_timeout = match rng.u8(0..4) {
         0 => Way::Fail,
         1 if index + 1 < count => Way::Act(index + 1),
@@ -132,7 +132,7 @@ fn draw_robot_plan(
     RobotPlan { robot: robot.block.id.clone(), scripts: scripts.collect() }
 }
 
-/// A chain of scripts. A device that holds only one script at a time pauses before the next.
+/// Draws a chain of scripts for a device. A device that holds only one script at a time pauses before the next.
 fn draw_scripts(
     rng: &mut Rng,
     device: &Device,
@@ -178,7 +178,7 @@ fn draw_scripts(
     scripts
 }
 
-/// How long the movement continues after its last step: depends on the value of that step, and is often zero.
+/// How long the movement of a script continues after its last step. It depends on the value of that step, and is often zero.
 fn draw_rest(script: &Script) -> Span {
     let last = script.steps().last().map_or(0.0, |step| step.setpoint.value);
     if last % 5.0 == 0.0 { Span::from_millis_f64(last * 6.0) } else { Span::ZERO }
@@ -192,7 +192,7 @@ fn draw_policy(rng: &mut Rng, robots: &[DrawnRobot], act: usize, acts: usize) ->
     };
     let default = policy();
     let own = vec![(robots[0].block.id.clone(), policy())];
-    // Only forward, so that every mission ends.
+    // An act leads only to later acts, so that every mission ends.
     let then = (act + 1 < acts && one_in(rng, 6)).then_some(acts - 1);
     FailurePolicy { default, robots: if one_in(rng, 5) { own } else { Vec::new() }, then }
 }

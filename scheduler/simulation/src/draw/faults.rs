@@ -1,4 +1,4 @@
-//! The faults and their times: partly anywhere, partly around the starts, where they matter most.
+//! Draws the faults and their times: some at any time, some around the starts, where they matter most.
 
 use fastrand::Rng;
 use urrcp::Span;
@@ -7,94 +7,95 @@ use super::kind::FaultKind;
 use super::{Drawn, millis, one_in};
 use downbeat_rehearsal::world::Direction;
 
-/// A fault at an instant that is relative to the beginning.
+/// A fault of a robot, its link, the scheduler or the disk, or a command of an operator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// A robot's process ends, and restarts after a while or never. Its system may close its connections.
+    /// A robot's process ends, and restarts after a while or never. The operating system may close its connections.
     RobotCrash {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Time until it restarts; `None`: never.
+        /// Time until the process restarts; `None`: never.
         back_after: Option<Span>,
-        /// Whether its system closes its connections.
+        /// Whether the operating system closes the connections of the process.
         told: bool,
     },
     /// A robot's process stalls for a while.
     RobotPause {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
     /// Another robot answers at a robot's address for a while.
     AnotherRobot {
-        /// Index of the robot whose address it takes over.
+        /// Index of the robot whose address the other robot or process takes over.
         robot: usize,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
     /// Another process that uses the id of a robot answers at its address for a while. The robot continues, but is unreachable.
     Twin {
-        /// Index of the robot whose address it takes over.
+        /// Index of the robot whose address the other robot or process takes over.
         robot: usize,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
     /// The hardware behind an edge dies.
     HardwareDies {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Time until it returns; `None`: never.
+        /// Time until the hardware returns; `None`: never.
         back_after: Option<Span>,
-        /// Whether its connection ends at once; otherwise it only stops answering.
+        /// Whether the connection to the hardware ends at once; otherwise the hardware only stops answering.
         told: bool,
     },
     /// Another session claims a robot and sends it its own script.
     ForeignSession {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Time until its connection ends.
+        /// Time until the connection of the other session ends.
         lasts: Span,
     },
-    /// An operator with the role seizes a robot from its session, and sends it a script.
+    /// An operator with the role `seize` seizes a robot from its session, and sends it a script.
     Seize {
         /// Index of the robot in the fleet.
         robot: usize,
         /// Time until the connection of that operator ends.
         lasts: Span,
     },
-    /// Nothing passes between the scheduler and a robot for a while.
+    /// No message passes between the scheduler and a robot for a while.
     Partition {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
-        /// Whether the connection is broken at its end.
+        /// Whether the connection breaks at the end of the partition.
         breaks: bool,
     },
-    /// No message passes in one direction for a while.
+    /// No message passes between the scheduler and a robot in one direction for a while.
     OneWay {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// The blocked direction.
+        /// The direction in which no messages pass.
         way: Direction,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
-    /// Connections exist and can be made, but carry no messages; connections that are made after `lasts` work again.
+    /// Connections to a robot exist and can be established, but carry no messages. Connections that are established after `lasts` work
+    /// again.
     DeadLink {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
-    /// Each message takes longer by `by` in both directions for a while.
+    /// Each message to and from a robot takes longer by `by` for a while.
     Lag {
         /// Index of the robot in the fleet.
         robot: usize,
         /// The additional delay of each message.
         by: Span,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
     /// The robot's side of the connection is gone, but the scheduler's side remains open.
@@ -106,9 +107,9 @@ pub enum Fault {
     SlowLink {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// Bytes per second in each direction.
+        /// The reduced bandwidth in each direction, in bytes per second.
         bandwidth: u32,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
     /// A robot's clock is set.
@@ -118,7 +119,8 @@ pub enum Fault {
         /// The change of the clock.
         by: Span,
     },
-    /// The clock of the scheduler's machine is set. A running process keeps its own clock; the next process starts with the new one.
+    /// The clock of the scheduler's machine is set. A running process keeps its own clock; the next process starts with the machine's new
+    /// clock.
     ServerClockStep {
         /// The change of the clock.
         by: Span,
@@ -128,40 +130,40 @@ pub enum Fault {
         /// Time until the operator runs `resume`; `None`: never.
         resumed_after: Option<Span>,
     },
-    /// The scheduler's process ends while it acts: after this many more actions.
+    /// The scheduler's process ends after `actions` further actions.
     SchedulerCrashAmid {
-        /// The number of actions: messages, connections, records.
+        /// The number of further actions: messages, connections or records.
         actions: u32,
         /// Time until the operator runs `resume`; `None`: never.
         resumed_after: Option<Span>,
     },
     /// The scheduler's process stalls for a while.
     SchedulerPause {
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
-    /// The scheduler's process stalls after this many more actions. It performs the remaining actions of that instant
-    /// when it continues.
+    /// The scheduler's process stalls after `actions` further actions. It performs the remaining actions of that instant when it
+    /// continues.
     SchedulerPauseAmid {
-        /// The number of actions: messages, connections, records.
+        /// The number of further actions: messages, connections or records.
         actions: u32,
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
     /// The disk stalls for a while.
     DiskStalls {
-        /// Duration.
+        /// Duration of the fault.
         lasts: Span,
     },
     /// The operator requests a stop.
     Stop,
     /// The operator sends all robots to their default state.
     Home,
-    /// `downbeat stop` is called in another terminal: a mission that was cut off is withdrawn by its journal.
+    /// An operator runs `downbeat stop` in another terminal. This withdraws a mission that was cut off, by its journal.
     StopByJournal,
 }
 
-/// Earliest and latest distance in milliseconds from a start for faults around it.
+/// Earliest and latest time of a fault around a start, in milliseconds relative to the start.
 const AROUND: (i64, i64) = (-450, 200);
 
 pub(super) fn draw_faults(rng: &mut Rng, drawn: &Drawn) -> Vec<(Span, Fault)> {
@@ -183,7 +185,7 @@ pub(super) fn draw_faults(rng: &mut Rng, drawn: &Drawn) -> Vec<(Span, Fault)> {
     faults
 }
 
-/// Approximate start of each act without faults.
+/// The approximate start of each act in a mission without faults.
 fn expected_starts(drawn: &Drawn) -> Vec<Span> {
     let slow = drawn.robots.iter().map(|robot| robot.slow).max().unwrap_or_default();
     let round_trip = drawn.delay.1 * 2 + slow;
@@ -214,7 +216,7 @@ fn draw_fault(rng: &mut Rng, robots: usize) -> Fault {
     draw_kind(rng).draw(rng, robot)
 }
 
-/// The kinds of ordinary missions, each in proportion to its expected frequency.
+/// Draws the kind of a fault in an ordinary mission, in proportion to its expected frequency.
 fn draw_kind(rng: &mut Rng) -> FaultKind {
     match rng.u8(0..40) {
         0..=6 => FaultKind::RobotCrash,
@@ -242,13 +244,13 @@ fn draw_kind(rng: &mut Rng) -> FaultKind {
 pub(super) fn draw_resumption(rng: &mut Rng) -> Option<Span> {
     match rng.u8(0..4) {
         0 => None,
-        // Like a supervisor: in time for the start.
+        // The process returns in time for the start, as with a supervisor.
         1 => Some(millis(rng, 1, 60)),
         _ => Some(millis(rng, 50, 2_000)),
     }
 }
 
-/// Draws frequent consequences of a fault.
+/// Draws further faults that often follow a fault.
 fn draw_consequence(rng: &mut Rng, at: Span, fault: Fault) -> Vec<(Span, Fault)> {
     match fault {
         // The robot restarts with a different clock.

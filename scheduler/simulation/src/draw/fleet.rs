@@ -1,4 +1,4 @@
-//! The robots of a seed: their devices, how well they follow the protocol, and their links.
+//! Draws the robots of a seed: their devices, how well they follow the protocol, and their links.
 
 use downbeat_robot::simulated::Settings;
 use fastrand::Rng;
@@ -7,74 +7,74 @@ use urrcp::{InitializationBlock, RobotId, Span};
 use super::{millis, one_in};
 use downbeat_mission::ClockMode;
 
-/// How a robot misreports.
+/// How a robot lies in its reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lie {
-    /// It accepts, reports starts and ends, and does not move.
+    /// The robot accepts scripts and reports starts and ends, but does not move.
     NeverMoves,
-    /// It reports times with this error.
+    /// The robot reports times with the given error.
     WrongTime(Span),
-    /// It accepts a script and forgets it at once.
+    /// The robot accepts a script and forgets it at once.
     Forgets,
-    /// It echoes a wrong hash.
+    /// The robot returns a wrong content hash.
     WrongHash,
-    /// It reports more completed steps than any script has.
+    /// The robot reports more completed steps than any script has.
     TooManySteps,
 }
 
-/// Whether a robot's answers name the request that they belong to.
+/// Whether a robot's responses contain the id of the request that they belong to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Names {
-    /// They do.
+    /// The responses contain the request id.
     Echoed,
-    /// They do not.
+    /// The responses omit the request id.
     LeftOut,
 }
 
 /// How many connections a robot serves at the same time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Connections {
-    /// Only the newest one; an older one is closed.
+    /// The robot serves only the newest connection and closes an older one.
     Newest,
-    /// Only the oldest one: another one is accepted, but not read until the oldest has ended.
+    /// The robot serves only the oldest connection. It accepts another one, but does not read it until the oldest has ended.
     One,
 }
 
-/// The moving part.
+/// What moves: the robot itself, or hardware behind it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hands {
-    /// The robot itself.
+    /// The robot itself moves.
     Own,
-    /// Hardware behind an edge, which may fail independently.
+    /// The robot is an edge; hardware behind it moves, and may fail independently.
     Hardware,
 }
 
-/// One robot.
+/// A robot as drawn from a seed.
 #[derive(Clone, Debug)]
 pub struct DrawnRobot {
-    /// Its description.
+    /// The robot's description.
     pub block: InitializationBlock,
-    /// Its clock.
+    /// The clock of the simulated robot, with its other settings.
     pub settings: Settings,
-    /// How its time is reconciled with the server's.
+    /// How the mission reconciles the robot's time with the server's.
     pub clock: ClockMode,
-    /// How it misreports, if it does.
+    /// How the robot lies in its reports, if it does.
     pub lie: Option<Lie>,
-    /// Processing time of every answer, in addition to the network.
+    /// Processing time of every response, in addition to the network delay.
     pub slow: Span,
-    /// Whether it names requests in its answers.
+    /// Whether the robot's responses contain request ids.
     pub names: Names,
-    /// How many connections it serves.
+    /// Which connections the robot serves.
     pub connections: Connections,
-    /// The moving part.
+    /// What moves: the robot itself, or hardware behind it.
     pub hands: Hands,
-    /// Bandwidth of its link in each direction, in bytes per second; `None`: unlimited.
+    /// Bandwidth of the robot's link in each direction, in bytes per second. `None`: unlimited.
     pub bandwidth: Option<u32>,
-    /// Its process starts this long after the mission.
+    /// Time from the start of the mission until the robot's process starts.
     pub there_from: Span,
 }
 
-/// The type of devices, according to the length of scripts.
+/// The size of a show, by the length of its scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Show {
     /// Scripts of a few steps.
@@ -106,13 +106,13 @@ pub(super) fn draw_robot(rng: &mut Rng, index: usize, show: Show) -> DrawnRobot 
 
 fn draw_bandwidth(rng: &mut Rng, show: Show) -> Option<u32> {
     match show {
-        // The minimum bandwidth that any link is assumed to have.
+        // Large scripts require at least the bandwidth that every link is assumed to have.
         Show::Large => Some(rng.u32(10_000_000..=40_000_000)),
         Show::Small => one_in(rng, 8).then(|| rng.u32(100_000..=2_000_000)),
     }
 }
 
-/// Clocks that are right, off by some milliseconds, or not controlled by NTP.
+/// Draws a clock that is right, off by some milliseconds, or not controlled by NTP.
 fn draw_settings(rng: &mut Rng, measured: bool) -> Settings {
     let (offset, drift) = match measured {
         true => (millis(rng, -2_000, 2_000), 100.0),
@@ -168,7 +168,7 @@ fn draw_block(rng: &mut Rng, index: usize, inquiry: bool, show: Show) -> Initial
     serde_json::from_str(&json).unwrap_or_else(|_| unreachable_block())
 }
 
-/// Another robot that has taken over the address.
+/// The description of another robot that has taken over the address of a robot.
 pub(crate) fn stranger(block: &InitializationBlock) -> InitializationBlock {
     InitializationBlock { id: RobotId::new("stranger").unwrap_or_else(|_| block.id.clone()), ..block.clone() }
 }

@@ -1,5 +1,5 @@
-//! Missions that last for minutes or hours, evenly distributed on a logarithmic scale, while clocks drift: acts that wait for a long
-//! time, and acts that play for a long time. Their leases are long, so that the scheduler queries each robot once per second.
+//! Draws missions that last for minutes or hours, evenly distributed on a logarithmic scale, while clocks drift. Some acts wait for a
+//! long time, others play for a long time. The leases are long, so that the scheduler queries each robot only once per second.
 
 use downbeat_plan::Wait;
 use downbeat_rehearsal::dry_run::BEGIN;
@@ -10,17 +10,17 @@ use super::unusual::move_script;
 use super::{Drawn, faults, millis, one_in};
 use downbeat_mission::ClockMode;
 
-/// The duration of the shortest of these missions in milliseconds, and the ratio of the longest to the shortest.
+/// The duration of the shortest mission of this family in milliseconds, and the ratio of the longest duration to the shortest.
 const SHORTEST: f64 = 60_000.0;
 const TIMES: f64 = 240.0;
 /// Maximum total drift of a robot that follows NTP, and its maximum rate.
 const NTP_MAX_MS: f64 = 10.0;
 const NTP_MAX_PPM: f64 = 10.0;
 
-/// The maximum tolerance of long acts: clocks drift beyond it within minutes.
+/// The maximum start tolerance of long acts. Clocks drift beyond it within minutes.
 const TOLERANCE: Span = Span::from_millis(20);
 
-/// Makes a mission long.
+/// Makes a mission last for minutes or hours.
 pub(super) fn last_for_hours(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     let lasts = SHORTEST * TIMES.powf(rng.f64());
     let silence = f64::from(rng.u32(6_000..30_000));
@@ -51,7 +51,7 @@ pub(super) fn last_for_hours(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     Drawn { faults, ..drawn }
 }
 
-/// Makes acts wait for the operator or for an instant.
+/// Makes acts wait for a long time, for the operator or for an instant.
 fn wait_long(rng: &mut Rng, drawn: &mut Drawn, lasts: f64) {
     let acts = drawn.choreography.acts.len();
     let each = lasts / acts as f64;
@@ -69,7 +69,7 @@ fn wait_long(rng: &mut Rng, drawn: &mut Drawn, lasts: f64) {
     }
 }
 
-/// Stretches all movements.
+/// Slows down all movements, so that the acts last for `lasts` milliseconds in total.
 fn play_long(drawn: &mut Drawn, lasts: f64) {
     let plays = drawn.choreography.acts.iter().map(|act| act.plan.duration().as_millis_f64()).sum::<f64>();
     let longer = (lasts / plays.max(1.0)).max(1.0);

@@ -1,4 +1,4 @@
-//! The kinds of faults, and how one of a kind is drawn.
+//! The kinds of faults, and how a fault of a given kind is drawn.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use super::faults::draw_resumption;
 use super::{Fault, millis, one_in};
 use downbeat_rehearsal::world::Direction;
 
-/// A kind of fault, without the robot that it concerns and its extent.
+/// A kind of fault, without details such as the affected robot and the duration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[expect(missing_docs, reason = "each is the fault of the same name")]
 pub enum FaultKind {
@@ -38,7 +38,7 @@ pub enum FaultKind {
 }
 
 impl FaultKind {
-    /// All kinds.
+    /// All kinds of faults.
     pub const ALL: [Self; 23] = [
         Self::RobotCrash,
         Self::RobotPause,
@@ -65,7 +65,7 @@ impl FaultKind {
         Self::StopByJournal,
     ];
 
-    /// Draws a fault of this kind; `robot` is the robot that it concerns, if any.
+    /// Draws a fault of this kind. `robot` is the affected robot, if the kind affects one.
     pub(super) fn draw(self, rng: &mut Rng, robot: usize) -> Fault {
         match self {
             Self::RobotCrash => {

@@ -1,4 +1,4 @@
-//! The mission of a seed: a fleet, a choreography, the environment, and the faults with their times.
+//! Draws the mission of a seed: a fleet, a choreography, the environment, and the faults with their times.
 
 mod choreography;
 mod faults;
@@ -31,42 +31,42 @@ pub(crate) use sensors::shows_within;
 pub use times::ClockChange;
 pub(crate) use times::zone;
 
-/// The mission of a seed.
+/// A mission as drawn from a seed.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// The seed from which everything here is drawn.
+    /// The seed from which the mission is drawn.
     pub seed: u64,
-    /// The transport of messages.
+    /// How the network transports messages.
     pub network: Network,
-    /// Smallest and largest one-way delay.
+    /// Smallest and largest one-way delay of a message.
     pub delay: (Span, Span),
-    /// The probability of a delay up to twenty times as long.
+    /// The probability that a message takes up to twenty times as long.
     pub tail: f64,
     /// Each robot's description, behaviour and clock.
     pub robots: Vec<DrawnRobot>,
     /// The choreography that is played.
     pub choreography: Choreography,
-    /// For each act, the delay from the announcement of its wait until the operator gives the go or its sensor has the awaited reading;
+    /// For each act: the time from the announcement that the act waits until the awaited event, the operator's go or a sensor reading.
     /// `None`: never.
     pub comes_after: Vec<Option<Span>>,
     /// How the mission treats a robot that is absent at first.
     pub join: Join,
     /// Whether the mission can plan acts after a stop. Otherwise each robot goes home on its own.
     pub plans_transfers: bool,
-    /// The number of acts after which no further act begins.
+    /// The number of acts after which no further act begins. `None`: unlimited.
     pub acts_max: Option<u32>,
-    /// The faults, in order of time.
+    /// The faults in order of time, each with its time from the start of the mission.
     pub faults: Vec<(Span, Fault)>,
-    /// The disk with the scheduler's journal.
+    /// The disk that contains the scheduler's journal.
     pub disk: DrawnDisk,
     /// The clock change at the scheduler's location, as an index into the table of changes. `None`: the clocks show UTC.
     pub clock_change: Option<usize>,
-    /// When the operator stops a mission that has not ended.
+    /// When the operator stops a mission that has not ended, from its start. `None`: never.
     pub ends_at: Option<Span>,
 }
 
 impl Drawn {
-    /// The maximum duration of the mission if each act begins and ends once: the sum of all acts and waits.
+    /// The maximum duration of the mission if each act is played once: the sum of all acts and waits.
     #[must_use]
     pub fn lasts(&self) -> Span {
         let acts = self.choreography.acts.iter();
@@ -77,7 +77,7 @@ impl Drawn {
         acts.map(waits).fold(Span::ZERO, |sum, act| sum + act)
     }
 
-    /// The same mission without timed faults; its network and its lying robots stay.
+    /// Returns this mission without timed faults. The network and the lying robots stay.
     #[must_use]
     pub fn without_faults(mut self) -> Self {
         self.faults.clear();
@@ -86,34 +86,36 @@ impl Drawn {
     }
 }
 
-/// If a seed modulo this equals one of the following constants, its mission belongs to that family.
+/// Divisor that assigns seeds to families of missions: the remainder of the seed is one of the following constants.
 pub(crate) const FAMILIES: u64 = 50;
-/// Several events coincide that rarely coincide by chance.
+/// Family of missions in which several events coincide that rarely do so by chance.
 const TOGETHER: u64 = 12;
-/// The operator sends the robots home.
+/// Family of missions in which the operator sends the robots home.
 const SENT_HOME: u64 = 37;
-/// Acts, movements and robots have unusual shapes.
+/// Family of missions with unusual acts, movements and robots.
 const UNUSUAL: u64 = 32;
-/// A fault of a certain kind occurs at a certain stage.
+/// Family of missions in which a fault of a certain kind occurs at a certain stage.
 const STAGED: u64 = 38;
-/// Devices are driven by their speed, or have a limited acceleration.
+/// Family of missions with devices that are driven by their speed, or have a limited acceleration.
 pub(crate) const RATES: u64 = 40;
 
-/// Acts wait for a time of day around a clock change.
+/// Family of missions in which acts wait for a time of day around a clock change.
 pub(crate) const TIMES: u64 = 30;
 
-/// Missions last for hours. Only one in ten of these seeds: each takes as long as hundreds of others.
+/// Family of missions that last for hours. Only one in ten of these seeds belongs to it, because each takes as long to simulate as
+/// hundreds of others.
 const HOURS: u64 = 29;
 const HOURS_ONE_IN: u64 = 10;
 
-/// Sensors show the positions of devices that follow their commands with a lag.
+/// Family of missions in which sensors show the positions of devices that follow their commands with a lag.
 pub(crate) const SENSORS: u64 = 21;
 
-/// Another process answers in place of a robot, with its id. Applies if a seed modulo `TWINS_EVERY` equals this.
+/// Family of missions in which another process answers in place of a robot, with the robot's id. Applies if the seed modulo `TWINS_EVERY`
+/// equals this constant.
 pub(crate) const TWINS: u64 = 33;
 pub(crate) const TWINS_EVERY: u64 = 100;
 
-/// In one out of this many missions, devices may start at a position other than that of the first act.
+/// One out of this number of missions has devices that may not start at the positions that the first act expects.
 const MISPLACED_ONE_IN: u64 = 40;
 
 fn millis(rng: &mut Rng, least: i64, largest: i64) -> Span {
@@ -143,7 +145,7 @@ pub fn draw(seed: u64) -> Drawn {
     }
 }
 
-/// An ordinary mission, drawn only by chance.
+/// Draws an ordinary mission, which belongs to no family.
 fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     let network = network::draw_network(rng);
     let (delay, tail) = network::draw_delay(rng);
@@ -151,12 +153,12 @@ fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     let count = rng.usize(2..=5);
     let mut robots: Vec<DrawnRobot> = (0..count).map(|index| fleet::draw_robot(rng, index, show)).collect();
     if network != Network::Stream {
-        // Robots whose answers are ambiguous are only reached by streams.
+        // Robots that omit request ids from their responses are reached only by streams.
         robots.iter_mut().for_each(|robot| robot.names = Names::Echoed);
     }
     let join = if one_in(rng, 12) { Join::NextAct } else { Join::Refuse };
     if join == Join::NextAct {
-        // Not all robots, or no robot could begin.
+        // At least one robot is present from the start, because otherwise no act could begin.
         robots[count - 1].there_from = millis(rng, 500, 6_000);
     }
     let mut choreography = choreography::draw_choreography(rng, &robots, show);
@@ -185,7 +187,7 @@ fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     Drawn { faults, ..drawn }
 }
 
-/// The operator sends all robots home while acts play, and may give a second command soon afterwards.
+/// Adds that the operator sends all robots home while acts play, and may give a second command soon afterwards.
 fn send_home(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for device in drawn.robots.iter_mut().flat_map(|robot| robot.block.devices.iter_mut()) {
         device.default_value.get_or_insert(BEGINS_AT);
@@ -203,7 +205,7 @@ fn send_home(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     drawn
 }
 
-/// The delay of the awaited events: in time, too late, or never.
+/// Draws when the events occur that acts wait for: in time, too late, or never.
 fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Span>> {
     let comes = choreography.acts.iter().map(|act| {
         let waits = matches!(act.wait, Wait::Operator | Wait::Sensor { .. });
@@ -217,7 +219,8 @@ fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Spa
     comes.collect()
 }
 
-/// Plays every `every`-th seed, none of which may violate anything, and counts the situations that the missions reach.
+/// Plays every `every`-th seed from `first` to below `below`, and counts the situations that the missions reach. Fails if a mission
+/// violates an invariant.
 #[cfg(test)]
 fn reached((first, below): (u64, u64), every: u64) -> std::collections::BTreeMap<crate::Situation, usize> {
     let mut reached = std::collections::BTreeMap::new();

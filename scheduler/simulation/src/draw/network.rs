@@ -1,16 +1,16 @@
-//! The transport of messages, and the disk of the scheduler's machine.
+//! Draws the network, and the disk of the scheduler's machine.
 
 use fastrand::Rng;
 use urrcp::Span;
 
 use super::{millis, one_in};
 
-/// The transport of messages.
+/// How the network transports messages.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Network {
-    /// As with TCP: in order, and lossless while the connection persists.
+    /// As with TCP: messages arrive in order, and none is lost while the connection persists.
     Stream,
-    /// As with datagrams: messages are lost, duplicated and reordered with these probabilities.
+    /// As with datagrams: messages may be lost, duplicated and reordered.
     Datagram {
         /// Probability that a message is lost.
         loss: f64,
@@ -24,9 +24,9 @@ pub enum Network {
 pub struct DrawnDisk {
     /// Time until written data survives a power failure.
     pub sync: Span,
-    /// Maximum size of the journal in bytes.
+    /// Maximum size of the journal in bytes. `None`: unlimited.
     pub capacity: Option<usize>,
-    /// Whether the scheduler's process ends because its machine loses power.
+    /// Whether the machine loses power when the scheduler's process ends.
     pub loses_power: bool,
 }
 
@@ -37,7 +37,7 @@ pub(super) fn draw_network(rng: &mut Rng) -> Network {
     }
 }
 
-/// Smallest and largest one-way delay, and the probability of a much longer one.
+/// Draws the smallest and largest one-way delay, and the probability of a much longer delay.
 pub(super) fn draw_delay(rng: &mut Rng) -> ((Span, Span), f64) {
     let least = millis(rng, 0, 5);
     let delay = (least, least + millis(rng, 0, 20));

@@ -1,5 +1,5 @@
-//! Missions with devices that are driven by their speed, and with devices whose acceleration is limited. One seed in fifty is such a
-//! mission.
+//! Draws missions with devices that are driven by their speed, and with devices whose acceleration is limited. One seed in fifty is such
+//! a mission.
 
 use downbeat_plan::Choreography;
 use fastrand::Rng;
@@ -9,10 +9,10 @@ use super::staged::instant;
 use super::{Drawn, Fault, FaultKind, Hands, MISPLACED_ONE_IN, choreography, millis, one_in};
 use crate::{Stage, play};
 
-/// The position that is converted to a speed of zero.
+/// The position that corresponds to a speed of zero when positions are converted to speeds.
 const MIDDLE: f64 = 45.0;
 
-/// Replaces devices, changes their scripts, and adds faults during movements to most missions.
+/// Replaces devices, changes their scripts and, in most missions, adds faults during movements.
 pub(super) fn drive_by_rates(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for robot in &mut drawn.robots {
         for device in robot.block.devices.iter_mut() {
@@ -45,7 +45,7 @@ fn is_wheel(device: &Device) -> bool {
     device.primary_control_type() == Some(ControlType::Speed)
 }
 
-/// The same device, driven by its speed. Half of them declare their acceleration.
+/// Changes a device so that it is driven by its speed. Half of these devices declare an acceleration.
 fn wheel(rng: &mut Rng, device: &Device) -> Option<Device> {
     let acceleration = if rng.bool() { rate(rng, 10.0, 200.0) } else { String::new() };
     let default = device.default_value.map(|_| if one_in(rng, 4) { 10.0 } else { 0.0 });
@@ -53,7 +53,7 @@ fn wheel(rng: &mut Rng, device: &Device) -> Option<Device> {
     described(device, &format!("{speed}{acceleration}"), device.interpolation, default)
 }
 
-/// The same device with a limited acceleration, which moves linearly. Half of them also declare a speed.
+/// Changes a device so that it moves linearly with a limited acceleration. Half of these devices also declare a speed.
 fn with_acceleration(rng: &mut Rng, device: &Device) -> Option<Device> {
     let acceleration = rate(rng, 20.0, 200.0);
     let speed = r#", "speed": {"min_value": -200, "max_value": 200, "granularity": 1}"#;
@@ -67,7 +67,7 @@ fn with_acceleration(rng: &mut Rng, device: &Device) -> Option<Device> {
     )
 }
 
-/// A maximum acceleration from `least` to `least * times`, evenly distributed on a logarithmic scale.
+/// Draws a maximum acceleration from `least` to `least * times`, evenly distributed on a logarithmic scale. Returns it as JSON.
 fn rate(rng: &mut Rng, least: f64, times: f64) -> String {
     let largest = (least * times.powf(rng.f64())).round();
     format!(r#", "acceleration": {{"min_value": -{largest}, "max_value": {largest}, "granularity": 1}}"#)
@@ -91,7 +91,8 @@ fn described(
     serde_json::from_str(&json).ok()
 }
 
-/// Converts the positions in the scripts of a device to speeds. Most scripts end at zero; after the others, the device continues to turn.
+/// Converts the positions in the scripts of a device to speeds. Most scripts end with speed zero; after the others, the device continues
+/// to move.
 fn turn(rng: &mut Rng, choreography: &mut Choreography, robot: &RobotId, device: &Device) {
     let plans = choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots);
     let scripts = plans.filter(|plan| plan.robot == *robot).flat_map(|plan| &mut plan.scripts);
@@ -109,7 +110,7 @@ fn turn(rng: &mut Rng, choreography: &mut Choreography, robot: &RobotId, device:
     }
 }
 
-/// Replaces the faults by one that interrupts playing robots, often followed soon by a second one.
+/// Replaces the faults by a fault that interrupts playing robots, often followed soon by a second fault.
 fn strike_while_it_plays(rng: &mut Rng, drawn: &mut Drawn) {
     use FaultKind::{DeadLink, HardwareDies, Home, Partition, RobotPause, SchedulerCrash, Stop};
     let robot = rng.usize(0..drawn.robots.len());
@@ -121,7 +122,7 @@ fn strike_while_it_plays(rng: &mut Rng, drawn: &mut Drawn) {
     let Some(at) = instant(rng, &play(drawn.clone().without_faults()), Stage::Plays) else { return };
     drawn.faults = vec![(at, kind.draw(rng, robot))];
     if one_in(rng, 2) {
-        // A second stop is sent only if it brings robots to rest in another way.
+        // A second stop is sent only if it brings robots to rest in a different way.
         let second = if kind == Stop { Fault::Home } else { Fault::Stop };
         drawn.plans_transfers &= one_in(rng, 3);
         drawn.faults.push((at + millis(rng, 5, 100), second));

@@ -1,5 +1,5 @@
-//! Missions with sensors that show the positions of devices: with noise, after a delay, and with bodies that follow their commands with a
-//! lag. Many of their robots accept no inquiries, so that the mission knows positions only from sensors. One seed in fifty is such a
+//! Draws missions with sensors that show the positions of devices with noise and a delay, and with bodies that follow their commands with
+//! a lag. Many of the robots accept no inquiries, so that the mission knows positions only from sensors. One seed in fifty is such a
 //! mission.
 
 use downbeat_plan::OnFailure;
@@ -11,10 +11,10 @@ use super::staged::instant;
 use super::{Drawn, Fault, millis, one_in};
 use crate::{Stage, play};
 
-/// The noise of a sensor, as a fraction of the declared error of its device.
+/// The noise of a sensor, as a fraction of the device's declared error.
 const NOISE: f64 = 0.125;
 
-/// Gives most devices sensors and bodies, and stops most missions before another act.
+/// Gives most devices sensors and bodies, and in most missions adds a stop before another act.
 pub(super) fn show_positions(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for robot in &mut drawn.robots {
         if one_in(rng, 2) {
@@ -51,7 +51,7 @@ pub(super) fn show_positions(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     drawn
 }
 
-/// The same device with a sensor that shows its position, and with this error.
+/// Adds to a device a sensor that shows its position, and the declared error `error`.
 fn with_sensor(device: &Device, error: f64) -> Option<Device> {
     device.available_control_types.limits(ControlType::Position)?;
     let (id, queue) = (&device.id, device.script_queue);
@@ -69,7 +69,8 @@ fn with_sensor(device: &Device, error: f64) -> Option<Device> {
     serde_json::from_str(&json).ok()
 }
 
-/// The maximum distance between a sensor's reading and the position of its device at rest, with sufficient probability.
+/// The maximum difference, with sufficient probability, between the reading of a device's sensor and the position of the device at rest.
+/// `None` without a sensor.
 pub(crate) fn shows_within(device: &Device) -> Option<f64> {
     device.available_control_types.sensor()?;
     let error = device.available_control_types.limits(ControlType::Position)?.max_error?;

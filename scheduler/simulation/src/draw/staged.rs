@@ -1,5 +1,5 @@
-//! Missions in which a fault of each kind occurs at each stage. By chance, more than half of the faults occur before anything is sent or
-//! after the end, and hardly any in the short stages.
+//! Draws missions such that a fault of each kind occurs at each stage of a mission. With random times, more than half of the faults would
+//! occur before anything is sent or after the end, and hardly any in the short stages.
 //!
 //! The seed determines the kind and the stage. The time of the stage is taken from the same mission with only the faults that lead to it,
 //! if any: a stop, or the end of the scheduler. One seed in fifty is such a mission.
@@ -22,13 +22,13 @@ fn cells() -> Vec<(FaultKind, Stage)> {
     cells.filter(|(kind, stage)| stage.meets(*kind)).collect()
 }
 
-/// The kinds that are drawn here. Twins have their own missions.
+/// The kinds of faults to draw: all except twins, which have their own family of missions.
 fn kinds() -> impl Iterator<Item = FaultKind> {
     FaultKind::ALL.into_iter().filter(|kind| *kind != FaultKind::Twin)
 }
 
-/// Replaces the faults of a mission by one of the kind and at the stage that this seed determines; half of the time, adds another fault
-/// at any stage. `index`: the number of this mission among those with such faults.
+/// Replaces the faults of a mission by a fault whose kind and stage the seed determines. In half of the missions, adds another fault at
+/// any stage. `index`: the number of this mission within its family.
 pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn {
     let cells = cells();
     let (kind, stage) = cells[usize::try_from(index).unwrap_or(0) % cells.len()];
@@ -41,7 +41,7 @@ pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn
     drawn
 }
 
-/// A mission in which a fault of a kind occurs at a stage; `None` if the mission does not reach that stage.
+/// Changes a mission so that a fault of the given kind occurs at the given stage. `None` if the mission does not reach that stage.
 pub(super) fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage: Stage) -> Option<Drawn> {
     let robot = rng.usize(0..drawn.robots.len());
     if kind == FaultKind::HardwareDies {
@@ -54,7 +54,7 @@ pub(super) fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage
     let mut drawn = bring_about(rng, drawn, stage)?;
     let at = instant(rng, &play(drawn.clone()), stage)?;
     let fault = match kind.draw(rng, robot) {
-        // The stage may end soon.
+        // The number of actions is small, because the stage may end soon.
         Fault::SchedulerCrashAmid { resumed_after, .. } => {
             Fault::SchedulerCrashAmid { actions: rng.u32(0..3), resumed_after }
         }
@@ -105,7 +105,7 @@ fn bring_about(rng: &mut Rng, mut drawn: Drawn, stage: Stage) -> Option<Drawn> {
         _ => return Some(drawn),
     };
     let under_way = match stage {
-        // Devices that have not moved have no way home.
+        // Devices that have not moved need not be moved home.
         Stage::Transfers => Stage::Plays,
         _ => rng.choice([Stage::Decided, Stage::Committed, Stage::Plays, Stage::PlaysNext])?,
     };
@@ -114,7 +114,7 @@ fn bring_about(rng: &mut Rng, mut drawn: Drawn, stage: Stage) -> Option<Drawn> {
     Some(drawn)
 }
 
-/// A mission plans acts after a stop if all of its robots state their positions and have default positions.
+/// Makes all robots state their positions and have default positions, so that the mission plans acts after a stop.
 fn state_positions(drawn: &mut Drawn) {
     drawn.plans_transfers = true;
     for robot in &mut drawn.robots {
@@ -126,7 +126,7 @@ fn state_positions(drawn: &mut Drawn) {
     }
 }
 
-/// An instant within a stage, relative to the beginning.
+/// Draws an instant within a stage, relative to the start of the mission. `None` if the mission did not reach the stage.
 pub(super) fn instant(rng: &mut Rng, ran: &Ran, stage: Stage) -> Option<Span> {
     let intervals: Vec<(Timestamp<Server>, Timestamp<Server>)> = intervals(ran, stage);
     let (from, until) = rng.choice(intervals)?;

@@ -1,5 +1,5 @@
-//! Missions in which acts wait for times of day around a clock change: times that the clocks skip, times that they show twice, and times
-//! on another day. One seed in fifty is such a mission.
+//! Draws missions in which acts wait for times of day around a clock change: times that the clocks skip, times that they show twice, and
+//! times on another day. One seed in fifty is such a mission.
 
 use chrono::{FixedOffset, Offset, Utc};
 use downbeat_mission::zone::Zone;
@@ -10,17 +10,17 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::{Drawn, millis, one_in};
 
-/// A day.
+/// The length of a day.
 const DAY: Span = Span::from_millis(24 * 3_600_000);
-/// When the operator stops the mission: an act may wait for a time of the next day.
+/// When the operator stops the mission, because an act may wait for a time on the next day.
 const ENDS_AT: Span = Span::from_millis(15_000);
 /// The maximum distance in milliseconds from a clock change for times that the clocks skip or show twice.
 const AROUND_MAX: i64 = 3_000;
 
-/// A clock change.
+/// A change of the local time, as at the start and end of daylight saving time.
 #[derive(Clone, Copy, Debug)]
 pub struct ClockChange {
-    /// Time of the change, relative to the beginning.
+    /// Time of the change, relative to the start of the mission.
     pub after: Span,
     /// The UTC offset before the change, in seconds.
     pub before_s: i32,
@@ -29,8 +29,8 @@ pub struct ClockChange {
 }
 
 impl ClockChange {
-    /// All changes. Most are smaller than real ones, so that a mission reaches the times on both sides. The mission begins at midnight
-    /// UTC, so that some of them also change the date.
+    /// All clock changes. Most are smaller than real changes, so that a mission reaches the times on both sides. The mission begins at
+    /// midnight UTC, so that some changes also change the date.
     pub const ALL: [Self; 8] = [
         Self::new(1_500, 3_600, 7_200),
         Self::new(3_000, 7_200, 3_600),
@@ -46,13 +46,13 @@ impl ClockChange {
         Self { after: Span::from_millis(after_ms), before_s, after_s }
     }
 
-    /// When the change happens.
+    /// The instant of the change.
     #[must_use]
     pub fn at(self) -> Timestamp<Server> {
         BEGIN + self.after
     }
 
-    /// The local time at an instant, since midnight.
+    /// The local time of day at an instant, as the time since midnight.
     #[must_use]
     pub fn time_of_day(self, at: Timestamp<Server>) -> Span {
         let offset = if at < self.at() { self.before_s } else { self.after_s };
@@ -60,14 +60,14 @@ impl ClockChange {
         Span::from_nanos(shown.as_nanos().rem_euclid(DAY.as_nanos()))
     }
 
-    /// The amount by which the clocks are set forward.
+    /// The amount by which the clocks are set forward; negative if they are set back.
     #[must_use]
     pub fn forward(self) -> Span {
         Span::from_millis(i64::from(self.after_s - self.before_s) * 1_000)
     }
 }
 
-/// The time zone of a mission. A zone is a function without data, so each change has its own one.
+/// The time zone of a mission. A zone is a function without data, so each change has its own function.
 pub(crate) fn zone(change: Option<usize>) -> Zone {
     const fn of<const INDEX: usize>() -> Zone {
         Zone::new(|at| {
@@ -90,7 +90,7 @@ pub(super) fn wait_for_times(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for act in (0..acts).filter(|act| all || *act == only) {
         let forward = change.forward();
         let time = if one_in(rng, 3) {
-            // The time is skipped or shown twice.
+            // The clocks skip the time or show it twice.
             let largest = forward.abs().as_nanos().min(AROUND_MAX * 1_000_000);
             let off = Span::from_nanos(rng.i64(0..largest));
             let last = change.time_of_day(change.at() - Span::from_nanos(1)) + Span::from_nanos(1);

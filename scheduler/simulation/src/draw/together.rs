@@ -1,8 +1,8 @@
-//! Missions with coincidences that chance alone rarely produces, each within a narrow time. In one kind, a process dies between the
-//! decision and the commitment, and the mission is resumed before the start while a robot is unreachable. In the other kind, a link
-//! breaks in the middle of a long script, and is re-established well before the lease expires.
+//! Draws missions with coincidences that chance rarely produces. In one kind, a process dies between the decision and the commitment, and
+//! the mission is resumed before the start while a robot is unreachable. In the other kind, a link breaks in the middle of a long script,
+//! and is re-established well before the lease expires.
 //!
-//! The times are taken from the same mission without its faults. One seed in fifty is such a mission; the others are unaffected.
+//! The times are taken from the same mission without its faults. One seed in fifty is such a mission.
 
 use downbeat_plan::{Choreography, DeviceScript, Way};
 use fastrand::Rng;
@@ -14,18 +14,18 @@ use downbeat_mission::{Progress, Promise, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::Direction;
 
-/// Changes a drawn mission into such a mission, unless it never reaches its first decision.
+/// Adds one of these coincidences to a drawn mission, unless the mission never reaches its first decision.
 pub(super) fn bring_together(rng: &mut Rng, drawn: Drawn) -> Drawn {
     if rng.bool() { taken_up_before_the_start(rng, drawn) } else { back_before_the_lease_is_over(rng, drawn) }
 }
 
-/// The course of the first act that is decided, relative to the beginning.
+/// The course of the first act that is decided; times are relative to the start of the mission.
 struct Decision {
     promise: Promise,
     decided: Span,
     committed: Span,
     start: Span,
-    /// A silence that starts later may be noticed too late.
+    /// The instant after which silence of a robot may be noticed too late.
     doubtful_from: Span,
 }
 
@@ -56,8 +56,8 @@ fn between(rng: &mut Rng, from: Span, until: Span) -> Span {
     from + Span::from_nanos(rng.i64(0..=(until - from).as_nanos().max(0)))
 }
 
-/// The scheduler dies between the decision and the commitment, and a robot is unreachable from about then until after the start. Another
-/// process resumes the mission when there is little or no time left before the start.
+/// Adds that the scheduler dies between the decision and the commitment, and that a robot is unreachable from about then until after the
+/// start. Another process resumes the mission when little or no time is left before the start.
 fn taken_up_before_the_start(rng: &mut Rng, drawn: Drawn) -> Drawn {
     let Some(decision) = first_decision(&drawn) else { return drawn };
     let robots: Vec<usize> = (0..drawn.robots.len())
@@ -90,7 +90,7 @@ fn out_of_reach(rng: &mut Rng, robot: usize, lasts: Span) -> Fault {
     }
 }
 
-/// A link breaks while its robot plays a long script under a lease, and is re-established well before the lease expires.
+/// Adds that a link breaks while the robot plays a long script under a lease, and is re-established well before the lease expires.
 fn back_before_the_lease_is_over(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     let lease = millis(rng, 600, 2_500);
     let Some((robot, begins, lasts)) = with_a_long_script(rng, &mut drawn.choreography, lease) else {
@@ -112,8 +112,8 @@ fn back_before_the_lease_is_over(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     with_faults(drawn, faults)
 }
 
-/// Makes the last script of a robot in the first act longer than its lease. Returns the robot, the start within the act, and the
-/// duration.
+/// Makes the last script of a robot in the first act longer than its lease. Returns the index of the robot, the start of the script
+/// within the act, and its duration.
 fn with_a_long_script(
     rng: &mut Rng,
     choreography: &mut Choreography,
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
     use crate::{judge, run};
 
-    /// Some of these missions, played.
+    /// Plays some missions of this family.
     fn such() -> impl Iterator<Item = Ran> {
         (0..10_000).filter(|seed| seed % super::super::FAMILIES == super::super::TOGETHER).map(run)
     }

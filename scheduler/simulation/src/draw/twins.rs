@@ -1,5 +1,5 @@
-//! Missions in which another process uses the id of a robot and answers in its place, while the robot continues to play. One seed in a
-//! hundred is such a mission. The seed determines the stage at which that happens.
+//! Draws missions with twins: another process uses the id of a robot and answers in its place, while the robot continues to play. One
+//! seed in a hundred is such a mission. The seed determines the stage at which the twin appears.
 
 use fastrand::Rng;
 
@@ -7,8 +7,8 @@ use super::staged::{ATTEMPTS, with_fault};
 use super::{Drawn, DrawnRobot, Fault, FaultKind, Names, draw_mission, millis, one_in};
 use crate::Stage;
 
-/// Replaces the faults of a mission by a twin, and stops most missions soon afterwards. `index`: the number of this mission among those
-/// with twins.
+/// Replaces the faults of a mission by a twin, and in most missions adds a stop soon afterwards. `index`: the number of this mission
+/// within its family.
 pub(super) fn answer_by_twins(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn {
     let stage = Stage::ALL[usize::try_from(index).unwrap_or(0) % Stage::ALL.len()];
     for _ in 0..ATTEMPTS {
@@ -25,7 +25,7 @@ pub(super) fn answer_by_twins(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Dr
     drawn
 }
 
-/// A robot and its twin answer inquiries, so that the mission can learn which scripts the answering process has.
+/// Makes a robot and its twin answer inquiries, so that the mission can learn which scripts the answering process has.
 pub(super) fn tell_what_they_know(robot: &mut DrawnRobot) {
     (robot.names, robot.lie) = (Names::Echoed, None);
     (robot.block.inquiry, robot.block.pending_until) = (true, true);

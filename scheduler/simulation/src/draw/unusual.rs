@@ -1,5 +1,5 @@
-//! Missions with shapes that chance alone does not draw: repeated acts, first steps later than the starts of their scripts, a robot that
-//! never joins, and movements that last for minutes while clocks drift. One seed in fifty is such a mission.
+//! Draws unusual missions: repeated acts, first steps later than the starts of their scripts, a robot that never joins, and movements
+//! that last for minutes while clocks drift. One seed in fifty is such a mission.
 
 use std::collections::HashMap;
 
@@ -10,12 +10,12 @@ use urrcp::{Millis, Script, Span, Step};
 use super::{Drawn, faults, one_in};
 use downbeat_mission::{ClockMode, Join};
 
-/// A robot that joins this long after the beginning never joins.
+/// Time after the start of a mission at which a robot joins that never joins.
 const NEVER: Span = Span::from_millis(3_600_000);
-/// The maximum total duration of all acts.
+/// The maximum total duration of all acts, in milliseconds.
 const LAST_MAX: f64 = 120_000.0;
 
-/// Gives a mission one of these shapes, and redraws its faults.
+/// Makes a mission unusual in one of several ways, and draws its faults again.
 pub(super) fn reshape(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     match rng.u8(0..4) {
         0 => repeat_acts(rng, &mut drawn),
@@ -27,7 +27,7 @@ pub(super) fn reshape(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     Drawn { faults, ..drawn }
 }
 
-/// The last act leads back to an earlier one, or to itself, until two to six acts have begun.
+/// Makes the last act lead back to an earlier act or to itself, until two to six acts have begun.
 fn repeat_acts(rng: &mut Rng, drawn: &mut Drawn) {
     let acts = &mut drawn.choreography.acts;
     let back = rng.usize(0..acts.len());
@@ -37,7 +37,7 @@ fn repeat_acts(rng: &mut Rng, drawn: &mut Drawn) {
     drawn.acts_max = Some(rng.u32(2..=6));
 }
 
-/// Moves the first steps of some scripts after their starts, and with them everything after them on the same device.
+/// Delays the first steps of some scripts, and everything after them on the same device.
 fn begin_later(rng: &mut Rng, choreography: &mut Choreography) {
     for robot in choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots) {
         let mut shifts = HashMap::new();
@@ -50,14 +50,14 @@ fn begin_later(rng: &mut Rng, choreography: &mut Choreography) {
     }
 }
 
-/// One robot never joins.
+/// Makes one robot never join.
 fn leave_one_out(rng: &mut Rng, drawn: &mut Drawn) {
     let robot = rng.usize(0..drawn.robots.len());
     drawn.robots[robot].there_from = NEVER;
     drawn.join = if one_in(rng, 3) { Join::Refuse } else { Join::NextAct };
 }
 
-/// All movements take up to fifty times as long, evenly on a logarithmic scale, and clocks without NTP drift.
+/// Makes all movements up to fifty times as long, evenly distributed on a logarithmic scale, and makes clocks without NTP drift.
 fn last_long(rng: &mut Rng, drawn: &mut Drawn) {
     let lasts = drawn.choreography.acts.iter().map(|act| act.plan.duration().as_millis_f64()).sum::<f64>();
     let longest = (LAST_MAX / lasts.max(1.0)).clamp(1.0, 50.0);

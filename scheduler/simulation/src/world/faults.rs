@@ -1,4 +1,4 @@
-//! The effects of faults.
+//! Applies faults to the simulated world.
 
 use super::scheduler::SchedulerFault;
 use super::{Item, Machine, World};
@@ -8,7 +8,7 @@ use downbeat_mission::{Event, Loss, Rest};
 
 impl World {
     pub(super) fn go_wrong(&mut self, fault: Fault) {
-        // These are noted when they take effect.
+        // Faults that wait for a number of actions are recorded when they take effect.
         if !matches!(fault, Fault::SchedulerCrashAmid { .. } | Fault::SchedulerPauseAmid { .. }) {
             self.note(Happened::Fault(fault));
         }

@@ -1,6 +1,6 @@
-//! The virtual world of one seed: the next event, and the side that performs it. `network` transports messages, `faults` applies faults,
-//! `scheduler` is the process with the main loop of every mission, `robots` are the other processes, and `operator` is the person at the
-//! terminal.
+//! The virtual world in which the mission of a seed is played. This file determines the next event and the part of the world that
+//! performs it. `network` transports messages, `faults` applies faults, `scheduler` is the process that runs the main loop. `robots` are
+//! the other processes, and `operator` is the person at the terminal.
 
 mod faults;
 mod network;
@@ -29,20 +29,20 @@ use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer
 use downbeat_rehearsal::dry_run::BEGIN;
 use downbeat_rehearsal::world::{Kernel, Virtual};
 
-/// A mission hangs if it lasts longer than this and longer than twice the duration of its acts and waits.
+/// A mission counts as hung if it lasts longer than this and longer than twice the duration of its acts and waits.
 const LASTS_MAX: Span = Span::from_millis(180_000);
-/// Maximum number of rounds at one instant: far more than possible events.
+/// Maximum number of steps of the world at one instant, far more than the possible number of events.
 const ROUNDS_MAX: u32 = 20_000;
-/// Maximum number of events in a mission, in total, and per robot and second of its acts and waits. Without it, a mission with ever more
-/// events would exhaust the memory.
+/// Maximum number of events in a mission, in total, and per robot and second of its acts and waits. Without this limit, a mission with
+/// ever more events would exhaust the memory.
 const HAPPENS_MAX: usize = 200_000;
 const HAPPENS_A_SECOND: usize = 12;
-/// Time after which an attempt to connect fails.
+/// Time after which a connection attempt fails.
 const CONNECT_FAILS: Span = Span::from_millis(300);
-/// Duration of the observation of robots after the mission's end.
+/// How long the robots are observed after the end of the mission.
 const AFTERMATH: Span = Span::from_millis(8_000);
 
-/// Timeout of the operator for links, greetings and stop confirmations.
+/// The operator's timeout for links, greetings and stop confirmations.
 pub(super) const PATIENCE: Span = Span::from_millis(2_000);
 
 enum Item {
@@ -74,7 +74,7 @@ enum Item {
         robot: usize,
         link: LinkId,
     },
-    /// The event occurs that this act waits for.
+    /// The event occurs that the act with the given index waits for.
     Comes(usize),
     Resume,
     Answer {
@@ -82,13 +82,13 @@ enum Item {
         link: LinkId,
         message: Box<Message>,
     },
-    /// The disk has completed the write that this life of the scheduler requested.
+    /// The disk has completed the write that the scheduler's process number `life` requested.
     Synced {
         life: u32,
     },
 }
 
-/// State of the machine on which a robot's process ran.
+/// State of the machine on which a robot's process runs or ran.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Machine {
     /// The machine closes connections and refuses new ones on behalf of the ended process.
@@ -102,20 +102,20 @@ struct World {
     rng: Rng,
     kernel: Kernel<Item>,
     robots: Vec<RobotSide>,
-    /// The latest messages of a robot; empty in between, and kept to reuse its allocation.
+    /// Buffer for the latest messages of a robot. It is empty between uses and kept to reuse its allocation.
     said: Vec<Outgoing>,
     scheduler: Scheduler,
-    /// Number of rounds at this instant.
+    /// Number of steps of the world at the current instant.
     rounds: u32,
     /// Whether the mission never ends.
     hung: bool,
-    /// Stop the run once this act is promised.
+    /// The number of the act whose promise ends the run. `None`: the run is played to its end.
     last_act: Option<u32>,
-    /// Whether `last_act` is promised.
+    /// Whether the act `last_act` has been promised.
     is_promised: bool,
     records: Vec<(Timestamp<Server>, Record)>,
     history: Vec<(Timestamp<Server>, Happened)>,
-    /// The mission hangs if it lasts longer.
+    /// The instant after which the mission counts as hung.
     lasts_until: Timestamp<Server>,
     happens_max: usize,
     /// Whether to keep every message, for a trace.
@@ -150,12 +150,12 @@ fn participants(drawn: &Drawn) -> Vec<Participant> {
     drawn.robots.iter().map(participant).collect()
 }
 
-/// Plays a world to its end.
+/// Plays a drawn mission to its end.
 pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
     play_world(World::new(drawn, verbose))
 }
 
-/// Plays a world until the act of this number is promised.
+/// Plays a drawn mission until the act with the number `act` is promised.
 pub(super) fn play_up_to(drawn: Drawn, act: u32) -> Ran {
     play_world(World { last_act: Some(act), ..World::new(drawn, false) })
 }
@@ -167,7 +167,7 @@ fn play_world(mut world: World) -> Ran {
     let mut next = mission;
     let mut broken = None;
     while let Some(mut mission) = next.take() {
-        // After a failed assertion, the mission is not used again.
+        // If an assertion fails, the mission is not used again.
         let driven = catch_unwind(AssertUnwindSafe(|| at_once(drive(&mut mission, &mut world))));
         match driven {
             Ok(reported) => report = reported,
@@ -226,7 +226,7 @@ impl World {
         let machines = drawn.robots.iter().map(|robot| {
             (robot.there_from == Span::ZERO).then(|| robots::machine(robot, robot.block.clone(), BEGIN))
         });
-        // A robot whose twin answers has its own place after the places of all robots.
+        // The process of a robot whose twin answers has a separate index, after the indices of all robots.
         let machines = machines.chain(drawn.robots.iter().map(|_| None));
         let mut world = Self {
             robots: drawn.robots.iter().map(side).collect(),
@@ -313,7 +313,8 @@ impl Virtual for World {
         self.scheduler.wakes()
     }
 
-    /// If there are too many rounds at one instant, something is due and never performed.
+    /// Advances the time. If the world takes too many steps at one instant, an event is due but never performed, so the mission counts as
+    /// hung.
     fn pass(&mut self, at: Timestamp<Server>) {
         let now = &mut self.kernel.now;
         self.rounds = if at > *now { 0 } else { self.rounds + 1 };

@@ -1,4 +1,4 @@
-//! The transport of messages, and the state of links.
+//! Transports messages between the scheduler and the robots, and tracks the state of links.
 
 use downbeat_robot::{Input, LinkId};
 use fastrand::Rng;
@@ -10,7 +10,7 @@ use downbeat_fleet::world::{Between, Delay, LinkWorld};
 use downbeat_mission::{Event, Loss};
 use downbeat_rehearsal::world::{Conditions, Path, Transport, Travel};
 
-/// The network to a robot, without partitions and other faults.
+/// Creates the network path to a robot, without partitions and other faults.
 pub(super) fn path(drawn: &Drawn, robot: &DrawnRobot, rng: &mut Rng) -> Path {
     let (least, largest) = drawn.delay;
     let transport = match drawn.network {
@@ -44,7 +44,7 @@ impl World {
         Some(arrives)
     }
 
-    /// A message and its arrival; a datagram may arrive twice.
+    /// The arrivals of a message at a robot or the scheduler: a datagram may be lost or arrive twice.
     fn arrivals(
         &mut self,
         robot: usize,
@@ -58,7 +58,7 @@ impl World {
         twin.into_iter().chain(arrives.map(|at| (at, message)))
     }
 
-    /// Delivers a message to the robot's machine, if that reads this connection.
+    /// Delivers a message to a robot if the robot reads the connection.
     pub(super) fn arrive_at_robot(&mut self, robot: usize, link: LinkId, message: Message) {
         let side = &mut self.robots[robot];
         if let Some((_, unread)) = side.waiting.as_mut().filter(|(waiting, _)| *waiting == link) {
@@ -79,13 +79,13 @@ impl World {
         self.receive(robot, link, Input::Message(message));
     }
 
-    /// Passes an input to the robot's machine, if its process runs.
+    /// Passes an input to a robot if its process runs.
     pub(super) fn receive(&mut self, robot: usize, link: LinkId, input: Input) {
         let now = self.kernel.now.assume_clock();
         self.kernel.robots.change(robot, |machine| machine.receive(now, link, input));
     }
 
-    /// Resets a connection that a system does not know, as after a restart, when a message arrives on it.
+    /// Resets a connection when a message arrives on it that the operating system does not know, as after a restart.
     fn refuse_stray(&mut self, robot: usize, link: LinkId) {
         let side = &self.robots[robot];
         if side.runs_on == Machine::Up && side.link != Some(link) && self.drawn.network == Network::Stream {
@@ -124,7 +124,7 @@ impl World {
         dead
     }
 
-    /// Informs the scheduler that a connection has ended, as soon as that information can arrive.
+    /// Informs the scheduler that a connection has ended, as soon as this information can arrive.
     pub(super) fn link_breaks(
         &mut self,
         robot: usize,
@@ -140,7 +140,7 @@ impl World {
         self.kernel.put(at + self.drawn.delay.1, Item::ToScheduler { robot, link, event });
     }
 
-    /// Breaks the connections that carry no messages.
+    /// Breaks a robot's connections that carry no messages.
     pub(super) fn dead_links_end(&mut self, robot: usize) {
         if self.kernel.now < self.robots[robot].dead_until {
             return;
@@ -179,7 +179,7 @@ impl World {
         self.tell_on_link(robot, link, Event::LinkUp { robot });
     }
 
-    /// Makes the robot read this connection; an older one is closed.
+    /// Makes a robot read the connection `link`, and closes an older connection.
     fn robot_reads(&mut self, robot: usize, link: LinkId) {
         let side = &mut self.robots[robot];
         side.path.begin(self.kernel.now);
@@ -188,7 +188,7 @@ impl World {
         }
     }
 
-    /// Informs the robot that a connection has ended. It turns to one that waits.
+    /// Informs a robot that a connection has ended. The robot then reads a connection that waits, if any.
     pub(super) fn robot_link_down(&mut self, robot: usize, link: LinkId) {
         let side = &mut self.robots[robot];
         side.waiting.take_if(|(waiting, _)| *waiting == link);
@@ -233,7 +233,7 @@ fn brief(message: &Message) -> Message {
         }
         Message::Inquiry(inquiry) => {
             let Inquiry { timestamp, pending_lease, pending_until, .. } = *inquiry;
-            // Only whether it names requests is relevant: only then does it lift the end of a lease.
+            // Only one request is kept: an inquiry removes the end of a lease only if it names requests.
             let requests = inquiry.requests.iter().take(1).cloned().collect();
             let brief = Inquiry { timestamp, requests, pending_lease, pending_until, ..Inquiry::default() };
             Message::Inquiry(brief)

@@ -1,4 +1,5 @@
-//! The operator of the mission, and the events that it waits for: the go, a reading, a stop from another terminal.
+//! The operator of a simulated mission, and the events that the mission waits for: the go, a sensor reading, a stop from another
+//! terminal.
 
 use downbeat_plan::Wait;
 
@@ -7,7 +8,7 @@ use crate::draw::BRIGHT;
 use downbeat_mission::{Event, Progress};
 
 impl World {
-    /// Schedules the event that an act waits for, if it ever occurs, at a delay after its announcement.
+    /// Schedules the event that an act waits for, if it ever occurs, at a delay after the announcement of the wait.
     pub(super) fn hears(&mut self, progress: &Progress) {
         let Progress::Waiting { act, .. } = progress else { return };
         let acts = &self.drawn.choreography.acts;

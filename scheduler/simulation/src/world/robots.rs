@@ -17,15 +17,15 @@ use crate::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 use downbeat_mission::Loss;
 use downbeat_rehearsal::world::Path;
 
-/// Time after which a driver gives up hardware that only stops answering.
+/// Time after which a driver considers hardware lost that has only stopped answering.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
-/// Minimum time in which an edge can notice that its hardware has died without closing its connection.
+/// Minimum time that an edge needs to notice that its hardware has died without closing its connection.
 const DEATH_KNOWN: Span = Span::from_millis(200);
-/// Ids of links of other sessions, far from the scheduler's.
+/// First id of the links of other sessions, far from the ids of the scheduler's links.
 const FOREIGN: u64 = 1 << 63;
-/// Ids of links of operators that seize a robot.
+/// Added to the id of a link of another session if the peer is an operator that seizes a robot.
 const SEIZES: u64 = 1 << 62;
-/// Name of such an operator.
+/// Name of the operator that seizes a robot.
 pub(crate) const SEIZED_BY: &str = "eva";
 /// Time from sending another session's script to its start, in milliseconds.
 const FOREIGN_AHEAD: f64 = 80.0;
@@ -35,32 +35,32 @@ const FOREIGN_AHEAD: f64 = 80.0;
 pub(super) enum Who {
     Itself,
     Stranger,
-    /// A process with the robot's id.
+    /// Another process with the robot's id.
     Twin,
 }
 
 pub(super) struct RobotSide {
     pub(super) who: Who,
     pub(super) runs_on: Machine,
-    /// The connection with the scheduler that the robot reads.
+    /// The connection to the scheduler that the robot reads, if any.
     pub(super) link: Option<LinkId>,
-    /// A connection that it will read once the current one has ended, with the messages received on it.
+    /// A connection that the robot will read once the current one has ended, with the messages received on it.
     pub(super) waiting: Option<(LinkId, Vec<Message>)>,
     pub(super) path: Path,
-    /// Until when connections persist without carrying messages.
+    /// The time until which connections persist without carrying messages.
     pub(super) dead_until: Timestamp<Server>,
     /// Connections that no longer carry messages.
     pub(super) dead: BTreeSet<LinkId>,
     pub(super) log: Vec<LogEntry>,
-    /// How its devices came to rest.
+    /// How the robot's devices came to rest.
     pub(super) brakings: Vec<Braking>,
-    /// The actions of another robot at its address.
+    /// The log of another robot that answered at this robot's address.
     pub(super) log_of_stranger: Vec<LogEntry>,
     pub(super) clock_steps: Span,
-    /// The current reading of its sensor.
+    /// The current reading of the robot's sensor; `None` until it is set.
     pub(super) reading: Option<f64>,
     hardware_dead_since: Option<Timestamp<Server>>,
-    /// Names of scripts that it began although its hardware was dead.
+    /// Request ids of scripts that the robot began although its hardware was dead.
     pub(super) starts_of_dead: Vec<String>,
 }
 
@@ -107,7 +107,7 @@ impl RobotSide {
 }
 
 impl RobotSide {
-    /// Notes scripts that its hardware cannot have begun, because it was dead.
+    /// Records the scripts that the robot began although its hardware was dead. Evaluates the log entries from index `from`.
     fn note_starts_of_dead(&mut self, from: usize) {
         let Some(since) = self.hardware_dead_since else { return };
         let known = (since + DEATH_KNOWN).as_nanos();
@@ -117,7 +117,7 @@ impl RobotSide {
     }
 }
 
-/// How devices came to rest, according to the last entry of each.
+/// Determines how devices came to rest, according to the last log entry of each device.
 fn brakings(machine: &SimulatedRobot, log: &[LogEntry]) -> Vec<Braking> {
     let slow = |(_, entry): &(usize, &LogEntry)| entry.motion == MotionKind::Slow;
     let is_last = |(index, entry): &(usize, &LogEntry)| {
@@ -130,7 +130,7 @@ fn brakings(machine: &SimulatedRobot, log: &[LogEntry]) -> Vec<Braking> {
     last.filter_map(|(_, entry)| Braking::of(entry, |of, at| value(entry, of, at))).collect()
 }
 
-/// A process of a robot. Its clock has drifted since the beginning, whether or not a process ran.
+/// Creates the machine of a robot's process. The robot's clock has drifted since the start of the mission, whether or not a process ran.
 pub(super) fn machine(
     drawn: &DrawnRobot,
     block: InitializationBlock,
@@ -155,7 +155,7 @@ impl World {
         self.kernel.robots.change(robot, |machine| side.collect(machine, who));
     }
 
-    /// Ends the process that answers at a robot's address. Returns `false` if there was none.
+    /// Ends the process that answers at a robot's address. Returns `false` if no process ran.
     pub(super) fn robot_dies(&mut self, robot: usize, runs_on: Machine) -> bool {
         self.collect(robot);
         if self.kernel.robots.end(robot).is_none() {
@@ -182,7 +182,7 @@ impl World {
         let drawn = &self.drawn.robots[robot];
         let who = if block.id == drawn.block.id { Who::Itself } else { Who::Stranger };
         let mut machine = machine(drawn, block, self.kernel.now);
-        // A new process searches for its hardware first; here it is present.
+        // A new process first searches for its hardware, which is present here.
         self.robots[robot].hardware_dead_since = None;
         self.collect(robot);
         let side = &mut self.robots[robot];
@@ -194,12 +194,12 @@ impl World {
         self.kernel.robots.begin(robot, machine);
     }
 
-    /// The place of a robot while its twin answers at its address.
+    /// The index of a robot's process while a twin answers at its address.
     const fn hidden(&self, robot: usize) -> usize {
         self.robots.len() + robot
     }
 
-    /// Starts another process with the id of a robot at its address. The robot continues, but is unreachable.
+    /// Starts a twin: another process with the id of a robot, at its address. The robot continues, but is unreachable.
     pub(super) fn twin_begins(&mut self, robot: usize) {
         if self.robots[robot].who != Who::Itself {
             return;
@@ -261,13 +261,13 @@ impl World {
         self.said = said;
     }
 
-    /// Modifies a robot's answer: the robot may lie, or omit fields that it does not know.
+    /// Modifies a robot's message: the robot may lie, or omit fields that it does not know.
     fn as_said(&mut self, robot: usize, mut message: Message) -> Message {
         let drawn = &self.drawn.robots[robot];
         match &mut message {
             Message::InitializationBlock(block) => block.inquiry = drawn.block.inquiry,
             Message::ControlResponse(response) if drawn.names == Names::LeftOut => {
-                // It supports no extension at all.
+                // The robot supports no extension at all.
                 let ControlResponse { request_id, content_hash, event_timestamp, .. } = response;
                 (*request_id, *content_hash, *event_timestamp) = (None, None, None);
                 (response.steps_done, response.late_steps, response.late_ms_max) = (None, None, None);
@@ -345,7 +345,7 @@ impl World {
         self.asks_for(robot, LinkId(FOREIGN + robot as u64), lasts);
     }
 
-    /// An operator with the role seizes a robot and sends it a script.
+    /// An operator with the role `seize` seizes a robot and sends it a script.
     pub(super) fn seize(&mut self, robot: usize, lasts: Span) {
         let link = LinkId(FOREIGN + SEIZES + robot as u64);
         if let Ok(name) = SEIZED_BY.parse() {
@@ -380,7 +380,7 @@ impl World {
     }
 }
 
-/// Whether the robot answers that it belongs to the requesting session.
+/// Whether a robot's message confirms that the robot belongs to the session that claimed it.
 fn is_taken(message: &Message) -> bool {
     matches!(message, Message::AvailabilityResponse(response) if response.status == Status::Ok)
 }
@@ -393,7 +393,7 @@ fn foreign_script(
     let device = block.devices.first()?;
     let setpoint = match device.primary_control_type()? {
         ControlType::Position => Setpoint::new(ControlType::Position, 1.0),
-        // No movement continues after the script.
+        // The speed or acceleration is zero, so that no movement continues after the script.
         rate => Setpoint::new(rate, 0.0),
     };
     let step = Step { offset: Millis::ZERO, setpoint, stop_condition: None };

@@ -1,5 +1,5 @@
-//! The scheduler's process in a simulated world, with the main loop of every mission under faults. Its journal is the real one, on a disk
-//! that is slow, fills up, and loses power.
+//! The scheduler's process in a simulated world with faults. It runs the main loop of every mission. Its journal is the real
+//! implementation, on a simulated disk that is slow, fills up and loses power.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -18,7 +18,7 @@ use downbeat_runtime::journal::{
     Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all,
 };
 
-/// State of the process.
+/// State of the scheduler's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Process {
     Running,
@@ -27,23 +27,23 @@ pub(super) enum Process {
     TakenUp(Intention),
 }
 
-/// The command of an operator for a mission that was cut off.
+/// The command of an operator for a mission whose process has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intention {
-    /// `downbeat resume`.
+    /// The operator runs `downbeat resume`.
     Resume,
-    /// `downbeat stop`.
+    /// The operator runs `downbeat stop`.
     Stop,
 }
 
-/// A fault that occurs while a process acts.
+/// A fault that occurs after a number of further actions of the scheduler's process.
 #[derive(Clone, Copy, Debug)]
 struct PendingFault {
     actions: u32,
     burnt: SchedulerFault,
 }
 
-/// The kind of a fault that occurs while a process acts.
+/// What happens to the scheduler's process when a pending fault occurs.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum SchedulerFault {
     Dies { resumed_after: Option<Span> },
@@ -52,31 +52,31 @@ pub(super) enum SchedulerFault {
 
 pub(super) struct Scheduler {
     pub(super) process: Process,
-    /// Number of lives of the process: pending items of an earlier life are lost.
+    /// Number of the current scheduler process. Pending items of an earlier process are lost.
     life: u32,
     pub(super) paused_until: Timestamp<Server>,
-    /// Whether the process, after its pause, serves an expired timer before it takes received events.
+    /// Whether the process, after a pause, handles an expired timer before received events.
     pub(super) timers_first: bool,
-    /// Events that have arrived and are not taken yet.
+    /// Events that have arrived and that the process has not taken yet.
     arrived: VecDeque<drive::Happened>,
-    /// The links as the process sees them.
+    /// The link to each robot, as the process sees it.
     links: Vec<Option<LinkId>>,
-    /// The newest attempt to reach each robot; it replaces earlier ones.
+    /// The newest connection attempt to each robot, which replaces earlier attempts.
     attempts: Vec<Option<LinkId>>,
-    /// `None` only during a handover.
+    /// The journal; `None` only during a handover to another process.
     journal: Option<Journal<SimulatedDisk>>,
-    /// Records that wait for the disk.
+    /// Records that wait to be written to the disk, with their times.
     unwritten: VecDeque<(Timestamp<Server>, Record)>,
-    /// Messages of the instant at which the process stalled while it acted; it sends them when it continues.
+    /// Messages of the instant at which the process stalled between two actions. The process sends them when it continues.
     unsent: Vec<(usize, LinkId, Message)>,
-    /// Whether it stalls and has to continue with its actions of that instant.
+    /// Whether the process stalled between two actions and has to continue with the actions of that instant.
     stalls_in_act: bool,
     disk: DiskState,
     pub(super) disk_stands_still_until: Timestamp<Server>,
     fuse: Option<PendingFault>,
-    /// The clock of the machine minus the true time.
+    /// The clock of the scheduler's machine minus the true time.
     pub(super) clock_of_machine: Span,
-    /// The process's own clock minus the true time: it started with that of the machine.
+    /// The process's own clock minus the true time. The process started with the clock of the machine.
     pub(super) ahead: Span,
 }
 
@@ -84,9 +84,9 @@ pub(super) struct Scheduler {
 enum DiskState {
     Idle,
     Syncing,
-    /// The mission has been informed.
+    /// The disk has failed, and the mission has been informed.
     Lost,
-    /// Nothing is written before the mission ends: a stop waits for no disk.
+    /// Nothing is written until the mission ends, because a stop does not wait for the disk.
     Unused,
 }
 
@@ -144,7 +144,7 @@ impl Scheduler {
         }
     }
 
-    /// When it takes the received events, if it could not do so at once.
+    /// When the process takes the received events, if it could not take them at once.
     pub(super) fn wakes(&self) -> Option<Timestamp<Server>> {
         let has_work = !self.arrived.is_empty() || self.stalls_in_act;
         (has_work && self.process == Process::Running).then_some(self.paused_until)
@@ -154,18 +154,18 @@ impl Scheduler {
         self.process == Process::Running
     }
 
-    /// The link id for robots: different lives of the process share no link.
+    /// The link id that robots see. Successive scheduler processes share no link.
     fn id_of(&self, link: LinkNumber) -> LinkId {
         LinkId((u64::from(self.life) << 32) | link.0)
     }
 
-    /// The number of a link, if this life of the process made it.
+    /// The number of a link; `None` if an earlier scheduler process made it.
     fn number_of(&self, link: LinkId) -> Option<LinkNumber> {
         (link.0 >> 32 == u64::from(self.life)).then_some(LinkNumber(link.0 & 0xffff_ffff))
     }
 }
 
-/// The journal on a simulated disk, which supports every truncation.
+/// Opens the journal on a simulated disk, which may be truncated at any point.
 fn on(disk: SimulatedDisk) -> Option<Journal<SimulatedDisk>> {
     Journal::on(disk, "journal".into()).ok()
 }
@@ -176,8 +176,8 @@ fn unreachable_session() -> SessionId {
 }
 
 impl World {
-    /// Ends the process. Data that its journal's thread had not passed to the system is lost. If the power fails, data that was not
-    /// synced may also be torn.
+    /// Ends the scheduler's process. Data that the journal's thread had not passed to the operating system is lost. If the power fails,
+    /// data that was not synced may also be torn.
     pub(super) fn kill_scheduler(&mut self) {
         if !self.scheduler.is_running() {
             return;
@@ -212,7 +212,7 @@ impl World {
         }
     }
 
-    /// Ends the process; an operator may notice that and run `resume`.
+    /// Ends the scheduler's process. An operator may notice that and run `resume`.
     pub(super) fn crash_scheduler(&mut self, fault: Fault, resumed_after: Option<Span>) {
         if !self.scheduler.is_running() {
             return;
@@ -226,7 +226,7 @@ impl World {
         }
     }
 
-    /// Whether the process lives to perform one more action.
+    /// Counts an action. Returns whether the process performs it, and does not end before.
     fn acts(&mut self) -> bool {
         match &mut self.scheduler.fuse {
             Some(PendingFault { actions: 0, burnt: SchedulerFault::Dies { resumed_after } }) => {
@@ -243,7 +243,7 @@ impl World {
         self.scheduler.is_running()
     }
 
-    /// Stalls the process between two actions of one instant.
+    /// Stalls the scheduler's process between two actions of one instant.
     fn stall_in_act(&mut self, lasts: Span) {
         self.note(Happened::Fault(Fault::SchedulerPauseAmid { actions: 0, lasts }));
         let side = &mut self.scheduler;
@@ -252,7 +252,7 @@ impl World {
         side.timers_first = self.drawn.seed.is_multiple_of(2);
     }
 
-    /// Continues with the actions at which the process stalled.
+    /// Performs the actions that remained when the process stalled between two actions.
     fn finish_acting(&mut self) {
         if std::mem::take(&mut self.scheduler.stalls_in_act) {
             for (robot, link, message) in std::mem::take(&mut self.scheduler.unsent) {
@@ -280,7 +280,7 @@ impl World {
         self.take_up(Intention::Resume);
     }
 
-    /// Asks the scheduler of a running mission to stop; withdraws a mission that was cut off.
+    /// Does what `downbeat stop` does: asks the scheduler of a running mission to stop, or withdraws a mission whose process has ended.
     pub(super) fn stop_by_journal(&mut self) {
         if self.scheduler.is_running() {
             self.tell(Event::StopRequested { rest: Rest::InPlace, by: None })
@@ -297,7 +297,7 @@ impl World {
         }
     }
 
-    /// Does what `downbeat resume` and `downbeat stop` do.
+    /// Reads the mission from the journal, as `downbeat resume` and `downbeat stop` do.
     fn mission_by_journal(&mut self, intention: Intention) -> Mission {
         let side = &mut self.scheduler;
         side.ahead = side.clock_of_machine;
@@ -352,7 +352,7 @@ impl World {
         if side.disk != DiskState::Idle || side.unwritten.is_empty() || side.stalls_in_act {
             return;
         }
-        // The sync reports a failure again.
+        // A failure to append is ignored here, because the sync reports it again.
         let _broken = append_all(journal, side.unwritten.drain(..));
         side.disk = DiskState::Syncing;
         let (at, life) = (self.kernel.now + self.drawn.disk.sync, side.life);
@@ -378,7 +378,7 @@ impl World {
         self.begin_writing();
     }
 
-    /// Records the events that the trace and the checks need.
+    /// Adds to the history the events that the trace and the checks need.
     fn note_taken(&mut self, happened: &drive::Happened) {
         let (drive::Happened::OnLink { event, .. } | drive::Happened::Event { event, .. }) = happened else {
             return;
@@ -386,7 +386,7 @@ impl World {
         if let drive::Happened::OnLink { robot, link, .. } = happened
             && self.scheduler.links[*robot].is_some_and(|current| current != self.scheduler.id_of(*link))
         {
-            // The end of a connection that was replaced and is no longer used.
+            // The event is the end of a connection that was replaced and is no longer used.
             return;
         }
         match &**event {
@@ -522,7 +522,7 @@ fn by_true_time(record: Record, ahead: Span) -> Record {
 }
 
 impl World {
-    /// Makes the process use this link; an older one is forgotten.
+    /// Makes the process use the link `link` to a robot instead of an older link.
     pub(super) fn links_to(&mut self, robot: usize, link: LinkId) -> bool {
         let is_newest = self.scheduler.attempts[robot] == Some(link);
         let lives = self.scheduler.is_running() && self.scheduler.number_of(link).is_some() && is_newest;

@@ -1,4 +1,4 @@
-//! Plans acts after the stops of a simulated mission: each device moves linearly to its destination.
+//! Plans acts after a stop in a simulated mission. Each device moves linearly to its destination.
 
 use std::collections::HashMap;
 
@@ -11,7 +11,7 @@ use urrcp::{
 use crate::Drawn;
 use downbeat_mission::{Destination, PlanTransfer};
 
-/// The first positions of devices.
+/// The first positions of devices in an act, by robot and device.
 type Firsts<'a> = HashMap<(&'a RobotId, &'a DeviceId), f64>;
 
 const TAKES: Span = Span::from_millis(400);

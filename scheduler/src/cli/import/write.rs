@@ -1,4 +1,4 @@
-//! Writes imported files: all or none. Existing files are not overwritten unless this is requested.
+//! Writes imported files: all of them, or none. Existing files are overwritten only if the user requests it.
 
 use std::fs;
 use std::io::Write;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use downbeat_import::FilePart;
 use downbeat_scripts::{Attempt, Code, Finding, Refusal, Severity};
 
-/// Writes every file next to its final path first, then moves it there.
+/// Writes every file to a temporary file next to its final path first, then renames all of them.
 pub(in super::super) fn write_all(
     folder: &Path,
     files: &[FilePart],
@@ -31,7 +31,7 @@ pub(in super::super) fn write_all(
     Ok(paths.iter().map(|path| path.display().to_string()).collect())
 }
 
-/// A file that is removed unless it gets its final name.
+/// A temporary file. It is removed on drop unless it was renamed to its final name.
 struct Temporary(Option<PathBuf>);
 
 impl Temporary {
@@ -47,7 +47,7 @@ impl Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if let Some(path) = &self.0 {
-            // If it is already gone, nothing remains to be done.
+            // A file that is already gone needs no removal.
             let _gone = fs::remove_file(path);
         }
     }

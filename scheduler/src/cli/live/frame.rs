@@ -1,4 +1,4 @@
-//! A frame of the display: the text of a model at an instant, for a number of columns and rows.
+//! A frame of the live display: the text that shows a model at an instant, in a given number of columns and rows.
 
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Act, PlannedCue, Wait, Way};
@@ -30,13 +30,13 @@ pub(super) enum Help {
 pub(super) struct Frame {
     head: Vec<Line<'static>>,
     rows: Vec<Row>,
-    /// How long the act has played. `None` if it does not play.
+    /// How long the current act has played. `None` if no act plays.
     played: Option<Span>,
     foot: Vec<Line<'static>>,
 }
 
 impl Frame {
-    /// Creates a frame with at most `rows` rows, as wide as the terminal's `columns`.
+    /// Creates a frame for the model at the instant `now`. It has at most `rows` rows and is `columns` wide.
     pub(super) fn of(model: &Model, now: Timestamp<Server>, help: Help, columns: u16, rows: u16) -> Self {
         let mut head = vec![title(model, now, usize::from(columns))];
         head.extend(act_lines(model, now, usize::from(columns)));
@@ -77,7 +77,7 @@ impl Frame {
     fn table(&self, columns: u16) -> Table<'_> {
         let header = ["robot", "state", "steps", "clock", "latest report"];
         let longest = self.rows.iter().map(|row| Line::from(row.robot.as_str()).width()).max().unwrap_or(0);
-        // As wide as the longest name, but at most a quarter of the terminal.
+        // The column is as wide as the longest name, but at most a quarter of the terminal.
         let name = u16::try_from(longest.max(5)).unwrap_or(u16::MAX).min((columns / 4).max(8));
         let widths = [name, 10, 9, 11].map(Constraint::Length).into_iter().chain([Constraint::Fill(1)]);
         let rows = self.rows.iter().map(|row| robot_row(row, self.played));
@@ -111,7 +111,8 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
     ])
 }
 
-/// Returns the rows that fit, and a summary of the rest. If some are left out, the rows with the worst state come first.
+/// Returns at most `room` rows, including a summary of the omitted ones, if any. If rows are omitted, the robots with the worst states
+/// come first.
 fn folded(rows: &[Row], room: usize) -> (Vec<Row>, Option<Line<'static>>) {
     if rows.len() <= room {
         return (rows.to_vec(), None);
@@ -142,7 +143,8 @@ fn length(span: Span) -> String {
     }
 }
 
-/// Returns the mission, the act and its state. If there is room, adds the time and the elapsed time of the mission at the right.
+/// Returns the title line: the scenario, the act and the act's state. If there is room, the time of day and the mission's elapsed time
+/// are at the right.
 fn title(model: &Model, now: Timestamp<Server>, columns: usize) -> Line<'static> {
     let mut pieces = vec![Piece::styled(shown(&model.choreography.scenario).into_owned(), BOLD)];
     let front = model.acts.first();
@@ -212,7 +214,7 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
     lines
 }
 
-/// Describes the state of a following act.
+/// Describes the state of an act that follows the current one.
 fn outlook(act: &ShownAct, now: Timestamp<Server>) -> String {
     match &act.stage {
         Stage::Waiting { awaits, until: Some(until), .. } => {
@@ -231,7 +233,7 @@ fn waiting(
     now: Timestamp<Server>,
 ) -> Vec<Line<'static>> {
     let Stage::Waiting { awaits, until, since, reading } = &shown_act.stage else { return Vec::new() };
-    // The remaining time is in the next line.
+    // The next line contains the remaining time, so it is omitted here.
     let what = awaits.split(", for ").next().unwrap_or_default();
     let what = Piece::styled(format!("for {what}"), YELLOW);
     let mut lines = vec![Line::from(vec![Piece::styled("waits   ", DIM), what])];
@@ -295,7 +297,7 @@ fn decided_lines(
     lines
 }
 
-/// Shows the progress of the act by the clock.
+/// Returns a bar that shows the progress of the act, according to the clock.
 fn bar(played: Span, duration: Span, columns: usize) -> Line<'static> {
     let part = (played.as_millis_f64() / duration.as_millis_f64().max(1.0)).clamp(0.0, 1.0);
     let times = format!(

@@ -1,4 +1,4 @@
-//! The operator's keys, and Ctrl-Z.
+//! Handles the keys that the operator presses, including Ctrl-Z.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -16,10 +16,10 @@ use crate::cli::console;
 use crate::mission::Rest;
 use crate::stop_lane::{Operator, OperatorHandle, StopLane};
 
-/// How long Ctrl-Z waits for the display to leave the screen.
+/// Maximum time that Ctrl-Z waits for the display to be removed from the screen.
 const LIFT_MAX: Duration = Duration::from_millis(200);
 
-/// The meaning of a key.
+/// The command that a key stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Key {
     Go,
@@ -44,18 +44,18 @@ impl Key {
 pub(in crate::cli) struct Speaker {
     voice: OperatorHandle,
     lane: Handle,
-    /// The thread that waits for the answer to the last go.
+    /// The thread that waits for the mission's answer to the last `go`. `None` before the first one.
     asking: Option<JoinHandle<()>>,
 }
 
 impl Speaker {
-    /// Creates a speaker for this lane.
+    /// Creates a speaker that sends commands through this stop lane.
     pub(in crate::cli) fn of(lane: &StopLane) -> Self {
         Self { voice: lane.voice(), lane: lane.runtime().clone(), asking: None }
     }
 
-    /// Sends a go, and prints the reason if it is refused. Another thread waits for the answer: a blocked mission does not answer, and
-    /// the next key may be a stop.
+    /// Sends `go`, and prints the reason if the mission refuses it. Another thread waits for the answer, because a blocked mission does
+    /// not answer and the next key may be a stop.
     fn go(&mut self) {
         if self.asking.as_ref().is_some_and(|asking| !asking.is_finished()) {
             return;
@@ -72,7 +72,7 @@ impl Speaker {
 }
 
 impl Speaker {
-    /// Stops all robots. The lane receives the command at once; a blocked mission receives it later.
+    /// Stops all robots. The stop lane receives the command at once; a blocked mission receives it later.
     fn stop(&self, rest: Rest) {
         let (voice, lane) = (self.voice.clone(), self.lane.clone());
         let stop = Operator::Stop { rest, by: None };
@@ -80,7 +80,7 @@ impl Speaker {
     }
 }
 
-/// Handles single keys below the display. The thread ends with the process.
+/// Starts a thread that handles single keys while the display is shown. The thread ends with the process.
 pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     if !terminal::has_keys() {
         return;
@@ -89,7 +89,7 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     std::thread::spawn(move || {
         let mut last = None;
         while let Some(bytes) = terminal::next_keys() {
-            // Arrow keys and similar keys are sequences, which have no meaning here.
+            // Arrow keys and similar keys send sequences of bytes, which have no meaning here.
             if bytes.first() == Some(&0x1b) {
                 continue;
             }
@@ -111,7 +111,7 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     });
 }
 
-/// Handles lines if there is no display: an empty line is the operator's go. The thread ends with the process.
+/// Starts a thread that handles lines of input if there is no display: an empty line means `go`. The thread ends with the process.
 pub(super) fn listen_to_lines(mut speaker: Speaker) {
     if !terminal::has_keys() {
         return;
@@ -134,7 +134,7 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
 
 const LINES: &str = "Enter or `go` starts the waiting act, `stop` or Ctrl-C stops all robots where they are, `home` stops them and then moves them to their default positions";
 
-/// Stops in the same way as Ctrl-C.
+/// Stops the mission by the signal that Ctrl-C sends.
 fn stop() {
     let _own_process = kill_process(getpid(), Signal::INT);
 }
@@ -152,11 +152,11 @@ pub(super) fn watch_suspension(scene: Arc<Mutex<Scene>>) {
     let Ok(mut suspended) = signal(SignalKind::from_raw(Signal::TSTP.as_raw())) else { return };
     tokio::spawn(async move {
         while suspended.recv().await.is_some() {
-            // Registered now, so that an earlier continuation is ignored.
+            // The handler is registered only now, so that an earlier SIGCONT is ignored.
             let Ok(mut continued) = signal(SignalKind::from_raw(Signal::CONT.as_raw())) else { return };
             let _ended = tokio::task::spawn_blocking(leave_terminal).await;
             let _own_process = kill_process(getpid(), Signal::STOP);
-            // This thread may run for a moment before the process is suspended.
+            // This task may run for a moment before the process is suspended.
             continued.recv().await;
             let scene = Arc::clone(&scene);
             let _ended = tokio::task::spawn_blocking(move || come_back(&scene)).await;
@@ -198,7 +198,7 @@ mod tests {
         let mut speaker = is_done.recv_timeout(Duration::from_secs(30)).unwrap();
         let said = operator.blocking_recv();
         let Some(Operator::Go { answer, .. }) = said else { panic!("{said:?}") };
-        // The key is pressed again: it waits for the same answer.
+        // If the key is pressed again, no second `go` is sent while the first one awaits its answer.
         speaker.go();
         assert!(operator.try_recv().is_err());
         answer.send(Ok("one".to_owned())).unwrap();

@@ -1,4 +1,4 @@
-//! The reports of a running mission as sentences with local times.
+//! Formats the progress reports of a running mission as sentences with local times.
 
 use downbeat_scripts::counted;
 use urrcp::{Server, Span, Timestamp};
@@ -7,7 +7,7 @@ use crate::mission::{LeadTime, Preflight, Progress, Rest, SkewBudget, Verdict};
 use crate::show::local::{time_as_of, time_of_day};
 use crate::show::{Detail, rounded};
 
-/// Returns the sentence for an event, if there is one.
+/// Returns the sentence for a progress report. Returns `None` if nothing is printed for it.
 pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress, detail: Detail) -> Option<String> {
     Some(match progress {
         Progress::Connected { robots } => format!("{} connected", counted(*robots, "robot")),
@@ -68,7 +68,8 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress, detail: Detai
     })
 }
 
-/// Returns the table of checks, unless all checks simply passed. Faults of robots are printed separately when they are found.
+/// Returns the preflight checks if they are worth printing as a table: unless all checks simply passed. Faults of robots are printed
+/// separately when they are found.
 pub(super) fn table_worth_showing(progress: &Progress) -> Option<&Preflight> {
     let Progress::Greeted { preflight, .. } = progress else { return None };
     let plain = |verdict: &Verdict| matches!(verdict, Verdict::Pass(_) | Verdict::NotChecked);

@@ -1,7 +1,8 @@
-//! The output of a running mission: on a terminal a display below the lines, elsewhere only lines, with JSON nothing.
+//! The output of a running mission. On a terminal, a live display is below the printed lines. Elsewhere, there are only lines; with JSON
+//! output, there is no progress output.
 //!
-//! The mission's events change a model. The writing thread draws it ten times a second ([`super::outlet`]). The mission itself never
-//! draws and never waits for a terminal. `docs/display.md` shows examples.
+//! The mission's events change a model. The output thread draws the model ten times a second ([`super::outlet`]). The mission itself
+//! never draws and never waits for a terminal. `docs/display.md` shows examples.
 
 mod frame;
 mod keys;
@@ -26,7 +27,7 @@ use crate::mission::Progress;
 use crate::server_clock::ServerClock;
 use crate::show::{Detail, UNBOUNDED, preflight_table, preflight_warnings};
 
-/// The source of the display.
+/// The data that the output thread draws.
 struct Scene {
     model: Model,
     help: Help,
@@ -34,7 +35,7 @@ struct Scene {
     shown: Shown,
 }
 
-/// Whether the display is on the screen.
+/// Whether the display is currently on the screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shown {
     Yes,
@@ -47,15 +48,15 @@ impl Scene {
     }
 }
 
-/// The display of one mission. The terminal is restored on drop.
+/// The output of one mission while it runs. The terminal is restored on drop.
 pub(super) struct Live {
     format: Format,
-    /// `None` if there is no display.
+    /// The data of the display. `None` if only lines are printed.
     scene: Option<Arc<Mutex<Scene>>>,
 }
 
 impl Live {
-    /// Prints only lines.
+    /// Creates an output that prints only lines.
     pub(super) const fn lines(format: Format) -> Self {
         Self { format, scene: None }
     }

@@ -1,4 +1,4 @@
-//! The data of the display: updated by the mission's events, read by the thread that draws. Reads no clock.
+//! The data of the live display. The mission's events update it, and the output thread reads it. The model reads no clock.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,38 +12,38 @@ use crate::mission::{Preflight, Progress};
 /// Maximum length of a robot's stored message, in columns.
 const WORD_MAX: usize = 120;
 
-/// The state of a mission, according to its events.
+/// The state of a mission, as far as its progress reports show.
 #[derive(Debug)]
 pub(super) struct Model {
     pub(super) choreography: Arc<Choreography>,
     pub(super) began: Timestamp<Server>,
-    /// Current and waiting acts, in order.
+    /// The current and the waiting acts, in the order in which they play.
     pub(super) acts: Vec<ShownAct>,
     pub(super) phase: Phase,
     pub(super) rows: Vec<Row>,
     index: HashMap<RobotId, usize>,
-    /// The index of the act whose steps the rows show.
+    /// The index of the act whose steps the rows show. `None` before the first act.
     planned: Option<usize>,
-    /// The act that moves the robots to their default positions after a stop.
+    /// The name of the act that moves the robots to their default positions after a stop. `None` if no such act is planned.
     home: Option<String>,
 }
 
 /// The phase of the whole mission.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// Connections to robots are made, and the robots are checked.
+    /// The mission connects to the robots and checks them.
     Greeting,
-    /// Acts wait, are prepared and play.
+    /// The mission waits for acts, prepares them and plays them.
     Performing,
-    /// All robots are being stopped, for this reason.
+    /// The mission stops all robots, for the contained reason.
     Stopping(String),
 }
 
-/// An act that is not over.
+/// An act that has not ended.
 #[derive(Clone, Debug)]
 pub(super) struct ShownAct {
     pub(super) name: String,
-    /// The act's index in the choreography. `None` if the act is not part of it.
+    /// The act's index in the choreography. `None` if the act is not part of the choreography.
     pub(super) index: Option<usize>,
     pub(super) stage: Stage,
 }
@@ -52,11 +52,11 @@ pub(super) struct ShownAct {
 pub(super) enum Stage {
     Waiting {
         awaits: String,
-        /// The time for which the act waits, if it waits for a time.
+        /// The time at which the wait ends. `None` if the act does not wait for a time.
         until: Option<Timestamp<Server>>,
-        /// When the previous act ended. `None` while it still plays.
+        /// When the previous act ended. `None` while the previous act still plays.
         since: Option<Timestamp<Server>>,
-        /// The reading of the act's sensor. `None` before the first reading.
+        /// The latest reading of the sensor that the act waits for. `None` before the first reading.
         reading: Option<Option<f64>>,
     },
     Preparing {
@@ -65,32 +65,32 @@ pub(super) enum Stage {
     Decided(Decided),
 }
 
-/// The decision to start an act, and its state.
+/// A decided start of an act.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Decided {
     pub(super) start: Timestamp<Server>,
     pub(super) duration: Span,
     pub(super) no_return: Timestamp<Server>,
-    /// Whether every lease extends past the start.
+    /// Whether the lease of every robot extends past the start of the act.
     pub(super) committed: bool,
 }
 
-/// A robot.
+/// The row of one robot in the display.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
     pub(super) robot: String,
     pub(super) state: RobotState,
-    /// The steps that the robot has reported for the current act.
+    /// Number of steps that the robot has reported as executed in the current act.
     pub(super) steps_done: u64,
     /// Whether the robot has started in the current act.
     begun: bool,
-    /// The planned steps of the current act. 0 if the robot does not take part in it.
+    /// Number of planned steps in the current act. 0 if the robot does not take part in the act.
     pub(super) steps_planned: u64,
-    /// When each step of its scripts is due, relative to the start of the act, in order.
+    /// When each step of the robot's scripts is due, relative to the start of the act, in ascending order.
     due: Arc<[Span]>,
     pub(super) clock: String,
     pub(super) word: String,
-    /// Whether its stop was confirmed, even if the robot had failed before.
+    /// Whether the robot has confirmed its stop, even if it had failed before.
     pub(super) stop: Confirmed,
 }
 
@@ -101,12 +101,12 @@ pub(super) enum Confirmed {
     Yes,
 }
 
-/// The state of a robot, worst first.
+/// The state of a robot. The variants are ordered from the worst to the best.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RobotState {
     Failed,
     LinkLost,
-    /// Stopped, but not confirmed yet.
+    /// The robot was ordered to stop, but has not confirmed it.
     Stopping,
     LeftOut,
     Playing,
@@ -133,7 +133,7 @@ impl RobotState {
         }
     }
 
-    /// Whether the robot no longer takes part.
+    /// Whether the robot no longer takes part in the mission.
     const fn is_out(self) -> bool {
         matches!(self, Self::Failed | Self::LeftOut)
     }
@@ -169,7 +169,7 @@ impl Model {
         }
     }
 
-    /// Whether robots are on the way to their default positions.
+    /// Whether the current act moves robots to their default positions.
     pub(super) fn goes_home(&self) -> bool {
         self.home.is_some() && self.acts.first().map(|act| &act.name) == self.home.as_ref()
     }
@@ -300,7 +300,7 @@ impl Model {
         }
     }
 
-    /// Sets the stage of an act. Removes other acts that only waited.
+    /// Sets the stage of an act, and adds the act if necessary. Removes other acts that have only waited.
     fn set(&mut self, name: &str, stage: Stage) {
         self.phase = Phase::Performing;
         self.acts.retain(|act| act.name == name || !act.is_waiting());
@@ -313,7 +313,7 @@ impl Model {
         self.plan_rows();
     }
 
-    /// Sets the rows to the planned steps of the first act, once it is sent.
+    /// Sets the steps in the rows to those planned for the first act, once that act is sent.
     fn plan_rows(&mut self) {
         let Some(front) = self.acts.first().filter(|act| !act.is_waiting()) else { return };
         if front.index.is_none() || front.index == self.planned {
@@ -337,7 +337,8 @@ impl Model {
         }
     }
 
-    /// A decided act that follows immediately takes over the rows only once the previous act is over.
+    /// Shows the act's robots as ready to start, when the start of the act is decided. If the previous act still plays, the rows change
+    /// only once it is over.
     fn take_over(&mut self, name: &str) {
         if self.acts.first().is_some_and(|act| act.name == name) {
             for row in self.rows.iter_mut().filter(|row| row.steps_planned > 0) {
@@ -358,7 +359,7 @@ impl Model {
         let Some(place) = self.acts.iter().position(|act| act.name == name) else { return };
         self.acts.remove(place);
         if place == 0 {
-            // The same act may occur again.
+            // The same act may be played again.
             self.planned = None;
         }
         if let Some(ShownAct { stage: Stage::Waiting { since, .. }, .. }) = self.acts.first_mut() {
@@ -380,13 +381,14 @@ impl ShownAct {
     }
 }
 
-/// Formats milliseconds with two decimals, so that a column of them does not jump.
+/// Formats a time in milliseconds with two decimals, so that the digits of a column stay aligned.
 fn millis(span: Span) -> String {
     format!("{:+.2} ms", span.as_millis_f64())
 }
 
 impl Row {
-    /// Returns the steps that the robot has reported, or should have executed according to its plan.
+    /// Returns the number of steps that the robot has reported, or that it should have executed according to the plan, whichever is
+    /// larger.
     pub(super) fn steps_by(&self, played: Span) -> u64 {
         let due = self.due.partition_point(|due| *due <= played);
         self.steps_done.max(due as u64)

@@ -1,5 +1,5 @@
-//! Draws frames below the lines of a terminal. It draws only changes, and moves the cursor relative to the frame's first line. Even if
-//! other programs write to the terminal, or if it is resized, the next lift clears only the frame.
+//! Draws frames below the printed lines of a terminal. It draws only changes, and moves the cursor relative to the frame's first line.
+//! Even if other programs write to the terminal, or if the terminal is resized, removing the frame erases only the frame.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -13,14 +13,14 @@ use crate::cli::outlet::Display;
 
 /// Minimum width of the display in columns. Narrower terminals show only lines.
 pub(super) const COLUMNS_MIN: u16 = 60;
-/// Number of lines above the frame that stay visible.
+/// Number of printed lines above the frame that stay visible.
 const ABOVE: u16 = 4;
 
-/// Erases from the cursor's line to the end of the screen, without leaving that line. It first erases the line, and then the rest from
-/// the second column: if a screen is erased from its very first cell, tmux keeps it in the scrollback.
+/// Escape sequence that erases the cursor's line and everything below, and keeps the cursor in that line. It first erases the line, and
+/// then the rest from the second column: if a screen is erased from its very first cell, tmux keeps the erased screen in the scrollback.
 const ERASE: &str = "\r\x1b[K\x1b[C\x1b[J\r";
 
-/// Whether colours are wanted.
+/// Whether frames are drawn in colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Colours {
     On,
@@ -30,7 +30,7 @@ pub(super) enum Colours {
 pub(super) struct Painter {
     scene: Arc<Mutex<Scene>>,
     colours: Colours,
-    /// The frame on the screen. The cursor is at its first cell.
+    /// The frame on the screen; the cursor is at its first cell. `None` if no frame is on the screen.
     before: Option<Buffer>,
 }
 
@@ -54,7 +54,7 @@ impl Display for Painter {
         };
         let frame = {
             let scene = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
-            // The last column stays free: after it, some terminals move to the next line.
+            // The last column stays free, because some terminals move the cursor to the next line after it.
             scene.frame(columns - 1, rows.saturating_sub(ABOVE).max(4))
         };
         self.paint(&frame, columns - 1, rows)
@@ -83,7 +83,7 @@ impl Painter {
     }
 }
 
-/// Scrolls until `height` lines are free, and returns to the first of them.
+/// Appends the bytes that scroll until `height` lines are free and move the cursor to the first of these lines.
 fn make_room(bytes: &mut String, height: u16) {
     for _ in 1..height {
         bytes.push('\n');
@@ -99,7 +99,7 @@ fn up(bytes: &mut String, lines: u16) {
 
 fn write_changes(bytes: &mut String, changes: &[(u16, u16, &Cell)], colours: Colours) {
     let (mut line, mut style) = (0, String::new());
-    // The cursor's column after the last cell. `None` if unknown.
+    // The cursor's column after the last written cell. `None` if it is unknown.
     let mut column = None;
     for (x, y, cell) in changes {
         if *y > line {
@@ -116,7 +116,7 @@ fn write_changes(bytes: &mut String, changes: &[(u16, u16, &Cell)], colours: Col
             style = wanted;
         }
         bytes.push_str(cell.symbol());
-        // A wide character may be drawn narrower than expected, so the next cell is placed by its column.
+        // A wide character may be drawn narrower than expected, so the cursor is moved to the next cell's column explicitly.
         column = cell.symbol().is_ascii().then_some(x + 1);
     }
     if !style.is_empty() {
@@ -128,7 +128,7 @@ fn write_changes(bytes: &mut String, changes: &[(u16, u16, &Cell)], colours: Col
     }
 }
 
-/// Returns the sequence that begins a cell's style. Empty for a plain cell.
+/// Returns the escape sequence that begins a cell's style. Empty for a cell without style.
 fn sequence(cell: &Cell) -> String {
     let colour = match cell.fg {
         Color::Red => Some("31"),
@@ -176,7 +176,7 @@ mod tests {
         let mut next = Buffer::empty(area);
         (0..3).for_each(|y| next.set_string(0, y, text, ratatui::style::Style::new()));
         let mut bytes = ERASE.to_owned();
-        // A terminal does this with a program's line feeds.
+        // A terminal converts a program's line feeds in this manner.
         make_room(&mut bytes, 3);
         write_changes(&mut bytes, &Buffer::empty(area).diff(&next), Colours::Off);
         bytes.replace('\n', "\r\n")

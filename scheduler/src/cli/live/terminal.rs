@@ -1,5 +1,6 @@
-//! The terminal while the display is on: keys arrive without Enter and without an echo. The terminal itself handles Ctrl-C and Ctrl-Z, so
-//! that they work in any state of this process. The settings are restored at every end of the process except SIGKILL.
+//! Settings of the terminal while the display is shown: keys arrive without Enter and without an echo. The terminal itself handles Ctrl-C
+//! and Ctrl-Z, so that these keys work in any state of this process. The settings are restored at every end of the process except
+//! SIGKILL.
 
 use std::io::IsTerminal;
 use std::sync::{Mutex, Once, PoisonError};
@@ -11,19 +12,19 @@ use rustix::termios::{InputModes, LocalModes, OptionalActions, SpecialCodeIndex,
 
 use crate::signals::restore_before_death;
 
-/// The settings before this process changed them.
+/// The terminal's settings before this process changed them. `None` if they are unchanged.
 static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 static ON_PANIC: Once = Once::new();
 
-/// Columns and rows of the terminal behind standard error.
+/// Returns the columns and rows of the terminal on standard error. `None` if there is no terminal.
 pub(super) fn size() -> Option<(u16, u16)> {
     let size = rustix::termios::tcgetwinsize(rustix::stdio::stderr()).ok()?;
-    // The default for a terminal without a known size, for example on a serial line.
+    // The default applies to a terminal that does not report its size, for example on a serial line.
     let known = |value, default| if value == 0 { default } else { value };
     Some((known(size.ws_col, 80), known(size.ws_row, 24)))
 }
 
-/// Whether lines can be overwritten: standard error is a terminal, and not a dumb one.
+/// Whether a display can be drawn: standard error is a terminal that can overwrite lines.
 pub(super) fn can_draw() -> bool {
     let dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
     std::io::stderr().is_terminal()
@@ -31,17 +32,18 @@ pub(super) fn can_draw() -> bool {
         && size().is_some_and(|(columns, _)| columns >= super::painter::COLUMNS_MIN)
 }
 
-/// Whether this process receives keys. A background process that reads or changes its terminal is suspended.
+/// Whether this process is in the foreground of its terminal and receives keys. The system suspends a background process that reads from
+/// its terminal or changes its settings.
 fn is_in_foreground() -> bool {
     rustix::termios::tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }
 
-/// Whether there is a keyboard.
+/// Whether standard input is a terminal, so that an operator may press keys.
 pub(super) fn has_keys() -> bool {
     std::io::stdin().is_terminal()
 }
 
-/// Switches the terminal to single keys.
+/// Switches the terminal to single keys without echo.
 pub(super) fn take_keys() {
     if !has_keys() || is_in_background() {
         return;
@@ -67,22 +69,22 @@ pub(super) fn take_keys() {
     }
 }
 
-/// Whether another program has the terminal now. Without a controlling terminal, there is no foreground.
+/// Whether another program is in the foreground of the terminal. Without a controlling terminal, no program is.
 fn is_in_background() -> bool {
     rustix::termios::tcgetsid(stdin()).is_ok() && !is_in_foreground()
 }
 
-/// Restores the settings. Has no effect if they were not changed, or if another program has the terminal: the settings are then those of
-/// that program, and a background process that changes them is suspended.
+/// Restores the terminal's settings. Has no effect if this process did not change them, or if another program is in the foreground: the
+/// settings then belong to that program, and a background process that changes them is suspended.
 pub(super) fn restore() {
     let before = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take();
     if let Some(before) = before.filter(|_| !is_in_background()) {
-        // Immediately, because a blocked terminal never takes the pending output.
+        // The change applies immediately, because a blocked terminal never accepts the pending output.
         let _gone = rustix::termios::tcsetattr(stdin(), OptionalActions::Now, &before);
     }
 }
 
-/// Waits for the next keys. Returns `None` once there will be no more.
+/// Waits for the next keys and returns their bytes. Returns `None` once standard input has ended.
 pub(super) fn next_keys() -> Option<Vec<u8>> {
     loop {
         let keyboard = stdin();
@@ -93,7 +95,7 @@ pub(super) fn next_keys() -> Option<Vec<u8>> {
             Ok(_) => {}
         }
         if is_in_background() {
-            // The keys are meant for another program.
+            // Another program is in the foreground and receives the keys.
             let pause = rustix::event::Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
             let _interrupted = rustix::event::poll(&mut [], Some(&pause));
             continue;

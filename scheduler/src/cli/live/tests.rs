@@ -1,4 +1,4 @@
-//! Tests the appearance of frames on ratatui's test terminal.
+//! Tests of the appearance of frames, on ratatui's test terminal.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::mission::{
 
 const SECOND: Span = Span::from_millis(1_000);
 
-/// The example `meeting` on its fleet, with its two arms and the rover.
+/// Returns the model of the example `meeting`, with its fleet of two arms and a rover.
 fn meeting() -> Model {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let (fleet, findings) = read_fleet(&root.join("fleet.yaml"));

@@ -1,4 +1,4 @@
-//! `--approach`: asks the robots for their positions and plans the act that moves them to their first positions.
+//! `--approach`: asks the robots for their positions, and plans an act that moves them to their first positions.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::mission::{Check, Failure, FailureKind, Greeting, Verdict};
 use crate::report::Outcome;
 use crate::server_clock::ServerClock;
 
-/// Parses the duration of an approach.
+/// Parses the duration of an approach, from 100 ms to 600 s.
 pub(super) fn parse(text: &str) -> Result<Span, String> {
     let over = parse_span(text)?;
     let fits = over >= Span::from_millis(100) && over <= Span::from_millis(600_000);
@@ -23,7 +23,7 @@ pub(super) fn parse(text: &str) -> Result<Span, String> {
 }
 
 impl Work<'_> {
-    /// Returns the choreography with an additional first act that moves all devices to their first positions, and the index of that act.
+    /// Adds a first act that moves all devices to their first positions. Returns the choreography and the index of the act to begin with.
     pub(super) async fn approached(
         &mut self,
         over: Span,
@@ -44,7 +44,7 @@ impl Work<'_> {
         Ok((choreography, first))
     }
 
-    /// Converts `--at` to an instant, before the questions to the robots take time.
+    /// Converts `--at` to an instant, before the requests to the robots take time.
     fn fix_start(&mut self) -> Result<Option<Timestamp<Server>>, Exit> {
         let start = self.start(ServerClock::anchored(Span::ZERO).now()).map_err(|(message, exit)| {
             console::error(&message);
@@ -54,7 +54,7 @@ impl Work<'_> {
         Ok(start)
     }
 
-    /// Rejects a start before the end of the approach.
+    /// Rejects a start time that is before the end of the approach.
     fn allow_for(&self, over: Span, start: Option<Timestamp<Server>>) -> Result<(), Exit> {
         let left = start.map(|start| start + self.start_within - ServerClock::anchored(Span::ZERO).now());
         match left.filter(|left| *left <= over) {
@@ -68,7 +68,7 @@ impl Work<'_> {
         }
     }
 
-    /// Asks the robots for the positions of their devices. Nothing moves.
+    /// Asks the robots for the positions of their devices, and returns them. Nothing moves.
     async fn positions(
         &self,
         choreography: Choreography,

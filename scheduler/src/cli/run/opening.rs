@@ -1,4 +1,4 @@
-//! Opens the journal of a new mission. The disk may stall while the operator requests a stop.
+//! Opens the journal of a new mission. The operator can stop it even while the disk stalls.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,10 +12,10 @@ use crate::journal::{self, Journal, Opened, OpenedRobot};
 use crate::server_clock::ServerClock;
 use crate::stop_lane::Operator;
 
-/// Removes old journals and begins this one.
+/// Removes old journals and begins the journal of this mission.
 ///
 /// # Errors
-/// Fails if the disk refuses it, or if the operator stops first.
+/// Fails if the disk refuses the journal, or if the operator stops the mission first.
 pub(super) async fn begin(
     state: PathBuf,
     opened: Opened,
@@ -30,7 +30,7 @@ pub(super) async fn begin(
     unless_stopped(operator, opening).await?.map_err(usage)
 }
 
-/// Waits for a disk that may stall, unless the operator stops before anything was sent.
+/// Runs `work` on another thread, because the disk may stall. Does not wait for its end if the operator stops the mission.
 async fn unless_stopped<T: Send + 'static>(
     operator: &mut mpsc::Receiver<Operator>,
     work: impl FnOnce() -> T + Send + 'static,
@@ -47,7 +47,7 @@ async fn unless_stopped<T: Send + 'static>(
     }
 }
 
-/// The parts of a robot's description that a stop needs if only the journal is left.
+/// Returns the data of a robot that the journal must contain, so that a stop needs only the journal.
 pub(super) fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
     let (init, limits) = match robot.address {
         Address::Thrift { .. } | Address::Program { .. } => (robot.init.clone(), robot.limits.clone()),
@@ -62,7 +62,7 @@ fn unwritable(state: &Path, error: &std::io::Error) -> String {
     format!("cannot create the folder {} for journals: {reason}; {OTHERWISE}", state.display())
 }
 
-/// Suggestion if no journal can be written.
+/// Suggestion that is printed if no journal can be written.
 const OTHERWISE: &str = "set DOWNBEAT_STATE to a writable folder, or run with --no-journal";
 
 fn open_journal(folder: &Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {

@@ -1,4 +1,4 @@
-//! Other missions of this machine that have robots of the mission about to begin.
+//! Finds other missions of this machine that contain robots of the mission about to begin.
 
 use downbeat_scripts::{Address, FleetRobot, Protection};
 use urrcp::RobotId;
@@ -6,11 +6,12 @@ use urrcp::RobotId;
 use crate::cli::console;
 use crate::journal::{Found, MissionState, Missions};
 
-/// Refuses robots that are already in a mission of this machine. Robots also refuse by themselves, including schedulers on other
-/// machines. If robots are seized, those with a `tls://` or `hmac://` address decide themselves. Warns of missions that were cut off.
+/// Returns an error if a robot is already in a mission of this machine. Robots themselves also refuse a second scheduler, including those
+/// on other machines. If robots are seized, those with a `tls://` or `hmac://` address decide themselves. Prints warnings about missions
+/// that were cut off.
 ///
 /// # Errors
-/// Returns which robots are taken, and by which missions.
+/// Returns, as a sentence, which robots are taken, and by which missions.
 pub(super) fn look_at(missions: &Missions, robots: &[&FleetRobot], seize: bool) -> Result<(), String> {
     for refused in &missions.refused {
         console::warn(&format!("{refused}; if a mission runs there, its robots are unknown"));
@@ -34,7 +35,7 @@ fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> 
     if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
 }
 
-/// Warns of robots in missions that were cut off and never stopped: they may still hold commands of those missions.
+/// Prints warnings about robots in missions that were cut off and never stopped: such robots may still hold commands of these missions.
 fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
     for mission in missions.iter().filter(|mission| mission.life == MissionState::CutOff) {
         let drove: Vec<_> = driven_by(mission, robots).iter().map(|robot| format!("`{robot}`")).collect();
@@ -48,7 +49,7 @@ fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
     }
 }
 
-/// Returns the robots that a mission contains, compared by address.
+/// Returns those of the robots whose addresses occur in a mission.
 fn driven_by<'a>(mission: &Found, robots: &[&'a FleetRobot]) -> Vec<&'a RobotId> {
     let named = |robot: &&&FleetRobot| {
         let address = robot.address.to_string();

@@ -1,4 +1,4 @@
-//! Tests the endpoint with clients, including misbehaving ones.
+//! Tests of the endpoint with clients, including misbehaving ones.
 
 use std::future::Future;
 use std::io::{Read, Write};
@@ -73,7 +73,7 @@ fn other_paths_and_methods_are_refused() {
     assert!(said(address, "nonsense\r\n\r\n").starts_with("HTTP/1.1 400"));
     let long = "a".repeat(4 * HEAD_BYTES_MAX);
     let mut stream = TcpStream::connect(address).unwrap();
-    // The answer or the end of the connection may come before everything is written.
+    // The response or the end of the connection may arrive before the whole request is written.
     let _ended = stream.write_all(format!("GET /{long} HTTP/1.1\r\n\r\n").as_bytes());
     let mut answer = Vec::new();
     let _ended = stream.read_to_end(&mut answer);
@@ -86,7 +86,7 @@ fn connections_that_say_nothing_leave_and_others_are_served_again() {
     let silent: Vec<_> = (0..2 * CONNECTIONS_MAX).map(|_| TcpStream::connect(address).unwrap()).collect();
     for mut stream in silent {
         let mut rest = Vec::new();
-        // Connections that have a place are closed after a while, all others immediately.
+        // Admitted connections are closed after a while, all others immediately.
         let _reset = stream.read_to_end(&mut rest);
     }
     assert!(got(address, "/healthz").starts_with("HTTP/1.1 200"));

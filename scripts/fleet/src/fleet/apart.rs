@@ -1,4 +1,4 @@
-//! Keeps the robots of a fleet distinct and protected: unique addresses and ids, and no unprotected network connections.
+//! Checks that the robots of a fleet are distinct and protected: unique addresses and ids, and no unprotected network connections.
 
 use std::collections::{BTreeMap, HashMap};
 use std::hash::Hash;
@@ -9,10 +9,11 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::composed::{composed, is_same};
 use downbeat_yaml::finding::{Code, SharedFault, robots_named};
 
-/// With more robots, their greeting takes considerably longer than with the same number at several places (docs/zenoh.md).
+/// Maximum number of robots whose Zenoh keys differ only in the last word. With more, the handshake takes considerably longer than with
+/// several groups of keys (docs/zenoh.md).
 const ROBOTS_AT_A_PLACE_MAX: usize = 1_000;
 
-/// Reports robots that anyone who can send messages to them can move.
+/// Reports robots without protection: anyone who can send messages to them can move them.
 pub(super) fn none_open(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
     for robot in fleet.iter().filter(|robot| robot.address.is_open()) {
         findings.add_shared(SharedFault {
@@ -32,7 +33,7 @@ pub(super) fn none_open(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRo
     }
 }
 
-/// Reports robots with a common place or a common id, because they cannot be distinguished.
+/// Reports robots with the same address or the same id, because they cannot be distinguished.
 pub(super) fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
     let at = |robot: &FleetRobot, key| robots.place().of_key(robot.id.as_str()).of_key(key);
     let places = fleet.iter().map(|robot| (robot, robot.address.places()));
@@ -67,7 +68,7 @@ pub(super) fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[Fl
     }
 }
 
-/// Groups robots: each has a key in common with an earlier robot of its group.
+/// Groups robots that have a key in common with another robot of their group.
 fn with_something_in_common<'a, K: Eq + Hash>(
     robots: impl Iterator<Item = (&'a FleetRobot, Vec<K>)>,
 ) -> Vec<Vec<&'a FleetRobot>> {
@@ -97,7 +98,7 @@ fn several(first: &FleetRobot, second: &FleetRobot, others: &[&FleetRobot]) -> S
     }
 }
 
-/// Reports too many robots whose keys only differ in the last word. Routers of Zenoh compare each declared key with all its siblings.
+/// Reports too many robots whose Zenoh keys differ only in the last word. Routers of Zenoh compare each declared key with all such keys.
 pub(super) fn none_crowded(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
     let mut crowds: BTreeMap<&str, Vec<&FleetRobot>> = BTreeMap::new();
     for robot in fleet {

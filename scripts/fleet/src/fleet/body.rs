@@ -93,9 +93,9 @@ named! {
     pub(crate) static COORDINATE = Kind::AnyOf(&[&kinds::NAME, &CoordinateKeys::KIND]);
 }
 
-/// Metres per unit.
+/// Units of length, each with its size in metres.
 pub(super) const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];
-/// Radians per unit.
+/// Units of angle, each with its size in radians.
 pub(super) const ANGLES: [(&str, f64); 3] =
     [("rad", 1.0), ("deg", std::f64::consts::PI / 180.0), ("°", std::f64::consts::PI / 180.0)];
 
@@ -116,7 +116,7 @@ pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
     }
 }
 
-/// `{x: [-2, 2], z: [0, 3]}`
+/// Reads a volume, such as `{x: [-2, 2], z: [0, 3]}`.
 fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
     let VolumeKeys { x, y, z } = findings.keys(at, "a volume")?;
     let (mut volume, mut sound) = (Volume::default(), true);
@@ -189,7 +189,7 @@ pub(super) fn read_body(
 }
 
 fn read_shape(findings: &mut Reader, keys: &BodyKeys<'_>) -> Option<Shape> {
-    // With a URDF, the radius is that of the links.
+    // With a URDF, the key `radius` applies to the links.
     let radius = keys.radius.filter(|_| keys.urdf.is_none());
     if let (Some(radius), Some(_)) = (&radius, &keys.size) {
         let hint = Some("remove one of them".to_owned());
@@ -209,7 +209,7 @@ fn read_shape(findings: &mut Reader, keys: &BodyKeys<'_>) -> Option<Shape> {
     }
 }
 
-/// Reads an arm whose last link ends where it begins.
+/// Reads an arm from a URDF. Its last link has length 0.
 fn read_urdf(
     findings: &mut Reader,
     urdf: At<'_>,
@@ -235,7 +235,7 @@ fn tell_without_urdf(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 2]) {
     }
 }
 
-/// Reports coordinates that the drive determines.
+/// Reports coordinates that are given although the drive already determines them.
 fn tell_placed(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 3]) {
     for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
         let message = format!("the drive already determines `{name}`");
@@ -244,7 +244,7 @@ fn tell_placed(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 3]) {
     }
 }
 
-/// `[0.4, 0.3, 0.2]`
+/// Reads the sides of a box, such as `[0.4, 0.3, 0.2]`.
 fn read_box(findings: &mut Reader, at: &At<'_>) -> Option<Shape> {
     let expected = "length, width and height above 0 in metres, such as [0.4, 0.3, 0.2]";
     let sides = findings.list(at, expected);
@@ -256,7 +256,7 @@ fn read_box(findings: &mut Reader, at: &At<'_>) -> Option<Shape> {
     <[f64; 3]>::try_from(size).ok().filter(|_| sides.len() == 3).map(|size| Shape::Box { size })
 }
 
-/// `x`, `1.5`, or `{device: x, scale: 0.001, offset: 1.5}`. A number is in metres, or in degrees.
+/// Reads a coordinate: `x`, `1.5`, or `{device: x, scale: 0.001, offset: 1.5}`. A number is in metres, or in degrees for an angle.
 fn read_coordinate(
     findings: &mut Reader,
     at: &At<'_>,
@@ -279,13 +279,13 @@ fn own_unit(units: &[(&str, f64)]) -> f64 {
     units.iter().find(|(unit, _)| ["deg", "deg/s"].contains(unit)).map_or(1.0, |(_, scale)| *scale)
 }
 
-/// A number in metres or degrees.
+/// Reads a fixed coordinate: a number in metres, or in degrees for an angle.
 pub(super) fn fixed(findings: &mut Reader, at: &At<'_>, units: &[(&str, f64)]) -> Option<Coordinate> {
     let value = findings.number(at, "a number in metres, or in degrees")?;
     Some(Coordinate::Fixed(value * own_unit(units)))
 }
 
-/// The position that a device sets, scaled by its unit or by a given scale.
+/// A coordinate that a device sets, scaled by the unit of the device or by a given scale.
 pub(super) fn of_device(
     findings: &mut Reader,
     name: &At<'_>,
@@ -310,7 +310,7 @@ pub(super) fn of_device(
     Some(Coordinate::Device { device: device.id.clone(), scale, offset })
 }
 
-/// The position that the device of this name sets.
+/// A coordinate that the named device sets, scaled by the unit of the device.
 pub(super) fn by_name(
     findings: &mut Reader,
     at: &At<'_>,

@@ -13,9 +13,9 @@ use downbeat_reader::{keys, words};
 use downbeat_yaml::finding::{self, Code};
 use downbeat_yaml::shown::shortened;
 
-/// By default, a movement is visible after this fraction of its distance.
+/// Default distance after which a movement is visible, as a fraction of the whole movement.
 const VISIBLE_SHARE: f64 = 0.01;
-/// The largest fraction of a movement that may count as its start.
+/// Largest distance after which a movement may count as visible, as a fraction of the whole movement.
 const VISIBLE_SHARE_MAX: f64 = 0.5;
 const SENSOR_DELAY_MAX: Span = Span::from_millis(1_000);
 const TAKEN_WORDS: [(&str, Taken); 3] =
@@ -45,31 +45,31 @@ keys! {
 pub struct Calibration {
     /// The sensor that shows the position of the device, in the unit of the device.
     pub sensor: DeviceId,
-    /// Where the movement starts. `None` if it starts at the current position.
+    /// The position at which the movement starts, in the device's unit. `None` if it starts at the current position.
     pub from: Option<f64>,
-    /// The small safe distance by which the device may be moved from there, in its unit; not 0.
+    /// The small safe distance by which the device may be moved from the start, in its unit; not 0.
     pub by: f64,
-    /// When the sensor's value is sampled.
+    /// When the sensor's value is sampled between request and response.
     pub taken: Taken,
-    /// The age of the value at that time, which no round trip shows.
+    /// The age of the value when it is sampled, which no round trip shows.
     pub sensor_delay: Span,
     /// The distance after which the device has visibly started to move, in its unit. Above 0, and at most half of `by`.
     pub visible: f64,
 }
 
-/// When the value of a sensor is sampled between request and answer, as far as known.
+/// When the value of a sensor is sampled between request and response, as far as this is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Taken {
-    /// When the robot receives the request: the sensor's delay lies between the value and the answer.
+    /// When the robot receives the request. The sensor's delay lies between the sampling and the response.
     AtRequest,
-    /// When the robot sends its answer: it waits for the next value.
+    /// When the robot sends its response, because it waits for the next value.
     AtAnswer,
-    /// At any time in between: the uncertainty is half of the sensor's delay.
+    /// At an unknown time in between. The uncertainty is half of the sensor's delay.
     #[default]
     Between,
 }
 
-/// `{elbow: {sensor: elbow_angle, from: 0, by: 2}}`
+/// Reads `calibrate`, such as `{elbow: {sensor: elbow_angle, from: 0, by: 2}}`.
 pub(super) fn read(
     findings: &mut Reader,
     at: &At<'_>,
@@ -105,7 +105,7 @@ pub(super) fn read(
     all
 }
 
-/// The movement must stay within the limits of the device. If its start is not given, only its length is checked.
+/// Checks that the movement stays within the limits of the device. If the start of the movement is not given, only its length is checked.
 fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), limits: &Limits) {
     let (least, largest) = (limits.min_value, limits.max_value);
     let within = least..=largest;
@@ -148,7 +148,7 @@ fn visible_amount(findings: &mut Reader, at: &At<'_>, by: f64) -> Option<f64> {
     None
 }
 
-/// A device that is driven by position. Otherwise adds a finding at the key that names it.
+/// The named device, if it is driven by position. Otherwise adds a finding at the key that names the device.
 pub(super) fn device_by_position(
     findings: &mut Reader,
     name: &str,
@@ -167,7 +167,7 @@ pub(super) fn device_by_position(
     found
 }
 
-/// The named sensor, or else the device itself.
+/// The named sensor; if no sensor is named, the device itself.
 pub(super) fn sensor_of(
     findings: &mut Reader,
     named: Option<&At<'_>>,

@@ -50,14 +50,14 @@ named! {
     pub(crate) static SIGNAL = Kind::AnyOf(&[&kinds::NAME, &SignalKeys::KIND]);
 }
 
-/// Metres per second per unit.
+/// Units of speed, each with its size in metres per second.
 const SPEEDS: [(&str, f64); 3] = [("m/s", 1.0), ("cm/s", 0.01), ("mm/s", 0.001)];
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
-/// Radians per second per unit.
+/// Units of angular speed, each with its size in radians per second.
 const TURNS: [(&str, f64); 4] =
     [("rad/s", 1.0), ("deg/s", DEGREE), ("°/s", DEGREE), ("rpm", std::f64::consts::TAU / 60.0)];
 
-/// `{left: left_wheel, right: right_wheel, track: 0.3, start: [0, 0, 90]}`
+/// Reads a drive, such as `{left: left_wheel, right: right_wheel, track: 0.3, start: [0, 0, 90]}`.
 pub(super) fn read_drive(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Option<Drive> {
     let keys: DriveKeys<'_> = findings.keys(at, "a drive")?;
     let expected = "x and y in metres and yaw in degrees, such as [1, 0, 90]";
@@ -85,7 +85,7 @@ fn read_wheels(
     keys: &DriveKeys<'_>,
     init: &InitializationBlock,
 ) -> Option<Steering> {
-    // Per radian, a turning wheel rolls by its radius.
+    // A wheel that turns by one radian rolls by the length of its radius.
     let radius = keys.wheel_radius.map(|at| length(findings, &at));
     let needs_radius = radius.is_none() && tell_turning(findings, at, [keys.left, keys.right], init);
     let turning = |radius: f64| TURNS.map(|(unit, scale)| (unit, scale * radius)).to_vec();
@@ -103,7 +103,7 @@ fn read_wheels(
     })
 }
 
-/// Reports wheels in angles per second without a radius, as one finding.
+/// Reports, in one finding, wheels whose devices have units of angular speed although the drive has no wheel radius.
 fn tell_turning(
     findings: &mut Reader,
     at: &At<'_>,
@@ -149,7 +149,7 @@ fn required<'a>(findings: &mut Reader, at: &At<'_>, (name, key): (&str, Option<A
     key
 }
 
-/// `left_wheel`, or `{device: left_engine, scale: 0.01}`.
+/// Reads a device that drives the body: `left_wheel`, or `{device: left_engine, scale: 0.01}`.
 fn signal(
     findings: &mut Reader,
     at: &At<'_>,

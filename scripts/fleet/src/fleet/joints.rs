@@ -1,4 +1,4 @@
-//! The keys `joints` and `tip` of a body: its arm.
+//! The keys `joints` and `tip` of a body, which describe its arm.
 
 use urrcp::InitializationBlock;
 
@@ -11,7 +11,7 @@ use downbeat_space::space::{Coordinate, Joint, JointKind};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
-/// Maximum number of joints of a body: each joint is compared with all joints of the other bodies.
+/// Maximum number of joints of a body. It is limited because each joint is compared with all joints of the other bodies.
 pub(super) const JOINTS_MAX: usize = 64;
 const KINDS: [(&str, JointKind); 2] =
     [("revolute", JointKind::Revolute), ("prismatic", JointKind::Prismatic)];
@@ -51,7 +51,7 @@ keys! {
     also {"oneOf": [{"required": ["device"]}, {"required": ["value"]}]}
 }
 
-/// The joints from the base to the tip, and the position of the tip.
+/// Reads the joints from the base to the tip of an arm, and the position of the tip.
 pub(super) fn read_arm(
     findings: &mut Reader,
     body: &At<'_>,
@@ -92,7 +92,7 @@ fn read_joints(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -
     joints.into_iter().collect()
 }
 
-/// `{device: elbow, axis: y, at: [0, 0, 0.425], radius: 0.05}`
+/// Reads a joint, such as `{device: elbow, axis: y, at: [0, 0, 0.425], radius: 0.05}`.
 fn read_joint(findings: &mut Reader, index: usize, at: &At<'_>, init: &InitializationBlock) -> Option<Joint> {
     let what = format!("joint {}", index + 1);
     let keys: JointKeys<'_> = findings.keys(at, &what)?;
@@ -119,7 +119,7 @@ fn read_joint(findings: &mut Reader, index: usize, at: &At<'_>, init: &Initializ
     })
 }
 
-/// The value of a joint, from a device or fixed.
+/// Reads the position of a joint, from a device or fixed.
 fn read_value(
     findings: &mut Reader,
     at: &At<'_>,
@@ -146,7 +146,7 @@ fn read_value(
     }
 }
 
-/// `z`, `-z`, or `[0, 0.6, 0.8]`, as a unit vector.
+/// Reads an axis, such as `z`, `-z` or `[0, 0.6, 0.8]`, as a unit vector.
 fn read_axis(findings: &mut Reader, at: &At<'_>) -> Option<[f64; 3]> {
     let Node::List(_) = at.node else { return findings.word(at, &AXES) };
     let expected = "x, y, z, -x, -y, -z, or a vector such as [0, 0.6, 0.8]";
@@ -160,7 +160,7 @@ fn read_axis(findings: &mut Reader, at: &At<'_>) -> Option<[f64; 3]> {
     Some(axis.map(|part| part / long))
 }
 
-/// Three numbers.
+/// Reads a list of three numbers.
 pub(super) fn vector(findings: &mut Reader, at: &At<'_>, expected: &str) -> Option<[f64; 3]> {
     let parts = findings.list(at, expected);
     let numbers: Vec<f64> = parts.iter().filter_map(|part| findings.number(part, expected)).collect();

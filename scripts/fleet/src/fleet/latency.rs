@@ -22,7 +22,7 @@ use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
-/// The longest latency, and the largest spread of a latency.
+/// Maximum latency, and maximum spread of a latency.
 const LATENCY_MAX: Span = Span::from_millis(10_000);
 /// Maximum number of trials that a file may state for one device.
 const TRIALS_MAX: u32 = 1_000_000;
@@ -80,15 +80,15 @@ pub fn latency_keys() -> &'static Declaration {
     FileKeys::declaration()
 }
 
-/// A latency of a device that is compensated, and its source.
+/// The latency of a device, which the compiler compensates for, and its source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct DeviceLatency {
-    /// The latency.
+    /// The latency of the device.
     #[serde(flatten)]
     pub latency: Latency,
     /// The source of the latency.
     pub from: LatencySource,
-    /// The lag with which the device follows, if measured. It is not compensated.
+    /// The lag with which the device follows its commands; `None` if it was not measured. The compiler does not compensate for it.
     #[serde(skip)]
     pub lag: Option<Lag>,
 }
@@ -96,11 +96,11 @@ pub struct DeviceLatency {
 /// How a device follows its commands: by equal first-order lags in series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lag {
-    /// The sum of all time constants: how far the device lags behind a ramp.
+    /// The sum of the time constants of all lags: the time by which the device lags behind a ramp.
     pub time_constant: Span,
-    /// The number of lags: 1 starts immediately with full speed towards the value, 2 starts softly.
+    /// The number of lags in series. With 1, the device starts immediately at full speed towards the value; with 2, it starts softly.
     pub lags: u8,
-    /// How much later the device visibly starts than such lags alone, for example because of static friction. Negative if it starts
+    /// How much later the device visibly starts than the lags alone would, for example because of static friction. Negative if it starts
     /// earlier.
     pub later: Span,
 }
@@ -108,7 +108,7 @@ pub struct Lag {
 /// Maximum number of lags in series.
 pub const LAGS_MAX: u8 = 2;
 
-/// The source of a latency; the most trusted first.
+/// The source of a latency. The first source takes precedence over the later ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LatencySource {
@@ -135,27 +135,27 @@ impl fmt::Display for LatencySource {
 pub struct MeasuredLatency {
     /// The median time from a command to the first visible motion.
     pub median: Span,
-    /// 95 % of all trials were within the median ± this.
+    /// 95 % of all measured latencies were within the median ± this.
     pub spread: Option<Span>,
-    /// 95 % of all trials took no longer.
+    /// The 95th percentile of the measured latencies.
     pub p95: Option<Span>,
     /// The number of measured motions.
     pub trials: Option<u32>,
     /// The time of the measurement, as text.
     pub measured: Option<String>,
-    /// The lag with which the device follows.
+    /// The lag with which the device follows its commands.
     pub lag: Option<Lag>,
-    /// How far the device lags behind a ramp.
+    /// The time by which the device lags behind a ramp.
     pub tracking_lag: Option<Span>,
 }
 
-/// A file of measured latencies, by the robot's key in the fleet file and its device.
+/// The contents of a file of measured latencies, by the robot's key in the fleet file and by device id.
 pub type LatencyFile = BTreeMap<RobotId, BTreeMap<DeviceId, MeasuredLatency>>;
 
 /// Reads a file of measured latencies.
 ///
 /// # Errors
-/// Returns findings if it is not such a file, or if a latency is negative or longer than 10 s.
+/// Returns findings if the text is not a file of measured latencies, or if a latency is negative or longer than 10 s.
 pub fn latency_file_of(source: &Source) -> Result<LatencyFile, Vec<Finding>> {
     let document = node::parse(source).map_err(|finding| vec![finding])?;
     let mut findings = Reader::default();
@@ -164,7 +164,7 @@ pub fn latency_file_of(source: &Source) -> Result<LatencyFile, Vec<Finding>> {
     if findings.is_empty() { Ok(file) } else { Err(findings) }
 }
 
-/// The same for a file that the user has named.
+/// Like [`latency_file_of`], but reads a file that the user has named.
 ///
 /// # Errors
 /// Returns findings if the file cannot be read, and for the errors of [`latency_file_of`].
@@ -172,7 +172,7 @@ pub fn read_latency_file(path: &Path) -> Result<LatencyFile, Vec<Finding>> {
     latency_file_of(&Source::read(path).map_err(|finding| vec![finding])?)
 }
 
-/// The text of such a file. [`latency_file_of`] reads it back.
+/// The text of a file of measured latencies. [`latency_file_of`] reads it back.
 #[must_use]
 pub fn latency_text(file: &LatencyFile) -> String {
     let mut text = String::from("# Written by `downbeat calibrate`.\nlatency:\n");
@@ -206,7 +206,7 @@ fn entry(measured: &MeasuredLatency) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// Reads the document of such a file.
+/// Reads the tree of a file of measured latencies.
 pub(super) fn read_file(findings: &mut Reader, at: &At<'_>) -> LatencyFile {
     let mut file = LatencyFile::new();
     let keys = findings.keys(at, "the file of measured latencies");
@@ -250,7 +250,7 @@ fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> 
     Some(MeasuredLatency { median: median?, spread, p95, trials, measured, lag, tracking_lag })
 }
 
-/// A time from 0 to [`LATENCY_MAX`].
+/// Reads a time from 0 to [`LATENCY_MAX`].
 fn latency_span(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
     let span = findings.duration(at)?;
     possible(findings, at, span)
@@ -266,7 +266,7 @@ fn possible(findings: &mut Reader, at: &At<'_>, span: Span) -> Option<Span> {
     None
 }
 
-/// The key `latency` of a robot: one time for all devices that take commands, or one for each.
+/// Reads the key `latency` of a robot: one time for all devices that take commands, or one for each device.
 fn read_own(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<DeviceId, Latency> {
     let takes_commands = |device: &&Device| device.primary_control_type().is_some();
     let commanded = init.devices.iter().filter(takes_commands);
@@ -300,7 +300,7 @@ fn read_own(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> B
     own
 }
 
-/// `41ms`, or `{median: 41ms, spread: 3ms}`.
+/// Reads a latency: `41ms`, or `{median: 41ms, spread: 3ms}`.
 fn read_latency(findings: &mut Reader, at: &At<'_>) -> Option<Latency> {
     if !matches!(at.node, Node::Map(_)) {
         return latency_span(findings, at).map(|median| Latency { median, spread: Span::ZERO });
@@ -311,7 +311,7 @@ fn read_latency(findings: &mut Reader, at: &At<'_>) -> Option<Latency> {
     Some(Latency { median, spread: spread.unwrap_or_default() })
 }
 
-/// The latency of each device: the value of the fleet file, or else the measured one, or else the one that the robot declares.
+/// The latency of each device: the latency in the fleet file, or else the measured one, or else the one that the robot declares.
 pub(super) fn read(
     findings: &mut Reader,
     keys: &RobotKeys<'_>,
@@ -334,7 +334,7 @@ pub(super) fn read(
     init.devices.iter().filter_map(of).collect()
 }
 
-/// The place of a robot, or of one of its devices, in the file.
+/// The place of a robot, or of one of its devices, in the file of measured latencies.
 fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place {
     let of_file = Place { file, path: Vec::new(), key: true, within: None, used: None };
     let of_robot = of_file.of_key("latency").of_key(robot.as_str());
@@ -342,7 +342,8 @@ fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place
     Place { key: true, ..place }
 }
 
-/// Warns about robots in the file that the fleet does not have. This is not an error, because measured latencies outlive fleets.
+/// Warns about robots in the file of measured latencies that the fleet does not have. This is not an error, because measured latencies
+/// outlive fleets.
 pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &LatencyFile, fleet: &Node) {
     let Node::Map(robots) = fleet else { return };
     let known = || robots.iter().map(|(name, _)| name.as_str());
@@ -355,7 +356,7 @@ pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &Latenc
     }
 }
 
-/// Warns about devices in the file that the robot does not have.
+/// Warns about devices in the file of measured latencies that the robot does not have.
 pub(super) fn warn_of_devices(
     findings: &mut Reader,
     file: u16,

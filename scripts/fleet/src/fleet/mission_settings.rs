@@ -1,6 +1,6 @@
 //! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`. `latency.rs` reads `latency`,
-//! and `calibration.rs` reads `calibrate`. The mission receives them as one struct, so that a new key is only added here and where it is
-//! used.
+//! and `calibration.rs` reads `calibrate`. The mission receives all of these as one struct, so a new key only has to be added here and
+//! where it is used.
 
 use std::collections::BTreeMap;
 
@@ -34,20 +34,20 @@ keys! {
     also {"minProperties": 1, "maxProperties": 1}
 }
 
-/// The properties of a robot that a mission uses in addition to its description.
+/// The properties of a robot that a mission uses in addition to the initialization block.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MissionSettings {
     /// How the robot's time is synchronized with the server's.
     pub clock: ClockMode,
-    /// The largest delay with which the robot wakes up for a start. By default 1 ms, as for a timer of an ordinary system.
+    /// The largest delay with which the robot wakes up for a start. By default 1 ms, as for a timer of an ordinary operating system.
     pub wake_up: Span,
     /// The encoding of messages to the robot over TCP.
     pub encoding: Encoding,
-    /// The required readings of the robot's sensors before a mission.
+    /// The readings that the robot's sensors must have before a mission.
     pub require: Vec<Requirement>,
-    /// The times from a command to visible motion of its devices, if known.
+    /// For each device whose latency is known, the time from a command to visible motion.
     pub latencies: BTreeMap<DeviceId, DeviceLatency>,
-    /// How the latency of its devices may be measured, and which sensors show their positions.
+    /// How the latency of the robot's devices may be measured, and which sensors show their positions.
     pub calibrate: BTreeMap<DeviceId, Calibration>,
 }
 
@@ -69,19 +69,19 @@ impl Default for MissionSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockMode {
-    /// Both follow NTP; measurements only verify that.
+    /// The robot and the server follow NTP; measurements only verify that they do.
     #[default]
     Ntp,
     /// The robot has no NTP: messages to it are converted to its own time.
     Measured,
 }
 
-/// The required reading of a sensor before a mission.
+/// The reading that a sensor must have before a mission.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Requirement {
-    /// The sensor.
+    /// The id of the sensor.
     pub sensor: DeviceId,
-    /// The acceptable readings.
+    /// The acceptable readings of the sensor.
     pub range: SensorRange,
 }
 
@@ -105,7 +105,8 @@ pub(super) fn read(
     }
 }
 
-/// During a handshake, a robot itself lists the encodings that it understands.
+/// Reads the encoding. If there is a handshake, the robot itself lists the encodings that it understands, so the block is not checked
+/// here.
 fn read_encoding(
     findings: &mut Reader,
     at: &At<'_>,
@@ -126,7 +127,7 @@ fn read_encoding(
     Some(encoding)
 }
 
-/// `{battery: above 30}`, or `{battery: {within: [20, 80]}}`.
+/// Reads `require`, such as `{battery: above 30}` or `{battery: {within: [20, 80]}}`.
 fn read_require(
     findings: &mut Reader,
     at: &At<'_>,

@@ -26,10 +26,10 @@ keys! {
     }
 }
 
-/// How the body behind a device follows the set values, and how the sensor shows that.
+/// How the body follows the values that a device is set to, and how a sensor shows the position of the body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedMoves {
-    /// The driven device.
+    /// The device that drives the body.
     pub device: DeviceId,
     /// The time from setting a value to the first motion.
     pub latency: Span,
@@ -37,15 +37,15 @@ pub struct SimulatedMoves {
     pub spread: Span,
     /// The time constant of the first-order lag with which the body follows afterwards.
     pub time_constant: Span,
-    /// The sensor that shows the position of the body.
+    /// The sensor that shows the position of the body; it may be the device itself.
     pub sensor: DeviceId,
     /// Standard deviation of the sensor's readings, in its unit.
     pub noise: f64,
-    /// The time that the sensor takes to answer. It reports the value at the time of the question.
+    /// The time that the sensor takes to respond. It reports the value at the time of the request.
     pub delay: Span,
 }
 
-/// `{elbow: {latency: 40ms, spread: 2ms, time_constant: 20ms, sensor: elbow_angle, noise: 0.1, delay: 5ms}}`
+/// Reads `moves`, such as `{elbow: {latency: 40ms, spread: 2ms, time_constant: 20ms, sensor: elbow_angle, noise: 0.1, delay: 5ms}}`.
 pub(super) fn read(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Vec<SimulatedMoves> {
     let mut moves = Vec::new();
     for (name, at) in findings.entries(at, "device to its simulated motion") {

@@ -7,7 +7,7 @@ use downbeat_reader::fields::{At, Reader};
 use downbeat_yaml::finding::{Code, Place, did_you_mean, one_of};
 use downbeat_yaml::shown::shortened;
 
-/// A sensor of the robot. Otherwise adds a finding at the key that names it.
+/// The sensor of the robot with the given name. Otherwise adds a finding at the key that names the sensor.
 pub fn sensor(
     findings: &mut Reader,
     name: &str,
@@ -17,7 +17,7 @@ pub fn sensor(
     sensor_at(findings, name, at.key_place(), init)
 }
 
-/// The same for a name at any place.
+/// Like [`sensor`], but the finding is at a given place.
 pub(super) fn sensor_at(
     findings: &mut Reader,
     name: &str,

@@ -1,4 +1,4 @@
-//! The key `urdf` of a body: reads its arm from a URDF.
+//! The key `urdf` of a body: reads the body's arm from a URDF file.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -17,25 +17,25 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::project::Project;
 use downbeat_yaml::shown::shortened;
 
-/// The descriptions read so far, by path: many robots share one.
+/// The URDF files read so far, by path: many robots share a file.
 pub(super) struct Urdfs {
     folder: PathBuf,
     project: Project,
     read: HashMap<PathBuf, Option<Rc<Tree>>>,
-    /// The findings in these files.
+    /// The findings in the URDF files.
     pub(super) elsewhere: Vec<Finding>,
 }
 
-/// The keys of a body for an arm from a URDF.
+/// The keys of a body that describe an arm from a URDF.
 pub(super) struct UrdfKeys<'a> {
     pub(super) urdf: At<'a>,
     pub(super) end: Option<At<'a>>,
     pub(super) devices: Option<At<'a>>,
-    /// The radius of all links.
+    /// The radius of all links, in metres. `None` if the URDF gives the radius of each link.
     pub(super) radius: Option<f64>,
 }
 
-/// The devices or fixed values of joints, by joint name.
+/// The devices that move the joints, or the joints' fixed values, by joint name.
 struct Movers<'a> {
     named: BTreeMap<&'a str, At<'a>>,
     /// The number of names that are not joints of the URDF.
@@ -71,7 +71,7 @@ impl Urdfs {
         read
     }
 
-    /// The joints from the root of a description to the link at which the arm ends. The origin of that link is the tip.
+    /// Reads the joints from the root of a URDF to the link at which the arm ends. The origin of that link is the tip of the arm.
     pub(super) fn read_arm(
         &mut self,
         findings: &mut Reader,
@@ -138,7 +138,7 @@ fn tell_no_chain(findings: &mut Reader, keys: &UrdfKeys<'_>, end: Option<&str>, 
     findings.add(Code::ImportShape, at.place(), message, expected, hint);
 }
 
-/// The radius of each link. Reports all links without a known radius in one finding.
+/// The radius of each link of the chain, in metres. Reports all links without a known radius in one finding.
 fn radii(findings: &mut Reader, keys: &UrdfKeys<'_>, tree: &Tree, chain: &[&TreeJoint]) -> Option<Vec<f64>> {
     if let Some(radius) = keys.radius {
         return Some(vec![radius; chain.len()]);
@@ -184,7 +184,7 @@ impl<'a> Movers<'a> {
         Self { named, unknown, init }
     }
 
-    /// The joint whose device moves this joint.
+    /// The name of the joint whose device moves `joint`: the joint that it mimics, or `joint` itself.
     fn leader(joint: &TreeJoint) -> &str {
         joint.mimic.as_ref().map_or(&joint.name, |mimic| &mimic.joint)
     }
@@ -210,7 +210,7 @@ impl<'a> Movers<'a> {
         self.named.contains_key(joint) || device_named(self.init, joint).is_some()
     }
 
-    /// The value of a joint; `None` also if its device is already reported as missing.
+    /// The position of a joint, from a device or fixed. `None` if it has a finding or its device is already reported as missing.
     fn value(&self, findings: &mut Reader, keys: &UrdfKeys<'_>, joint: &TreeJoint) -> Option<Coordinate> {
         let kind = match &joint.motion {
             Motion::Fixed => return Some(Coordinate::Fixed(0.0)),

@@ -1,4 +1,4 @@
-//! Converts the description of a Thrift robot, whose `devices` are a dictionary with a range each, to an initialization block.
+//! Converts the description of a Thrift robot to an initialization block. Its `devices` are a dictionary, with a range for each device.
 //!
 //! Missing values have defaults. A device is driven by position, and takes scripts of 1000 steps, two of them in advance. Its granularity
 //! is the largest power of ten that fits into its range a thousand times. Unknown keys, such as those of the robot's own software, are
@@ -13,23 +13,23 @@ use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// Default number of steps per script: the edge plays the steps itself, and holds them in little memory.
+/// Default maximum number of steps per script. The edge plays the steps itself, and they take little memory there.
 const STEPS: u32 = 1_000;
-/// Default number of scripts that a device holds: one plays while the next waits.
+/// Default number of scripts that a device holds: one plays while the next one waits.
 const QUEUE: u32 = 2;
 
-/// The protocol version of an edge.
+/// The protocol version that the edge of a Thrift robot has.
 const API_VERSION: &str = "1";
 
 const SETTER: &str = "set_device_double_value";
 const READERS: [&str; 2] = ["get_sensor_double_value", "get_sensor_string_value"];
 
-/// Whether a document is a description of this kind.
+/// Whether a document is the description of a Thrift robot: a map with a dictionary of devices.
 pub(super) fn is_one(document: &Node) -> bool {
     matches!(value(document, "devices"), Some(Node::Map(_)))
 }
 
-/// Whether its devices are those of an initialization block, which declare control types.
+/// Whether the devices of a document declare control types, as in an initialization block.
 pub(super) fn is_block(document: &Node) -> bool {
     let Some(Node::Map(devices)) = value(document, "devices") else { return false };
     devices.iter().any(|(_, device)| value(device, "available_control_types").is_some())
@@ -40,7 +40,7 @@ fn value<'a>(node: &'a Node, key: &str) -> Option<&'a Node> {
     entries.iter().find(|(name, _)| name == key).map(|(_, value)| value)
 }
 
-/// The ids of its devices and sensors.
+/// The ids of the devices and sensors in a description.
 pub(super) fn device_ids(document: &Node) -> Vec<&str> {
     let named = ["devices", "sensors"].into_iter().filter_map(|key| value(document, key));
     let entries = named.filter_map(|node| match node {
@@ -61,7 +61,7 @@ pub(super) fn block(
     supplements: &[(String, Supplement)],
 ) -> Option<InitializationBlock> {
     let id = required(findings, root, "id").and_then(|text| valid(findings, root, "id", RobotId::new(text)));
-    // The robot's own version is that of the Thrift protocol, but the scheduler communicates with the edge.
+    // The version in the description is that of the Thrift protocol, but the scheduler communicates with the edge.
     let api_version = valid(findings, root, "api_version", Label::new(API_VERSION));
     let mut label = |key| {
         let text = findings.name(&at(root, key)?, "a text")?;
@@ -119,7 +119,7 @@ fn valid<T>(
     .ok()
 }
 
-/// Types may be in upper or lower case.
+/// Parses a robot type, in upper or lower case.
 fn robot_type(text: &str) -> RobotType {
     match text.to_ascii_lowercase().as_str() {
         "industrial" => RobotType::Industrial,
@@ -187,7 +187,7 @@ fn device(
     serde_json::from_value(device).map_err(|error| invalid(findings, at_device, &error.to_string())).ok()
 }
 
-/// A sensor that answers in text has no range, and cannot be read as a number. It is left out.
+/// Reports a missing range. A sensor that responds with a text has no range and cannot be read as a number: it is left out.
 fn missing_range(findings: &mut Reader, id: &str, at: &At<'_>, call: &str) {
     if call == READERS[1] {
         return;
@@ -223,7 +223,8 @@ fn driven(min: f64, max: f64, added: &Supplement) -> Value {
     Value::Object(types.into_iter().collect::<Map<_, _>>())
 }
 
-/// The largest power of ten that fits into the range a thousand times: values that people write lie on that grid.
+/// The default granularity: the largest power of ten that fits into the range a thousand times. Values that people write lie on that
+/// grid.
 fn granularity(min: f64, max: f64) -> f64 {
     let thousandth = (max - min) / 1_000.0;
     if !thousandth.is_normal() || thousandth < 0.0 {

@@ -1,4 +1,4 @@
-//! Finds the faults of an initialization block device by device, so that all of them are reported at once and at their places.
+//! Finds the faults of an initialization block device by device, so that all faults are reported at once and at their places.
 
 use serde::de::DeserializeOwned;
 use serde_yaml::{Mapping, Value};
@@ -68,7 +68,7 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
     locate(std::slice::from_ref(source), findings.finish())
 }
 
-/// Reports devices that are written as a map by id.
+/// Reports devices that are written as a map by id instead of a list.
 fn by_id(findings: &mut Reader, devices: &Mapping) {
     let first = devices.keys().find_map(Value::as_str).unwrap_or("elbow");
     let place = Place::default().of_key("devices");
@@ -85,7 +85,7 @@ fn by_id(findings: &mut Reader, devices: &Mapping) {
     }
 }
 
-/// A valid device.
+/// A minimal valid device, as a substitute.
 fn any_device() -> Mapping {
     [("id", Value::from("any")), ("available_control_types", Mapping::new().into())]
         .map(|(key, value)| (key.into(), value))
@@ -145,7 +145,7 @@ fn of_device(findings: &mut Reader, place: &Place, device: &Mapping) {
     check_as::<InitializationBlock>(findings, &Whose::of(&whose, Level::Device), place, &block, device);
 }
 
-/// Checks each control type separately, then all together, because a script inherits from the others.
+/// Checks each control type separately, then all together, because a script inherits values from the other control types.
 fn of_control_types(findings: &mut Reader, device: &str, place: &Place, types: &Mapping) {
     let before = findings.found.len();
     let whose =
@@ -164,7 +164,7 @@ fn of_control_types(findings: &mut Reader, device: &str, place: &Place, types: &
     }
 }
 
-/// The checked map: its name and its level.
+/// The map that is being checked: its name in messages and its kind.
 struct Whose {
     name: String,
     level: Level,
@@ -180,8 +180,8 @@ fn check<T: DeserializeOwned>(findings: &mut Reader, whose: &Whose, place: &Plac
     check_as::<T>(findings, whose, place, map, map);
 }
 
-/// Checks that a map can be deserialized. A fault is at the key that the message names, or whose value it names; otherwise at the key
-/// that leads to the map.
+/// Checks that a map can be deserialized. A fault is reported at the key that serde's message names, or whose value it names; otherwise
+/// at the key that leads to the map.
 fn check_as<T: DeserializeOwned>(
     findings: &mut Reader,
     whose: &Whose,
@@ -214,7 +214,7 @@ fn check_as<T: DeserializeOwned>(
     add(findings, place, message, &expected, hint);
 }
 
-/// Reports a missing key, at a misspelling of it if there is one.
+/// Reports a missing key. If the map has a misspelling of that key, the finding is there.
 fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str, keys: &Mapping) {
     let message = format!("{} has no `{missing}`", whose.name);
     let written =

@@ -8,17 +8,17 @@ use downbeat_yaml::locate::locate;
 use downbeat_yaml::shown::shortened;
 use downbeat_yaml::source::Source;
 
-/// A map in an initialization block.
+/// The kind of a map in an initialization block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Level {
     Block,
     Device,
     ControlTypes,
-    /// Position, speed or acceleration.
+    /// The control type position, speed or acceleration.
     Motion,
     Script,
     Sensor,
-    /// A type that its manufacturer has defined.
+    /// A control type that the robot's manufacturer has defined.
     Custom,
 }
 
@@ -89,7 +89,8 @@ impl Level {
     }
 }
 
-/// Synonyms for the keys of a map: the map, the synonyms, and the key. Synonyms for a motion also apply to scripts and sensors.
+/// Synonyms for keys: the map that has the key, the synonyms, and the key. Synonyms for keys of a motion also apply to scripts and
+/// sensors.
 const WORDS: [(Level, &[&str], &str); 19] = [
     (Level::Block, &["joints", "motors", "axes", "actuators", "servos", "channels"], "devices"),
     (Level::Block, &["api", "protocol", "protocol_version"], "api_version"),
@@ -131,7 +132,7 @@ const SPEEDS: [&str; 9] = [
 const RANGES: [&str; 4] = ["range", "bounds", "limits", "interval"];
 const ENDS: [&str; 6] = ["min", "max", "min_value", "max_value", "lower", "upper"];
 
-/// Advice for a key that is not equivalent to a single other key.
+/// Advice for an unknown key for which no single key can be used instead.
 pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     let is_motion = matches!(level, Level::Motion | Level::Script | Level::Sensor);
     if is_motion && RANGES.contains(&key) {
@@ -157,7 +158,7 @@ pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     })
 }
 
-/// The key of this map that an unknown key was probably meant to be.
+/// The known key of a map that the user probably meant by an unknown key.
 pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     let known = level.keys();
     if known.contains(&key) {
@@ -173,8 +174,8 @@ pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     word.or_else(|| near.or_else(|| known.iter().find(|name| name.split('_').next() == Some(key))).copied())
 }
 
-/// Warnings about keys without effect: misplaced and misspelt keys. Keys of the robot's own software, which resemble none of these, are
-/// ignored.
+/// Warnings about keys without effect: misplaced and misspelt keys. Keys that resemble no known key belong to the robot's own software
+/// and cause no warning.
 pub(super) fn ignored(source: &Source) -> Vec<Finding> {
     let Ok(Value::Mapping(block)) = serde_yaml::from_str::<Value>(&source.text) else { return Vec::new() };
     let mut findings = Reader::default();
@@ -201,7 +202,7 @@ fn check(findings: &mut Reader, level: Level, place: &Place, map: &Mapping) {
     let keys = map.keys().filter_map(Value::as_str);
     for key in keys.filter(|key| !level.keys().contains(key)) {
         let elsewhere = Level::ALL.into_iter().find(|other| other.keys().contains(&key));
-        // A misplaced key is only treated as misspelt if the meant key is missing.
+        // A key is only treated as misspelt if the key that was probably meant is missing.
         let meant = meant(level, key).filter(|meant| !map.contains_key(*meant));
         let advice = advice(level, key, map.get(key).unwrap_or(&Value::Null));
         let hint = match (advice, elsewhere, meant) {

@@ -1,4 +1,4 @@
-//! The supplements with which a fleet file completes an incomplete description: `devices:` of a robot.
+//! The key `devices` of a robot in the fleet file, which completes an incomplete description.
 
 use urrcp::{ControlType, Interpolation};
 
@@ -42,7 +42,7 @@ const CONTROL_TYPES: [(&str, ControlType); 3] = [
 const INTERPOLATIONS: [(&str, Interpolation); 2] =
     [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
 
-/// Values that complete the description of one device.
+/// The values that complete the description of a device. `None` if the fleet file gives no value.
 #[derive(Clone, Debug, Default)]
 pub struct Supplement {
     pub(super) control_type: Option<ControlType>,
@@ -58,13 +58,13 @@ pub struct Supplement {
 }
 
 impl Supplement {
-    /// No supplements.
+    /// An empty list of supplements.
     pub const fn none() -> [(String, Self); 0] {
         []
     }
 }
 
-/// Reads `devices:` of a robot. `known` are the devices in its description.
+/// Reads `devices:` of a robot. `known` are the ids of the devices in its description.
 pub fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, Supplement)> {
     let mut read = Vec::new();
     for (device, at) in findings.entries(at, "device to the keys missing from its description") {

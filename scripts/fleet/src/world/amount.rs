@@ -46,8 +46,8 @@ named! {
     ]);
 }
 
-/// A random value with uniform distribution. It is drawn once per trial, or once per message if it belongs to a message. Fixed if both
-/// bounds are equal.
+/// A random value with uniform distribution. It is drawn once per trial, or once per message if it belongs to a message. The value is
+/// fixed if both bounds are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Between<T> {
     /// The lower bound.
@@ -57,14 +57,14 @@ pub struct Between<T> {
 }
 
 impl<T: Copy> Between<T> {
-    /// A fixed value.
+    /// An amount that is not random.
     #[must_use]
     pub const fn fixed(value: T) -> Self {
         Self { least: value, largest: value }
     }
 }
 
-/// A value, or `{from: VALUE, to: VALUE}`.
+/// Reads an amount: a value, or `{from: VALUE, to: VALUE}`.
 pub(super) fn between<T: Copy + PartialOrd>(
     findings: &mut Reader,
     at: &At<'_>,
@@ -93,7 +93,7 @@ pub(super) fn signed_duration(findings: &mut Reader, at: &At<'_>) -> Option<Span
     findings.signed_duration(at)
 }
 
-/// A duration above zero.
+/// Reads a duration above zero.
 pub(super) fn positive_duration(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
     let span = findings.duration(at)?;
     if span > Span::ZERO {
@@ -103,7 +103,7 @@ pub(super) fn positive_duration(findings: &mut Reader, at: &At<'_>) -> Option<Sp
     None
 }
 
-/// `5%`, or a number from 0 to 1.
+/// Reads a probability: `5%`, or a number from 0 to 1.
 pub(super) fn probability(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
     let expected = "a probability from 0% to 100%, or from 0 to 1";
     let (found, value) = match at.node {

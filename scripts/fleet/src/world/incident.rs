@@ -48,28 +48,28 @@ const WHAT_WORDS: [(&str, What); 4] = [
 /// A fault of robots or of their links.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Incident {
-    /// The robots, as indices into the fleet. Whether and when the incident happens is drawn separately for each of them.
+    /// The affected robots, as indices into the fleet. Whether and when the incident happens is drawn separately for each robot.
     pub robots: Vec<usize>,
     /// The kind of fault.
     pub trouble: Trouble,
-    /// The act from whose planned start the time counts, when the act is first sent. `None` if the time counts from the beginning of the
-    /// mission. A refusal applies from the time at which the act is sent.
+    /// The act from whose planned start the time `at` counts, as planned when the act is first sent. `None` if the time counts from the
+    /// beginning of the mission. A refusal applies from the time at which the act is sent.
     pub act: Option<String>,
-    /// The time of the fault.
+    /// The time of the fault, counted from the start of `act` or of the mission.
     pub at: Between<Span>,
-    /// Probability that it happens.
+    /// Probability that the incident happens, from 0 to 1.
     pub probability: f64,
 }
 
 /// The kind of fault.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trouble {
-    /// The robot's process ends, together with its connections. It restarts after some time, or never.
+    /// The robot's process and its connections end. The robot restarts after some time, or never.
     Dies {
         /// The time until the restart. `None` if the robot never restarts.
         back_after: Option<Between<Span>>,
     },
-    /// The robot stalls: it executes nothing, answers nothing, and then continues as if no time had passed.
+    /// The robot stalls: it executes no commands, answers no requests, and then continues as if no time had passed.
     Stalls {
         /// The duration of the stall.
         lasts: Between<Span>,
@@ -86,7 +86,7 @@ pub enum Trouble {
     },
 }
 
-/// Reads the rest of an incident whose robots and act are known.
+/// Reads the other keys of an incident whose robots and act are already read.
 pub(super) fn read(
     findings: &mut Reader,
     whole: &At<'_>,

@@ -54,13 +54,14 @@ keys! {
     }
 }
 
-/// The fractions of messages that are at least as fast as the quantiles of [`Delay::Quantiles`].
+/// For each value of [`Delay::Quantiles`], the fraction of messages whose delay is at most that value.
 pub const QUANTILES: [f64; 5] = [0.0, 0.5, 0.9, 0.99, 1.0];
-/// The minimum retransmission timeout of Linux (`TCP_RTO_MIN`, 200 ms); RFC 6298 specifies 1 s.
+/// Default time until a lost message is sent again: the minimum retransmission timeout of Linux (`TCP_RTO_MIN`, 200 ms); RFC 6298
+/// specifies 1 s.
 const RESENT_AFTER: Span = Span::from_millis(200);
 
-/// The link of a robot, with equal properties in both directions. It is a TCP connection: messages keep their order, and none is lost
-/// permanently.
+/// The link of a robot, with equal properties in both directions. The link is a TCP connection: messages keep their order, and no message
+/// is lost permanently.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkWorld {
     /// The delay of a message, one way.
@@ -86,9 +87,9 @@ impl LinkWorld {
 /// The delay of a message, one way.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Delay {
-    /// Random for each message, with uniform distribution.
+    /// A delay that is random for each message, with uniform distribution.
     Between(Between<Span>),
-    /// Values at [`QUANTILES`], with linear interpolation between them.
+    /// The delays at [`QUANTILES`], with linear interpolation between them.
     Quantiles([Span; 5]),
 }
 
@@ -96,9 +97,9 @@ pub enum Delay {
 /// exponentially distributed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interruptions {
-    /// Mean time from the start of one to the start of the next.
+    /// Mean time from the start of one interruption to the start of the next.
     pub every: Span,
-    /// The duration of each.
+    /// The duration of each interruption.
     pub lasts: Between<Span>,
 }
 

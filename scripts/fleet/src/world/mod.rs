@@ -51,23 +51,23 @@ keys! {
     }
 }
 
-/// All robots without an entry of their own or of a group.
+/// The name of an entry for all robots that have neither an entry of their own nor one of a group.
 const ALL: &str = "all";
 
-/// The conditions of a mission.
+/// The conditions of a simulated mission.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
     /// The name of the world.
     pub name: String,
     /// The link of each robot, in the order of the fleet file. `None` if the settings of the fleet file apply.
     pub links: Vec<Option<LinkWorld>>,
-    /// The clock of each robot, in the same order.
+    /// The clock of each robot, in the order of the fleet file. `None` if the settings of the fleet file apply.
     pub clocks: Vec<Option<ClockWorld>>,
-    /// The readings of sensors.
+    /// The readings of sensors, each with its robot and sensor.
     pub sensors: Vec<SensorWorld>,
     /// How the operator behaves. `None` if the operator says go after 1 s.
     pub operator: Option<OperatorWorld>,
-    /// What goes wrong, in the order of the file.
+    /// The incidents, in the order of the file.
     pub incidents: Vec<Incident>,
 }
 
@@ -77,7 +77,7 @@ pub fn world_keys() -> &'static Declaration {
     WorldKeys::declaration()
 }
 
-/// Reads a world file for a fleet and for the acts of a choreography. Reports all findings together; the world is only returned without
+/// Reads a world file for a fleet and for the acts of a choreography. Returns all findings together, and the world only if there are no
 /// findings.
 #[must_use]
 pub fn read_world(path: &Path, fleet: &Fleet, acts: &[&str]) -> (Option<World>, Vec<Finding>) {
@@ -126,8 +126,8 @@ impl WorldReader<'_> {
         })
     }
 
-    /// A robot's own entry takes precedence over an entry of its group, which takes precedence over `all`. Among groups, the last entry
-    /// applies.
+    /// Reads entries by robot, by group, or `all`. A robot's own entry takes precedence over an entry of its group, which takes
+    /// precedence over `all`. Among groups, the last entry applies.
     fn per_robot<T: Clone>(
         &mut self,
         at: &At<'_>,
@@ -235,7 +235,7 @@ impl WorldReader<'_> {
     }
 }
 
-/// Whether a map is given as `null`, which means no entries.
+/// Whether a map is written as `null`, which means that it has no entries.
 fn is_null(at: &At<'_>) -> bool {
     *at.node == Node::Null
 }

@@ -41,14 +41,14 @@ named! {
     ]);
 }
 
-/// The clock of a robot. The fleet file provides missing values.
+/// The clock of a robot. For values that are `None`, the settings of the fleet file apply.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockWorld {
     /// The raw clock minus the true time.
     pub offset: Option<Between<Span>>,
-    /// How much faster the raw clock runs, in parts per million.
+    /// How much faster the raw clock runs than true time, in parts per million.
     pub drift_ppm: Option<Between<f64>>,
-    /// Largest error of the clock under NTP, in either direction.
+    /// Largest error of the clock if it follows NTP, in either direction.
     pub error: Option<Span>,
 }
 
@@ -57,26 +57,26 @@ pub struct ClockWorld {
 pub struct SensorWorld {
     /// The robot that has the sensor.
     pub robot: RobotId,
-    /// The sensor.
+    /// The id of the sensor.
     pub sensor: DeviceId,
-    /// The readings.
+    /// The readings that the sensor shows.
     pub reading: Reading,
 }
 
 /// The readings of a sensor, in its unit.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reading {
-    /// One value per trial.
+    /// A constant reading, which is drawn once per trial.
     Drawn(Between<f64>),
-    /// Times, counted from the beginning of the mission, each with the reading after it. Both are drawn once per trial. Before the first
-    /// time, the reading is 0.
+    /// Times from the beginning of the mission, each with the reading from that time on. Times and readings are drawn once per trial.
+    /// Before the first time, the reading is 0.
     OverTime(Vec<(Between<Span>, Between<f64>)>),
 }
 
 /// How the operator behaves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OperatorWorld {
-    /// The time for which an act waits until the operator says go.
+    /// The time that the operator takes to say go, for each act that waits.
     pub go_after: Between<Span>,
     /// For each act that waits, the probability that the operator never says go.
     pub never: f64,
@@ -105,7 +105,7 @@ pub(super) fn read_operator(findings: &mut Reader, at: &At<'_>) -> Option<Operat
     })
 }
 
-/// A number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`, whose elements may be random as well.
+/// Reads readings: a number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`, whose elements may be random as well.
 pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading> {
     let number =
         |findings: &mut Reader, at: &At<'_>| findings.number(at, "a number, in the unit of the sensor");

@@ -1,4 +1,4 @@
-//! Evaluates an expression. Faults are intermediate values: a fault in a branch that is not taken is ignored.
+//! Evaluates an expression. A fault is an intermediate value like any other, so a fault in a branch that is not taken is ignored.
 
 use super::grammar::{Expression, Function, Span, Step, Two};
 use super::number::{Num, sine};
@@ -7,7 +7,7 @@ use super::{Amount, Fault, Quantity};
 use crate::chance::share;
 use crate::exact::Fraction;
 
-/// The context of an expression.
+/// The context of an expression: the values of its variables and the tempo.
 pub trait Known {
     /// The value of a variable.
     fn variable(&mut self, name: &str, span: Span) -> Result<Quantity, Fault>;
@@ -18,7 +18,7 @@ pub trait Known {
 
 type Found = Result<Quantity, Fault>;
 
-/// Evaluates the expression.
+/// Evaluates an expression in the context `known`.
 pub fn evaluate(expression: &Expression, known: &mut dyn Known) -> Found {
     let mut stack: Vec<Found> = Vec::with_capacity(8);
     for (step, span) in &expression.steps {
@@ -105,10 +105,10 @@ fn of_two(two: Two, left: Quantity, right: Found, span: Span, known: &dyn Known)
     }
 }
 
-/// One part of an amount.
+/// Selects the number, the bars or the beats of an amount.
 type Part = fn(&Amount) -> Num;
 
-/// Both amounts on the clock, unless both only consist of the same musical unit.
+/// Two amounts as comparable numbers: both in beats or both in bars if that is their only unit, otherwise both in clock time.
 fn comparable(a: &Amount, b: &Amount, span: Span, known: &dyn Known) -> Result<(Num, Num), Fault> {
     let only = |of: Part, others: [Part; 2]| {
         let alone = |amount: &Amount| others.iter().all(|other| other(amount).is_zero());
@@ -209,7 +209,7 @@ fn too_high(span: Span) -> Fault {
     Fault::new(span, "the power of a time or an angle is too high", "a number, or a time")
 }
 
-/// The unit of two values that are added or compared.
+/// The common unit of two values that are added or compared; a fault if their units differ.
 pub(super) fn same_unit(two: Two, a: Unit, b: Unit, span: Span) -> Result<Unit, Fault> {
     if a == b {
         return Ok(a);
@@ -330,7 +330,7 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
     }
 }
 
-/// Returns the selected branch; both must be of the same kind.
+/// Evaluates `if(condition, yes, no)`: returns the selected branch. Both branches must be of the same kind.
 fn chosen(arguments: Vec<Found>, span: Span) -> Found {
     let mut arguments = arguments.into_iter();
     let (Some(condition), Some(yes), Some(no)) = (arguments.next(), arguments.next(), arguments.next())
@@ -354,7 +354,7 @@ fn chosen(arguments: Vec<Found>, span: Span) -> Found {
 }
 
 impl Unit {
-    /// Whether multiplication by this unit preserves the other unit.
+    /// Whether a factor with this unit leaves the unit of the other factor unchanged.
     const fn is_factor(self) -> bool {
         self.time == 0 && self.angle == 0
     }

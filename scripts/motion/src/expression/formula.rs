@@ -1,4 +1,4 @@
-//! An expression over time: a double for every `t`. Its units are checked once, at construction.
+//! An expression over time that yields a double for every `t`. Its units are checked once, when the formula is created.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -24,11 +24,11 @@ pub(super) enum Operation {
     Not,
     Two(Two),
     Call(Function),
-    /// A random number from this number of arguments.
+    /// A random number that depends on this number of arguments.
     Random(usize),
 }
 
-/// The kind of an intermediate value.
+/// The kind of an intermediate value: a truth value, or a number in a unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Truth,
@@ -50,7 +50,7 @@ impl Formula {
         self.steps.iter().any(|step| matches!(step, Operation::Random(_)))
     }
 
-    /// Compiles an expression, with its variables substituted.
+    /// Compiles an expression and replaces its variables by their values.
     pub fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
         let mut maker = Maker { steps: Vec::with_capacity(expression.steps.len() + 1), kinds: Vec::new() };
         for (step, span) in &expression.steps {
@@ -93,7 +93,7 @@ impl Formula {
         Ok(Self { steps: maker.steps.into() })
     }
 
-    /// The value after `seconds`; NaN if it does not exist.
+    /// The value of the formula after `seconds`; NaN if the formula has no value there.
     pub fn at(&self, seconds: f64) -> f64 {
         let mut stack: Vec<f64> = Vec::with_capacity(8);
         for step in self.steps.iter() {
@@ -133,7 +133,7 @@ impl Formula {
         stack.pop().unwrap_or(f64::NAN)
     }
 
-    /// All data that determines its values, as a key for caches.
+    /// All data that determines the formula's values, as a key for caches.
     pub fn key(&self) -> impl Iterator<Item = u64> {
         self.steps.iter().flat_map(|step| match *step {
             Operation::Constant(value) => [0, value.to_bits()],
@@ -146,7 +146,7 @@ impl Formula {
         })
     }
 
-    /// The number of steps of its evaluation.
+    /// The number of operations that one evaluation takes.
     pub fn steps(&self) -> usize {
         self.steps.len()
     }
@@ -159,7 +159,7 @@ pub(super) fn of_two(two: Two, a: f64, b: f64) -> f64 {
         Two::Minus => a - b,
         Two::Times => a * b,
         Two::Over => a / b,
-        // The same calculation as for intervals, so that both jump at the same nanosecond.
+        // This must be the calculation that `interval` uses, so that both jump at the same nanosecond.
         Two::Modulo => a - b * (a * (1.0 / b)).floor(),
         Two::Less => truth(a < b),
         Two::LessOrEqual => truth(a <= b),
@@ -186,14 +186,14 @@ pub(super) fn of_one(function: Function, value: f64) -> f64 {
     }
 }
 
-/// A random number from 0 to below 1; NaN if an argument is not finite.
+/// A random number from 0 to below 1 that depends on the arguments; NaN if an argument is not finite.
 #[expect(clippy::cast_precision_loss, reason = "53 bits")]
 pub(super) fn random(from: &[f64]) -> f64 {
     let (part, whole) = share(from);
     if from.iter().all(|number| number.is_finite()) { part as f64 / whole as f64 } else { f64::NAN }
 }
 
-/// The sine of degrees.
+/// The sine of an angle in degrees.
 pub(super) fn sine(degrees: f64) -> f64 {
     degrees.rem_euclid(360.0).to_radians().sin()
 }
@@ -209,7 +209,7 @@ impl Maker {
         self.kinds.push(kind);
     }
 
-    /// Pushes an amount in seconds or degrees.
+    /// Pushes an amount as a constant; times are converted to seconds.
     fn amount(&mut self, amount: &Amount, span: Span, known: &dyn Known) -> Result<(), Fault> {
         let number =
             if amount.is_musical() { known.on_the_clock(amount, span)?.f64() } else { amount.number.f64() };

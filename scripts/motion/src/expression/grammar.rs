@@ -1,4 +1,4 @@
-//! The grammar of expressions: converts a text to steps in order of evaluation, each with its place in the text.
+//! The grammar of expressions: converts a text to steps in order of evaluation, each with the characters that it comes from.
 //!
 //! ```text
 //! any        = all { "or" all }
@@ -14,8 +14,8 @@
 //! LENGTH     = NUMBER ("beat" | "beats" | "bar" | "bars") [NUMBER ("beat" | "beats")]
 //! ```
 //!
-//! A name extends to the last letter, digit, `_` or `-` for which it is a known name: `$a-b` is a variable of that name, or `$a` minus
-//! something. Recursion is limited to a fixed depth.
+//! A variable's name is the longest known name at its position: `$a-b` is the variable `a-b` if it exists, otherwise `$a` minus `b`.
+//! Recursion is limited to a fixed depth.
 
 use super::number::Num;
 use super::unit::Unit;
@@ -25,15 +25,15 @@ use downbeat_yaml::duration::{self, parse_duration};
 use downbeat_yaml::finding::did_you_mean;
 use downbeat_yaml::shown::shortened;
 
-/// Longest text, in characters.
+/// Maximum length of an expression, in characters.
 const LENGTH_MAX: usize = 2_000;
-/// Deepest nesting.
+/// Maximum nesting depth of an expression.
 const DEPTH_MAX: usize = 48;
 
-/// The first character, and the character after the last.
+/// A range of characters in a text: the index of the first one, and the index after the last one.
 pub type Span = (usize, usize);
 
-/// One step, which takes the values of earlier steps and leaves one value.
+/// One step of an evaluation. It takes values of earlier steps from a stack, and pushes one value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     Amount(Amount),
@@ -82,7 +82,7 @@ pub enum Function {
     If,
 }
 
-/// The functions, each with its minimum and maximum number of arguments.
+/// All functions: the name, the function, and the minimum and maximum number of arguments.
 pub const FUNCTIONS: [(&str, Function, usize, usize); 13] = [
     ("sin", Function::Sin, 1, 1),
     ("cos", Function::Cos, 1, 1),
@@ -104,12 +104,12 @@ const VALUE: &str = "a number, a time, a variable such as `$a`, a function or a 
 /// A parsed expression.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Expression {
-    /// The steps of its evaluation, each with the characters it comes from.
+    /// The steps that evaluate the expression, each with the characters that it comes from.
     pub steps: Vec<(Step, Span)>,
 }
 
 impl Expression {
-    /// The variables that it uses, with their places.
+    /// The names of the variables that the expression uses, each with its characters.
     pub fn variables(&self) -> impl Iterator<Item = (&str, Span)> {
         self.steps.iter().filter_map(|(step, span)| match step {
             Step::Variable(name) => Some((name.as_str(), *span)),
@@ -118,7 +118,7 @@ impl Expression {
     }
 }
 
-/// Parses a text; `known` returns whether a variable exists.
+/// Parses an expression; `known` returns whether a variable exists.
 pub fn parse(text: &str, known: &dyn Fn(&str) -> bool) -> Result<Expression, Fault> {
     let chars: Vec<char> = text.chars().take(LENGTH_MAX + 1).collect();
     if chars.len() > LENGTH_MAX {
@@ -152,7 +152,7 @@ const COMPARISONS: [(&str, Two); 6] = [
     ("<", Two::Less),
     (">", Two::Greater),
 ];
-/// Notations of other languages, with a hint for each.
+/// Operators of other languages, each with a hint.
 const ELSEWHERE: [(&str, &str); 9] = [
     ("+", "a value without a sign is positive: leave out the `+`"),
     ("&&", "write `and`"),
@@ -192,7 +192,7 @@ impl Parser<'_> {
         Some(span)
     }
 
-    /// The word at this place, without skipping it.
+    /// The word at the current position, without skipping it.
     fn word(&self) -> String {
         let part = |c: &&char| c.is_alphanumeric() || **c == '_';
         self.chars[self.at..].iter().take_while(part).collect()
@@ -338,7 +338,7 @@ impl Parser<'_> {
         }
     }
 
-    /// The fault for a character that may not follow a value.
+    /// The fault for a character that cannot follow a value.
     fn left_over(&self, found: char) -> Fault {
         let elsewhere = ELSEWHERE.iter().find(|(sign, _)| self.starts_with(sign));
         let hint = match (elsewhere, found) {
@@ -364,7 +364,7 @@ impl Parser<'_> {
         .hint_or(hint)
     }
 
-    /// A hint for `1,5`.
+    /// A hint for a decimal comma, as in `1,5`.
     fn comma_hint(&self) -> Option<String> {
         let digit = |c: &&char| c.is_ascii_digit();
         let after: String = self.chars.get(self.at + 1..)?.iter().take_while(digit).collect();
@@ -459,7 +459,7 @@ impl Parser<'_> {
         Fault::new(span, format!("unknown name `{}`", shortened(word)), expected).hint_or(hint)
     }
 
-    /// A number with its suffix: `5`, `1m30s`, `00:01:30`, `1.5rad`, `50%`, `3 beats`, `1 bar 2 beats`.
+    /// Reads a number with its suffix: `5`, `1m30s`, `00:01:30`, `1.5rad`, `50%`, `3 beats`, `1 bar 2 beats`.
     fn number(&mut self) -> Result<(), Fault> {
         let from = self.at;
         let glued = |c: &char| c.is_ascii_alphanumeric() || matches!(c, '.' | ':');
@@ -497,7 +497,7 @@ impl Parser<'_> {
         Ok(())
     }
 
-    /// Whether the text from this place is the `1e` of `1e-3`.
+    /// Whether the text from the index `from` to the current position is the `1e` of a number such as `1e-3`.
     fn has_signed_exponent(&self, from: usize) -> bool {
         let (digits, exponent) = self.chars[from..self.at].split_at(self.at - from - 1);
         let is_number = digits.iter().all(|c| c.is_ascii_digit() || *c == '.') && !digits.is_empty();
@@ -543,7 +543,7 @@ impl Parser<'_> {
         Ok(amount)
     }
 
-    /// The `2 beats` of `1 bar 2 beats`, and its number of characters.
+    /// The beats that follow the bars in `1 bar 2 beats`, and the number of characters of that part. `None` if there are none.
     fn beats_after(&self, bar: bool) -> Option<(Num, usize)> {
         let rest: String = self.chars.get(self.at..).filter(|_| bar)?.iter().collect();
         let digits = rest.find(|c: char| !(c.is_ascii_digit() || c == '.'))?;
@@ -556,7 +556,7 @@ impl Parser<'_> {
     }
 }
 
-/// A number without a unit; exact if it is short.
+/// Parses a number without a unit; the result is exact if the number is short.
 fn written(text: &str, span: Span) -> Result<Option<Num>, Fault> {
     if let Some(number) = decimal(text) {
         return Ok(Some(Num::fraction(number)));

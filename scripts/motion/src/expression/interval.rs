@@ -4,7 +4,7 @@
 use super::formula::{Formula, Operation, of_one, of_two, random, sine};
 use super::grammar::{Function, Two};
 
-/// The least and the largest value.
+/// The least and the largest value of a quantity over an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bounds(pub(super) f64, pub(super) f64);
 
@@ -44,12 +44,12 @@ impl Bounds {
         Self(if self.0 <= 0.0 && self.1 >= 0.0 { 0.0 } else { low * low }, high * high)
     }
 
-    /// The inverse; `None` if the interval contains zero.
+    /// Bounds of the reciprocal; `None` if the interval contains zero.
     fn inverse(self) -> Option<Self> {
         (self.0 > 0.0 || self.1 < 0.0).then(|| Self(1.0 / self.1, 1.0 / self.0))
     }
 
-    /// The sine of degrees.
+    /// Bounds of the sine of an angle in degrees.
     fn sine(self) -> Self {
         if self.1 - self.0 >= 360.0 {
             return Self(-1.0, 1.0);
@@ -65,7 +65,7 @@ impl Bounds {
     }
 }
 
-/// The value, the slope per second, and the slope of the slope.
+/// Bounds of a formula's value, of its slope per second, and of its second derivative.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Jet {
     pub(super) value: Bounds,
@@ -103,7 +103,7 @@ impl Jet {
         }
     }
 
-    /// A function of this value, given the bounds of its own derivatives.
+    /// A function of this jet, by the chain rule. `value`, `first` and `second` are the bounds of the function and of its derivatives.
     fn through(&self, value: Bounds, first: Bounds, second: Bounds) -> Self {
         Self {
             value,
@@ -138,7 +138,8 @@ impl Jet {
     }
 }
 
-/// Bounds over an interval in seconds; `None` if it may contain a corner, a jump or no value.
+/// Bounds of a formula and its derivatives over an interval in seconds. `None` if the formula may have a corner, a jump or no value
+/// there.
 pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
     let mut stack: Vec<Option<Jet>> = Vec::with_capacity(8);
     for step in formula.steps.iter() {
@@ -169,7 +170,7 @@ pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
                 })
             }
             Operation::Call(function) => pop().and_then(|jet| one_jet(*function, &jet)),
-            // For arguments that vary, the random value jumps continuously.
+            // If an argument varies, the random value jumps all the time.
             Operation::Random(count) => {
                 let from: Option<Vec<f64>> =
                     (0..*count).map(|_| pop().filter(Jet::is_constant).map(|jet| jet.value.0)).collect();
@@ -185,7 +186,7 @@ pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
     (jet.value.is_finite() && jet.slope.is_finite() && jet.curvature.is_finite()).then_some(jet)
 }
 
-/// `and` and `or` if one side decides the result.
+/// The result of `and` or `or` if one side alone decides it.
 fn logical(two: Two, a: Option<Jet>, b: Option<Jet>) -> Option<Option<Jet>> {
     let decides = match two {
         Two::And => 0.0,

@@ -21,7 +21,7 @@ pub use number::Num;
 pub use pieces::{Piece, Trouble, pieces, seconds_of};
 pub use unit::Unit;
 
-/// Long numbers are written in parts, divided by this. It has the maximum number of digits of a number.
+/// Divisor that splits long numbers into parts that the parser accepts.
 const DIGITS: i128 = 10i128.pow(17);
 
 /// The value of an expression.
@@ -33,16 +33,17 @@ pub enum Quantity {
     Amount(Amount),
 }
 
-/// A number with its unit: nanoseconds, half turns, or a fraction of one. A time may also have musical parts.
+/// A number with its unit. Times are in nanoseconds, angles in half turns, and percentages are fractions of one. A time may also have
+/// bars and beats.
 #[derive(Clone, Copy, Debug)]
 pub struct Amount {
-    /// The number without its musical parts.
+    /// The number, without the bars and beats of a musical time.
     pub number: Num,
-    /// The bars of a musical time.
+    /// The number of bars of a musical time.
     pub bars: Num,
-    /// The beats of a musical time.
+    /// The number of beats of a musical time.
     pub beats: Num,
-    /// The unit.
+    /// The unit of the amount.
     pub unit: Unit,
 }
 
@@ -57,27 +58,27 @@ impl PartialEq for Amount {
 }
 
 impl Amount {
-    /// A number in a unit, without musical parts.
+    /// An amount in a unit, without bars and beats.
     pub const fn of(number: Num, unit: Unit) -> Self {
         Self { number, bars: Num::ZERO, beats: Num::ZERO, unit }
     }
 
-    /// A musical time.
+    /// A length in bars and beats.
     pub const fn musical(bars: Num, beats: Num) -> Self {
         Self { number: Num::ZERO, bars, beats, unit: Unit::TIME }
     }
 
-    /// Whether it has bars or beats.
+    /// Whether the amount has bars or beats.
     pub fn is_musical(&self) -> bool {
         !self.bars.is_zero() || !self.beats.is_zero()
     }
 
-    /// Applies a change to each part.
+    /// Applies a change to the number, the bars and the beats.
     fn each(&self, change: impl Fn(Num) -> Num) -> Self {
         Self { number: change(self.number), bars: change(self.bars), beats: change(self.beats), ..*self }
     }
 
-    /// The text of an expression with the same value.
+    /// The text of an expression that evaluates to this amount.
     pub fn written(&self) -> String {
         match self.unit {
             Unit::TIME => {}
@@ -108,7 +109,7 @@ pub fn fraction(value: Fraction) -> String {
     }
 }
 
-/// Writes a number that may have more digits than the parser accepts.
+/// The text of an expression for a whole number, which may have more digits than the parser accepts in one number.
 fn whole(value: i128) -> String {
     match (value / DIGITS, value % DIGITS) {
         (0, rest) => rest.to_string(),
@@ -116,18 +117,18 @@ fn whole(value: i128) -> String {
     }
 }
 
-/// An error in an expression, with the characters concerned.
+/// A fault in an expression, with the characters that it concerns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fault {
-    /// The characters at fault.
+    /// The characters that the fault concerns.
     pub span: Span,
     /// The kind of the finding.
     pub code: Code,
-    /// The fault.
+    /// The message that describes the fault.
     pub message: String,
-    /// What was expected.
+    /// The expected value or form.
     pub expected: String,
-    /// How to fix it.
+    /// How to fix the fault; `None` if there is no hint.
     pub hint: Option<String>,
 }
 
@@ -147,19 +148,19 @@ impl Fault {
         self.message.is_empty()
     }
 
-    /// Adds a hint.
+    /// Sets the hint.
     pub fn hint(self, hint: impl Into<String>) -> Self {
         Self { hint: Some(hint.into()), ..self }
     }
 
-    /// Sets or removes the hint.
+    /// Sets the hint, or removes it if `hint` is `None`.
     pub fn hint_or(self, hint: Option<String>) -> Self {
         Self { hint, ..self }
     }
 }
 
-/// Whether a text is intended as an expression where a number, a time or a truth value is expected: it contains a variable, an operator
-/// or a bracket, or is a constant.
+/// Whether the user means a text as an expression where a number, a time or a truth value is expected. Such a text contains a variable,
+/// an operator or a bracket, or is a constant.
 pub fn is_one(text: &str) -> bool {
     let text = text.trim();
     let begins = text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '$' | '(' | '-' | '.'));

@@ -6,10 +6,10 @@ use num_traits::{CheckedAdd, CheckedDiv, CheckedMul, CheckedSub, Zero};
 
 use crate::exact::{Fraction, decimal, near_fraction, to_f64};
 
-/// Longer fractions become doubles.
+/// Maximum number of bits of a numerator or denominator; longer fractions become doubles.
 const BITS_MAX: u32 = 110;
 
-/// A number.
+/// A number in an expression.
 #[derive(Clone, Copy, Debug)]
 pub enum Num {
     /// A fraction, without rounding.
@@ -19,12 +19,12 @@ pub enum Num {
 }
 
 impl Num {
-    /// Zero.
+    /// The number 0.
     pub const ZERO: Self = Self::Exact(Fraction::ZERO);
-    /// One.
+    /// The number 1.
     pub const ONE: Self = Self::Exact(Fraction::ONE);
 
-    /// Converts a number as written: a double is represented by the shortest decimal that reads as the same double.
+    /// Converts a double to the decimal that was probably written: the shortest one that is parsed as this double.
     pub fn of(value: f64) -> Self {
         match decimal(&value.abs().to_string()) {
             Some(size) => Self::Exact(if value < 0.0 { -size } else { size }),
@@ -32,7 +32,7 @@ impl Num {
         }
     }
 
-    /// A whole number.
+    /// Creates a number from a whole number.
     pub fn whole(value: i128) -> Self {
         Self::kept(Fraction::from_integer(value))
     }
@@ -51,7 +51,7 @@ impl Num {
         }
     }
 
-    /// The nearest double.
+    /// Converts the number to the nearest double.
     #[expect(clippy::cast_precision_loss, reason = "both are below 2^53, or rounded as doubles are")]
     pub fn f64(self) -> f64 {
         match self {
@@ -75,7 +75,7 @@ impl Num {
         }
     }
 
-    /// Whether it is zero.
+    /// Whether the number is zero.
     pub fn is_zero(self) -> bool {
         match self {
             Self::Exact(value) => value.is_zero(),
@@ -83,7 +83,7 @@ impl Num {
         }
     }
 
-    /// Whether it is finite.
+    /// Whether the number is finite: neither infinite nor NaN.
     pub fn is_finite(self) -> bool {
         self.f64().is_finite()
     }
@@ -102,27 +102,27 @@ impl Num {
         Self::Real(real(self.f64(), other.f64()))
     }
 
-    /// The sum.
+    /// The sum of two numbers.
     pub fn plus(self, other: Self) -> Self {
         self.both(other, CheckedAdd::checked_add, |a, b| a + b)
     }
 
-    /// The difference.
+    /// This number minus `other`.
     pub fn minus(self, other: Self) -> Self {
         self.both(other, CheckedSub::checked_sub, |a, b| a - b)
     }
 
-    /// The product.
+    /// The product of two numbers.
     pub fn times(self, other: Self) -> Self {
         self.both(other, CheckedMul::checked_mul, |a, b| a * b)
     }
 
-    /// The quotient; `None` if the divisor is zero.
+    /// This number divided by `other`; `None` if `other` is zero.
     pub fn over(self, other: Self) -> Option<Self> {
         (!other.is_zero()).then(|| self.both(other, CheckedDiv::checked_div, |a, b| a / b))
     }
 
-    /// The remainder of the division, with the sign of the divisor. `None` if the divisor is zero.
+    /// The remainder of the division by `other`, with the sign of `other`. `None` if `other` is zero.
     pub fn modulo(self, other: Self) -> Option<Self> {
         Some(self.minus(other.times(self.over(other)?.floor())))
     }
@@ -132,7 +132,7 @@ impl Num {
         Self::ZERO.minus(self)
     }
 
-    /// The largest whole number that is not above it.
+    /// The largest whole number that is at most this number.
     pub fn floor(self) -> Self {
         match self {
             Self::Exact(value) => Self::kept(value.floor()),
@@ -140,7 +140,7 @@ impl Num {
         }
     }
 
-    /// The smallest whole number that is not below it.
+    /// The smallest whole number that is at least this number.
     pub fn ceil(self) -> Self {
         self.negated().floor().negated()
     }
@@ -153,7 +153,7 @@ impl Num {
         }
     }
 
-    /// The order of two numbers; by [`f64::total_cmp`] unless both are exact.
+    /// Compares two numbers: exactly if both are exact, otherwise by [`f64::total_cmp`].
     pub fn compared(self, other: Self) -> Ordering {
         match (self, other) {
             (Self::Exact(a), Self::Exact(b)) => a.cmp(&b),
@@ -161,7 +161,7 @@ impl Num {
         }
     }
 
-    /// The square root, exact if it is a fraction.
+    /// The square root; exact if the root is a fraction.
     pub fn square_root(self) -> Self {
         let root = self.f64().sqrt();
         let exact = Self::of(root);
@@ -169,7 +169,7 @@ impl Num {
     }
 }
 
-/// The sine of an angle in degrees; exact if it is 0, ±1/2 or ±1.
+/// The sine of an angle in degrees; exact if the sine is 0, ±1/2 or ±1.
 pub fn sine(degrees: Num) -> Num {
     let turn = Num::whole(360);
     let Some(within) = degrees.modulo(turn) else { return Num::ZERO };

@@ -1,4 +1,4 @@
-//! Cuts a formula into smooth pieces. Each has bounds of its slope and curvature, which determine the sampling density. Corners and jumps
+//! Cuts a formula into smooth pieces. The bounds of slope and curvature of each piece determine the sampling density. Corners and jumps
 //! between pieces are located to the nanosecond.
 
 use urrcp::Span;
@@ -8,43 +8,44 @@ use super::interval::jet;
 
 /// Maximum number of pieces of a formula.
 const PIECES_MAX: usize = 4_096;
-/// Maximum number of intervals that are examined.
+/// Maximum number of intervals that are examined to cut one formula.
 const LOOKS_MAX: usize = 100_000;
-/// Allowed ratio between the bound of a curvature and its samples.
+/// Largest allowed ratio between the bound of a curvature and the largest sampled curvature.
 const LOOSE: f64 = 1.5;
-/// Smooth pieces are not shortened below this fraction of the whole to improve the bound.
+/// A smooth piece that is shorter than the formula's duration divided by this is not cut to improve its bounds.
 const SHORTEST_PART: i64 = 512;
-/// Largest bending of a piece: its length times the root of its curvature over its range of values, which is 4.4 for one period of a
-/// sine. Longer pieces would need more samples than are fitted together.
+/// Largest bending of a piece: its length times the square root of its curvature over its range of values. One period of a sine has the
+/// bending 4.4. Longer pieces would need more samples than are fitted together.
 const BENDS_MAX: f64 = 40.0;
-/// Largest bending of all pieces together: about ten thousand periods.
+/// Largest bending of all pieces together: about ten thousand periods of a sine.
 const BENDS_IN_ALL_MAX: f64 = 45_000.0;
-/// Values beyond this are invalid.
+/// Largest absolute value of a formula; larger ones are invalid.
 const VALUE_MAX: f64 = 1e12;
 
 /// A part of a formula from one time to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece {
-    /// The beginning of the piece.
+    /// The start of the piece, from the start of the formula.
     pub begin: Span,
-    /// The end of the piece.
+    /// The end of the piece, from the start of the formula.
     pub end: Span,
-    /// Bounds of the slope in units per second, and of the slope of the slope. `None` for one or two nanoseconds with a corner or a jump.
+    /// Upper bounds of the absolute slope, in units per second, and of the second derivative. `None` for a piece of one or two
+    /// nanoseconds that contains a corner or a jump.
     pub rates: Option<(f64, f64)>,
-    /// Bounds of its values.
+    /// The lowest and the highest value of the piece, as bounds.
     values: (f64, f64),
 }
 
 /// The reason why a formula is not a movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trouble {
-    /// The formula has no value at this time.
+    /// The formula has no valid value at this time.
     NoValue(Span),
     /// The formula has more pieces than the limit.
     TooMany,
 }
 
-/// The pieces of a formula, in order.
+/// Cuts the first `length` of a formula into pieces, in order.
 pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
     let whole = length.as_nanos();
     let mut done: Vec<Piece> = Vec::new();
@@ -89,7 +90,7 @@ pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
     }
 }
 
-/// The amount of bending for this length in nanoseconds, curvature and range of values.
+/// The bending of a piece, given its length in nanoseconds, its curvature and its range of values ([`BENDS_MAX`]).
 fn bending(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
     if curvature == 0.0 {
         0.0
@@ -105,7 +106,7 @@ impl Piece {
     }
 }
 
-/// Adds a piece, or extends the last one if they are similar.
+/// Appends a piece, or extends the last piece of `done` if the two are similar.
 fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) {
     if let Some(last) = done.last_mut() {
         let values = (last.values.0.min(piece.values.0), last.values.1.max(piece.values.1));
@@ -136,7 +137,7 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
     done.push(piece);
 }
 
-/// Whether there is no corner exactly at this time, where two pieces meet.
+/// Whether two pieces that meet at this time form no corner.
 fn is_smooth(formula: &Formula, at: Span) -> bool {
     let nanos = at.as_nanos();
     let slope = |from: i64, to: i64| jet(formula, (seconds(from), seconds(to))).map(|jet| jet.slope);
@@ -145,7 +146,7 @@ fn is_smooth(formula: &Formula, at: Span) -> bool {
     before.0 <= after.1 + dust && after.0 <= before.1 + dust
 }
 
-/// The largest curvature at some times of an interval.
+/// The largest curvature among samples in an interval, given in seconds.
 fn sampled_curvature(formula: &Formula, from: f64, to: f64) -> f64 {
     let at = |part: f64| {
         let time = from + (to - from) * part;
@@ -159,13 +160,13 @@ fn seconds(nanos: i64) -> f64 {
     nanos as f64 / 1e9
 }
 
-/// The common conversion for all users of a formula: a time with a different rounding may be after a jump.
+/// Converts a time to seconds. All users of a formula must use this conversion: a time that is rounded differently may be after a jump.
 pub fn seconds_of(time: Span) -> f64 {
     seconds(time.as_nanos())
 }
 
 impl Formula {
-    /// The largest slope per second, and the largest slope of the slope, at many times between two times in seconds.
+    /// The largest slope, per second, and the largest second derivative among many samples between two times in seconds.
     pub fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {
         let at = |part: u32| {
             let time = from + (to - from) * f64::from(part) / 256.0;

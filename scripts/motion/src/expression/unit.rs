@@ -3,11 +3,11 @@
 /// A product of powers of time and angle, or a percentage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unit {
-    /// The exponent of time.
+    /// The exponent of time, in nanoseconds.
     pub time: i8,
     /// The exponent of half turns, `pi`. Angles in degrees are plain numbers.
     pub angle: i8,
-    /// Whether it is a percentage.
+    /// Whether the value is a percentage.
     pub percent: bool,
 }
 
@@ -15,16 +15,16 @@ pub struct Unit {
 const POWER_MAX: i8 = 8;
 
 impl Unit {
-    /// A plain number.
+    /// The unit of plain numbers.
     pub const PLAIN: Self = Self { time: 0, angle: 0, percent: false };
-    /// Nanoseconds.
+    /// The unit of times: nanoseconds.
     pub const TIME: Self = Self { time: 1, ..Self::PLAIN };
-    /// Half turns.
+    /// The unit of angles in radians: half turns, `pi`.
     pub const ANGLE: Self = Self { angle: 1, ..Self::PLAIN };
-    /// A percentage, as a fraction of one.
+    /// The unit of percentages: 50% is the number 0.5.
     pub const PERCENT: Self = Self { percent: true, ..Self::PLAIN };
 
-    /// A description for messages.
+    /// A description of the unit for messages.
     pub const fn name(self) -> &'static str {
         match (self.time, self.angle, self.percent) {
             (0, 0, false) => "a plain number",

@@ -1,52 +1,53 @@
-//! The slopes of lines from several values of one sample that stay within the room at all passed samples.
+//! Lines from several values of one sample: the slopes of those that stay within the room at all passed samples.
 //!
-//! The lines from one value reach an interval at a later time. The lower the value, the higher the interval, because the lines have to
-//! pass the same gates. The lowest and the highest value with remaining lines therefore bound the reached values. The values between them
-//! only matter if these two do not decide.
+//! The room is the largest allowed distance from the curve; a gate is the range of values within the room at a sample. At a later time,
+//! the lines from one value reach an interval. The lower the value, the higher the interval, because the lines have to pass the same
+//! gates. The lowest and the highest value with remaining lines therefore bound the reached values. The values in between only matter if
+//! these two do not decide.
 
 use super::lattice::{Candidates, VALUES_MAX};
 
-/// Lines from some values of a sample.
+/// The lines from some values of a sample, and the later values that they reach.
 pub(super) trait Sight {
-    /// Starts at these values of a sample; the set is not empty.
+    /// Starts with the lines from those candidates of a sample whose indices are in `set`, which is not empty.
     fn begin(&mut self, of: &Candidates, set: u64);
 
-    /// Those candidates of a later sample, out of `wanted`, that any line reaches.
+    /// Those candidates in the set `wanted` of a later sample that at least one line reaches.
     fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64;
 
     /// Keeps only the lines that pass a later sample between two values. Returns whether any remain.
     fn narrow(&mut self, duration: f64, gate: (f64, f64)) -> bool;
 }
 
-/// Lines from the values of one sample.
+/// The lines from each value of one sample, exactly.
 pub(super) struct Cones {
-    /// From the lowest value up. Only the values in `first..end` have remaining lines.
+    /// The lines from each value, starting with the lowest value. Only the values in `first..end` have remaining lines.
     all: [Lines; VALUES_MAX],
     first: usize,
     end: usize,
-    /// The lowest and the highest value with remaining lines, updated for all passed gates.
+    /// The lines from the lowest and from the highest value with remaining lines, updated for all passed gates.
     lowest: Lines,
     highest: Lines,
     passed: Vec<Gate>,
 }
 
-/// The allowed values of a later sample.
+/// The range of allowed values at a later sample.
 #[derive(Clone, Copy)]
 struct Gate {
     low: f64,
     high: f64,
-    /// The inverse of the time until then: multiplication is faster than division, and there may be many values.
+    /// The inverse of the time until that sample: multiplication is faster than division, and there may be many values.
     inverse: f64,
 }
 
-/// All lines from one value, as far as they are updated.
+/// All lines from one value that pass the first `passed` gates.
 #[derive(Clone, Copy, Default)]
 struct Lines {
     candidate: u8,
     value: f64,
     flattest: f64,
     steepest: f64,
-    /// The number of gates for which they are updated.
+    /// The number of gates for which the lines are updated.
     passed: usize,
 }
 
@@ -139,7 +140,7 @@ impl Cones {
         if self.first >= self.end {
             return false;
         }
-        // The array contains outdated states of these two.
+        // The array contains outdated copies of these two.
         if !self.lowest.are_left() {
             self.first += 1;
         }
@@ -159,12 +160,12 @@ impl Cones {
         true
     }
 
-    /// All candidates between the lowest and the highest reached value.
+    /// All candidates between the lowest and the highest value that the lines reach: a superset of the reached ones.
     fn reached_at_most(&self, of: &Candidates, duration: f64) -> u64 {
         of.between(self.highest.lowest(duration), self.lowest.highest(duration))
     }
 
-    /// Removes the values whose lines reach one of these candidates of a later sample, and returns them.
+    /// Removes and returns the values whose lines reach one of the candidates `wanted` of a later sample.
     pub(super) fn take(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64 {
         let mut taken = 0;
         if wanted & self.reached_at_most(of, duration) == 0 {

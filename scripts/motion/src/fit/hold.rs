@@ -1,35 +1,36 @@
 //! Steps of a device that holds its value: greedily finds the longest runs in order.
 //!
-//! A movement is divided into pieces in which its value rises, falls or stays constant. Within a piece, a run ends when the value reaches
-//! the boundary of the range that the run's value serves. Runs are therefore found from values alone, and only the time of each boundary
-//! is found by bisection. A value that serves a run also serves every part of it, so greedy longest runs are the fewest runs.
+//! A movement is divided into pieces in which its value rises, falls or stays constant. A run is a time during which the device holds one
+//! value. Within a piece, a run ends when the movement leaves the range of values that the held value is close enough to. Runs are
+//! therefore found from values alone, and only the time of each boundary is found by bisection. A value that is close enough for a run is
+//! also close enough for every part of the run. Always taking the longest run therefore gives the fewest runs.
 
 use super::lattice::Lattice;
 use super::problem::{EXTREME, ROUNDING};
 use super::{Ends, Fit, Grid};
 
-/// Maximum number of samples of one smooth part.
+/// Maximum number of samples into which one smooth part is bisected.
 const SAMPLES_MAX: usize = 65_536;
-/// The extremes of a movement are known to this fraction of the tolerance.
+/// Precision of the extremes of a movement, as a fraction of the tolerance.
 const PRECISION: f64 = 1e-6;
-/// The error is minimized for the number of steps to this fraction of the tolerance.
+/// Precision of the least error for a number of steps, as a fraction of the tolerance.
 const LEAST_ERROR: f64 = 0.01;
 
-/// A movement that a device that holds its value has to follow, in nanoseconds from its beginning.
+/// A movement for a device that holds its value. Times are nanoseconds from the start of the movement.
 pub struct Movement<'a> {
-    /// The value of a smooth part at a time.
+    /// Returns the value of a smooth part, given by its index, at a time.
     value: &'a dyn Fn(usize, i64) -> f64,
     tolerance: f64,
     pieces: Vec<Piece>,
     end: i64,
 }
 
-/// Bounds of the first two derivatives with respect to time, in seconds.
+/// Upper bounds of the absolute first and second derivative of a movement with respect to time in seconds.
 #[derive(Clone, Copy)]
 pub struct Rates {
-    /// The largest first derivative.
+    /// Upper bound of the absolute first derivative, in units per second.
     pub slope: f64,
-    /// The largest second derivative.
+    /// Upper bound of the absolute second derivative, in units per second squared.
     pub curvature: f64,
 }
 
@@ -39,7 +40,7 @@ struct Piece {
     begin: i64,
     from: f64,
     to: f64,
-    /// The smooth part that contains it; `None` if the value is constant.
+    /// The index of the smooth part that contains the piece; `None` if the value is constant.
     part: Option<usize>,
 }
 
@@ -50,7 +51,8 @@ struct Place {
     value: f64,
 }
 
-/// A held value, its first place, and the places with the lowest and highest values of the movement until the next run.
+/// A value that the device holds from the place `start` on. `low` and `high` are the places of the movement's lowest and highest value
+/// until the next run.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     start: Place,
@@ -59,10 +61,10 @@ struct Run {
     high: Place,
 }
 
-/// The parameters of one query.
+/// The parameters of one search for the fewest runs.
 struct Question<'a> {
     movement: &'a Movement<'a>,
-    /// `None` if the device accepts every value.
+    /// The values that the device accepts; `None` if it accepts every value.
     lattice: Option<Lattice>,
     first: Option<f64>,
     last: Option<f64>,
@@ -73,12 +75,12 @@ struct Question<'a> {
 }
 
 impl<'a> Movement<'a> {
-    /// `value` returns the value of a smooth part at a time.
+    /// Creates an empty movement. `value` returns the value of a smooth part, given by its index, at a time in nanoseconds.
     pub fn new(value: &'a dyn Fn(usize, i64) -> f64, tolerance: f64) -> Self {
         Self { value, tolerance, pieces: Vec::new(), end: 0 }
     }
 
-    /// Appends an interval with a constant value until this time.
+    /// Appends an interval with the constant value `level` that ends at `until`.
     pub fn stay(&mut self, level: f64, until: i64) {
         if self.pieces.last().is_none_or(|last| last.part.is_some() || last.to != level) {
             self.pieces.push(Piece { begin: self.end, from: level, to: level, part: None });
@@ -86,7 +88,7 @@ impl<'a> Movement<'a> {
         self.end = until;
     }
 
-    /// Appends a smooth part until this time. The part is bisected until the value is monotonic in every piece.
+    /// Appends a smooth part that ends at `until`. The part is bisected until the value is monotonic in every piece.
     pub fn follow(&mut self, part: usize, until: i64, rates: Rates) {
         let sample = |at: i64| (at, (self.value)(part, at));
         let mut samples = vec![sample(self.end), sample(until)];
@@ -117,7 +119,7 @@ impl<'a> Movement<'a> {
     }
 
     /// Whether a smooth part is monotonic between two samples. If its slope were 0 somewhere between them, the curvature would not allow
-    /// the value to change by more than `bend`. Negligible turns are ignored.
+    /// the value to change by more than `bend`. Negligible reversals are ignored.
     fn turns_nowhere(&self, a: (i64, f64), b: (i64, f64), rates: Rates) -> bool {
         #[expect(clippy::cast_precision_loss, reason = "rounded far below what matters")]
         let seconds = (b.0 - a.0) as f64 * 1e-9;
@@ -126,12 +128,12 @@ impl<'a> Movement<'a> {
         b.0 - a.0 <= 1 || change >= bend || beyond <= PRECISION * self.tolerance
     }
 
-    /// Finds the fewest steps within the tolerance, and among these the least error, to within 1 % of the tolerance. If there are more
-    /// than `most`, not all of them are found.
+    /// Finds the fewest steps within the tolerance. Among the solutions with that number of steps, it finds one whose error is minimal to
+    /// within 1 % of the tolerance. If more than `most` steps are needed, it does not find all of them.
     ///
-    /// `ends.first` is the value of the first step; the step is free if it is `None`. If `ends.last` is given, the device has that value
-    /// at the end, where the movement has the value `written`. A value changes at the last nanosecond before the movement leaves the
-    /// tolerance.
+    /// `ends.first` is the value of the first step; if it is `None`, any value is allowed. If `ends.last` is given, the device has that
+    /// value at the end, where the movement has the value `written`. The device takes a new value at the last nanosecond before the
+    /// movement leaves the tolerance of the old one.
     ///
     /// # Errors
     /// Returns the smallest tolerance that can be met with any number of steps.
@@ -148,7 +150,7 @@ impl<'a> Movement<'a> {
     }
 }
 
-/// Extends the lowest and the highest place of a run by another place.
+/// The lowest and the highest place of a run after adding another place.
 fn widened((low, high): (Place, Place), place: Place) -> (Place, Place) {
     (if place.value < low.value { place } else { low }, if place.value > high.value { place } else { high })
 }
@@ -178,7 +180,7 @@ impl Question<'_> {
         Ok(self.fit(&runs, most))
     }
 
-    /// Lower bound of the error with any number of steps.
+    /// Lower bound of the error, whatever the number of steps.
     fn smallest(&self) -> f64 {
         let pieces = &self.movement.pieces;
         let first = self.first.zip(pieces.first()).map(|(first, piece)| (first - piece.from).abs());
@@ -196,7 +198,8 @@ impl Question<'_> {
         self.last.map_or(0.0, |last| (last - self.end).abs())
     }
 
-    /// The fewest runs within the room; if there are more than `most`, only the first ones. `None` if there are none.
+    /// The fewest runs whose error is at most `room`; if more than `most` are needed, only the first ones. `None` if no runs are close
+    /// enough.
     fn runs(&self, room: f64, most: usize) -> Option<Vec<Run>> {
         let room = room + self.dust;
         let last_from = self.last_from(room);
@@ -204,7 +207,7 @@ impl Question<'_> {
         let mut place = self.place(0);
         let mut runs = Vec::new();
         while runs.len() <= most {
-            // From here on, the last value serves all remaining pieces.
+            // From here on, the last value is close enough for all remaining pieces.
             if self.reaches(place, last_from) && (prescribed.is_none() || prescribed == self.last) {
                 runs.extend(self.last.map(|last| self.longest(place, Some(last), room).0));
                 return Some(runs);
@@ -220,7 +223,7 @@ impl Question<'_> {
         Some(runs)
     }
 
-    /// The beginning of a piece; the end of the movement after the last piece.
+    /// The place where a piece starts; after the last piece, the end of the movement.
     fn place(&self, piece: usize) -> Place {
         let value = self.movement.pieces.get(piece).map_or(self.end, |piece| piece.from);
         Place { piece, value }
@@ -233,7 +236,7 @@ impl Question<'_> {
         place.piece > other.piece || place.piece == other.piece && further
     }
 
-    /// The first place after which the last value serves the entire rest.
+    /// The first place after which the prescribed last value is close enough for the entire rest of the movement.
     fn last_from(&self, room: f64) -> Place {
         let pieces = &self.movement.pieces;
         let Some(last) = self.last else { return self.place(pieces.len()) };
@@ -247,7 +250,7 @@ impl Question<'_> {
         }
     }
 
-    /// The longest run that one value can serve, prescribed or not, and its end.
+    /// The longest run from `start` with one value, and the place where it ends. If `prescribed` is given, it is that value.
     fn longest(&self, start: Place, prescribed: Option<f64>, room: f64) -> (Run, Place) {
         let (mut low, mut high) = (start, start);
         let mut place = start;
@@ -271,7 +274,7 @@ impl Question<'_> {
         (Run { start, held: prescribed.unwrap_or(nearest), low, high }, place)
     }
 
-    /// The range that a run with these extremes may still reach.
+    /// The range of values that the movement may take in a run without ending it, given the run's extremes so far.
     fn served(&self, prescribed: Option<f64>, low: f64, high: f64, room: f64) -> (f64, f64) {
         let (least, greatest) = match (prescribed, &self.lattice) {
             (Some(value), _) => (value, value),
@@ -281,7 +284,7 @@ impl Question<'_> {
         (least - room, greatest + room)
     }
 
-    /// The largest error, and its place.
+    /// The largest error of the runs, and the place where it occurs.
     fn worst(&self, runs: &[Run]) -> (f64, Place) {
         let offs = runs
             .iter()

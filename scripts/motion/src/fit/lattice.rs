@@ -3,20 +3,21 @@
 use super::problem::EXTREME;
 use super::{Grid, Unfit};
 
-/// Maximum number of candidates of a sample on either side of the nearest. Both sides and the nearest fit in a set of 64 bits.
+/// Maximum number of candidates of a sample on either side of the nearest one. Both sides and the nearest one fit in a bit set of 64
+/// bits.
 const SIDE_MAX: f64 = 17.0;
 /// Maximum number of candidates of a sample.
 pub(super) const VALUES_MAX: usize = 35;
-/// A double distinguishes multiples up to here.
+/// Largest index of a multiple: a double represents whole numbers exactly up to 2^53.
 const INDEX_MAX: f64 = 9_007_199_254_740_992.0;
 
-/// The multiples of the granularity within the range, which is not empty.
+/// The grid values of a device: the multiples of the granularity from `low` to `high`; at least one exists.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattice {
     low: f64,
     high: f64,
     pub(super) granularity: f64,
-    /// Number of multiples per unit.
+    /// Number of grid values per unit: the inverse of the granularity.
     density: f64,
 }
 
@@ -38,12 +39,12 @@ impl Lattice {
         self.nearest_index(value) * self.granularity
     }
 
-    /// The largest grid value that is at most `value`. If no grid value is as small, the smallest of all.
+    /// The largest grid value that is at most `value`. If all grid values are larger, the smallest one.
     pub(super) fn below(&self, value: f64) -> f64 {
         (value / self.granularity).floor().clamp(self.low, self.high) * self.granularity
     }
 
-    /// The smallest grid value that is at least `value`. If no grid value is as large, the largest of all.
+    /// The smallest grid value that is at least `value`. If all grid values are smaller, the largest one.
     pub(super) fn above(&self, value: f64) -> f64 {
         (value / self.granularity).ceil().clamp(self.low, self.high) * self.granularity
     }
@@ -52,7 +53,7 @@ impl Lattice {
         round(value / self.granularity).clamp(self.low, self.high)
     }
 
-    /// The grid values within the room around a sample: all, or the nearest and every nth on both sides of it.
+    /// The grid values that differ from `value` by at most `room`. If there are too many: the nearest, and every nth on both sides of it.
     pub(super) fn near(&self, value: f64, room: f64) -> Candidates {
         let low = ceil((value - room) / self.granularity).max(self.low);
         let high = floor((value + room) / self.granularity).min(self.high);
@@ -72,10 +73,11 @@ impl Lattice {
     }
 }
 
-/// Below this, whole numbers fit in an `i64`.
+/// Whole numbers below this bound fit in an `i64`.
 const WHOLE_MAX: f64 = 9e15;
 
-/// On common processors, the library's rounding functions are calls, which would take longer than the rest of the search.
+/// The value without its fraction digits; `None` for large values. The rounding functions of the standard library are too slow here: on
+/// common processors, they are function calls.
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "below WHOLE_MAX")]
 fn truncated(value: f64) -> Option<f64> {
     (value.abs() < WHOLE_MAX).then_some(value as i64 as f64)
@@ -94,7 +96,7 @@ fn round(value: f64) -> f64 {
     truncated(value).map_or_else(|| value.round(), |whole| away(whole).copysign(value))
 }
 
-/// Tolerance for decimal bounds: 0.3 is intended to be a multiple of 0.1.
+/// Tolerance for rounding in decimal bounds, so that 0.3 counts as a multiple of 0.1.
 const DECIMAL_DUST: f64 = 1e-9;
 
 /// The candidate values of one sample, evenly spaced.
@@ -103,11 +105,11 @@ pub(super) struct Candidates {
     base: f64,
     scale: f64,
     stride: f64,
-    /// The first value.
+    /// The value of the first candidate.
     origin: f64,
     /// Number of candidates per unit.
     density: f64,
-    /// The last index; -1 if there are no candidates.
+    /// The index of the last candidate; -1 if there are no candidates.
     last: f64,
 }
 
@@ -148,7 +150,7 @@ impl Candidates {
         if first <= last { (u64::MAX >> (63 - (last - first))) << first } else { 0 }
     }
 
-    /// The indices of all values that are also candidates within less room, if neither set is thinned.
+    /// The indices of all values that are also in `nearer`, the candidates of the same sample with less room. Neither set may be thinned.
     pub(super) fn common(&self, nearer: &Self) -> u64 {
         let first = nearer.base - self.base;
         self.indices(first, first + nearer.last)

@@ -1,7 +1,8 @@
-//! All paths with the fewest pieces, as layers of steps: the steps of the nth layer are n pieces from the beginning.
+//! All paths with the fewest pieces, as layers of steps: the steps of the nth layer are n pieces from the first sample. The room is the
+//! largest allowed distance from the curve.
 //!
-//! With less room, paths to a step and from it to the end can only need more pieces. Among the paths with the same number of pieces, each
-//! step therefore stays in its layer or drops out, and a search within less room only examines the remaining steps.
+//! With less room, the paths to a step and from that step to the end can only need more pieces. If the number of pieces stays the same,
+//! each step therefore stays in its layer or drops out. A search with less room only examines the remaining steps.
 
 use std::ops::Range;
 use std::rc::Rc;
@@ -10,12 +11,12 @@ use super::cones::{Cones, Sight as _};
 use super::lattice::Candidates;
 use super::problem::{Path, Problem};
 
-/// Candidates of one sample.
+/// Candidate values of one sample, as a bit set of their indices.
 #[derive(Clone, Copy)]
 pub(super) struct Node {
     pub(super) sample: usize,
     pub(super) candidates: u64,
-    /// No line from here passes this sample.
+    /// No line from these candidates leads beyond this sample; `usize::MAX` if that sample is not known.
     pub(super) until: usize,
 }
 
@@ -34,7 +35,7 @@ pub(super) struct Stack {
 }
 
 impl Stack {
-    /// Starts a layer, to which the nodes pushed afterwards belong.
+    /// Starts a layer. Nodes that are pushed later belong to it.
     pub(super) fn begin(&mut self) {
         self.begins.push(self.nodes.len());
     }
@@ -65,7 +66,7 @@ pub(super) struct Layers {
 }
 
 impl Layers {
-    /// The steps on complete paths from the first sample to the end of `forwards`. `None` if there is no such path.
+    /// Keeps the steps of `forwards` that lie on a complete path from the first to the last sample. `None` if there is no such path.
     pub(super) fn new(
         problem: &Problem,
         room: f64,
@@ -77,7 +78,7 @@ impl Layers {
         Self::leading(problem, room, candidates.into(), (last, layer), |node| Some(*node))
     }
 
-    /// The remaining steps with less room; `None` if no path remains.
+    /// The steps that remain with less room; `None` if no path remains.
     pub(super) fn within(&self, problem: &Problem, room: f64) -> Option<Self> {
         let near = |node: &Node| {
             let near = problem.candidates(node.sample, room);
@@ -127,12 +128,12 @@ impl Layers {
         self.candidates.iter().any(Candidates::are_thinned)
     }
 
-    /// Whether these layers contain all paths for this room and number of steps.
+    /// Whether these layers contain all paths of `most` steps within this room.
     pub(super) fn answer(&self, room: f64, most: usize) -> bool {
         room <= self.room && most == self.backwards.layers()
     }
 
-    /// The path through the earliest step of each layer and, at equal samples, the lowest value.
+    /// The path through the earliest step of each layer; of several values at that sample, through the lowest.
     pub(super) fn path(&self, problem: &Problem) -> Path {
         let mut walk = Walk::new(problem, &self.candidates, self.room);
         let mut path = Path::with_capacity(self.backwards.layers());
@@ -152,7 +153,7 @@ impl Layers {
     }
 }
 
-/// Lines from one step at a time.
+/// A search for lines that start at one step and stay within the room.
 struct Walk<'a> {
     problem: &'a Problem<'a>,
     candidates: &'a [Candidates],
@@ -165,7 +166,7 @@ impl<'a> Walk<'a> {
         Self { problem, candidates, room, cones: Cones::default() }
     }
 
-    /// The candidates of a step from which a piece leads to a later step.
+    /// Keeps the candidates of `node` from which a piece leads to one of the steps in `later`.
     fn leading(&mut self, node: Node, later: &[Node]) -> Option<Node> {
         self.cones.begin(&self.candidates[node.sample], node.candidates);
         let (mut leading, mut passed) = (0, node.sample);
@@ -183,7 +184,8 @@ impl<'a> Walk<'a> {
         (leading != 0).then_some(Node { candidates: leading, ..node })
     }
 
-    /// The lowest candidate of the earliest later step that a line reaches; at the last sample the highest.
+    /// The earliest step of `layer` that a line from `from` reaches, with the lowest candidate reached there. At the last sample, the
+    /// highest.
     fn earliest(&mut self, from: Node, layer: &[Node]) -> Option<Node> {
         self.cones.begin(&self.candidates[from.sample], from.candidates);
         let mut passed = from.sample;
@@ -206,7 +208,7 @@ impl<'a> Walk<'a> {
         None
     }
 
-    /// Whether any line from a sample passes these later samples.
+    /// Whether any line from sample `from` passes all of `samples`, which are later.
     fn pass(&mut self, from: usize, mut samples: Range<usize>) -> bool {
         let (curve, room) = (&self.problem.curve, self.room);
         samples.all(|sample| {

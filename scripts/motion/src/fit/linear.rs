@@ -1,9 +1,9 @@
 //! Steps of a device that moves linearly: breadth-first search over samples and their candidate values.
 //!
-//! The slopes of lines from a step that stay within the room at all passed samples form an interval, which narrows sample by sample, as
-//! in Chan and Chin (International Journal of Computational Geometry and Applications 6, 1996). A candidate value whose slope is within
-//! the interval is one step away. The graph is that of Imai and Iri 1986 with several values per sample, so the first layer that reaches
-//! the last sample has the fewest steps.
+//! The room is the largest allowed distance from the curve. Consider the lines from a step that stay within the room at all passed
+//! samples. Their slopes form an interval that narrows sample by sample, as in Chan and Chin (International Journal of Computational
+//! Geometry and Applications 6, 1996). A candidate value whose slope is within the interval is one step away. The graph is that of Imai
+//! and Iri 1986, with several values per sample. The first layer that reaches the last sample therefore has the fewest steps.
 //!
 //! The search is exact but fast: for each sample, `tube` provides a lower bound of the number of pieces to the end. A node that would
 //! exceed the target number of pieces is skipped. The remaining layers (`layers`) answer queries for all smaller rooms.
@@ -19,14 +19,16 @@ use super::tube::View;
 
 /// Curves of at most this many samples may have a step at each sample.
 const SAMPLES_MAX: usize = 4096;
-/// Number of candidate samples per straight piece of longer curves; in longer pieces only every second, third and so on.
+/// Maximum number of candidate samples per straight piece of longer curves. In longer pieces, only every second, third (and so on) sample
+/// is a candidate.
 const PIECE_SAMPLES_MAX: usize = 256;
-/// With more candidates per sample than this, the grid is fine.
+/// A grid is called fine if a sample has more candidates than this.
 const FINE: u32 = 6;
 
-/// The fewest steps within the room, and a lower bound of their number. `None` if there are no steps, or more than `most`.
+/// The fewest steps within the room, and a lower bound of the number of steps. `None` if no steps are within the room, or more than
+/// `most` are needed.
 ///
-/// `known` holds the layers of a larger room, if any. They are replaced by the layers of this room.
+/// `known` holds the layers of an earlier search with more room, if any. This search replaces them by its own layers.
 pub(super) fn steps(
     problem: &Problem,
     room: f64,
@@ -68,9 +70,9 @@ struct Search<'a> {
     left: Vec<u32>,
     candidates: Vec<Candidates>,
     gates: Vec<(f64, f64)>,
-    /// Candidates that have not been reached.
+    /// For each sample, the candidates that no piece has reached yet, as a bit set.
     open: Vec<u64>,
-    /// Candidates of the next layer.
+    /// For each sample, the candidates of the next layer, as a bit set.
     next: Vec<u64>,
 }
 
@@ -83,7 +85,7 @@ impl<'a> Search<'a> {
         Self { problem, room, left, candidates, gates, open, next }
     }
 
-    /// Excludes samples of long pieces as places of steps. Returns whether it excluded any.
+    /// Excludes steps at some samples of long pieces. Returns whether any sample was excluded.
     fn make_sparse(&mut self) -> bool {
         let mut sparse = false;
         let mut rest = &mut self.candidates[..];
@@ -98,7 +100,7 @@ impl<'a> Search<'a> {
         sparse
     }
 
-    /// All paths with the fewest pieces. The first search targets the lower bound of the number of pieces.
+    /// All paths with the fewest pieces, from `pieces_min` to `pieces_max`. A first search only allows `pieces_min` pieces.
     fn fewest(&mut self, pieces_min: u32, pieces_max: u32) -> Option<Layers> {
         if pieces_min > pieces_max {
             return None;
@@ -124,7 +126,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The layers until the last sample is reached, if that requires at most this many pieces.
+    /// The layers from the first to the last sample; `None` if the last sample is more than `pieces` pieces away.
     fn run(&mut self, pieces: u32, sight: &mut impl Sight) -> Option<Stack> {
         self.open.clear();
         self.open.extend(self.candidates.iter().map(Candidates::all));
@@ -162,7 +164,8 @@ impl<'a> Search<'a> {
         None
     }
 
-    /// Marks all candidates that are one piece away and need at most this many pieces to the end. Returns the range of their samples.
+    /// Marks all candidates that are one piece away from `node`, at samples with at most `pieces_left` pieces to the end. Returns the
+    /// range of these samples.
     fn spread(&mut self, node: &mut Node, pieces_left: u32, sight: &mut impl Sight) -> Range<usize> {
         let Samples { times, .. } = self.problem.curve;
         let (mut first, mut until) = (usize::MAX, 0);

@@ -5,15 +5,15 @@ use super::layers::Layers;
 use super::tube::Tubes;
 use super::{Ends, Fit, Grid, Samples, Unfit, linear, search};
 
-/// Limit for times and values, so that slopes and their products remain finite.
+/// Largest absolute value of times and values, so that slopes and their products remain finite.
 pub(super) const EXTREME: f64 = 1e100;
-/// Error of a few roundings, relative to the largest value.
+/// Bound of the error of a few roundings, relative to the largest value.
 pub(super) const ROUNDING: f64 = 64.0 * f64::EPSILON;
 
-/// Steps, as indices of samples and values.
+/// Steps, each as the index of its sample and its value.
 pub(super) type Path = Vec<(usize, f64)>;
 
-/// A validated query.
+/// A validated curve, the grid of the device, and the prescribed ends.
 pub(super) struct Problem<'a> {
     pub(super) curve: Samples<'a>,
     pub(super) lattice: Lattice,
@@ -21,20 +21,20 @@ pub(super) struct Problem<'a> {
     /// Added to the room, so that rounding does not exclude a curve that just meets its tolerance.
     pub(super) dust: f64,
     pub(super) tubes: Tubes<'a>,
-    /// Steps at the ends only, which are the fewest.
+    /// The solution with steps at the ends only; no solution has fewer steps.
     shortest: Found,
-    /// The layers of the last search, which answer queries for smaller rooms.
+    /// The layers of the last search, reused by searches with less room.
     layers: Option<Layers>,
 }
 
-/// Steps with their distance from the samples.
+/// Steps, and their largest distance from the samples.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Found {
     pub(super) path: Path,
     pub(super) at_least: usize,
-    /// Largest distance from a sample.
+    /// Largest distance of the steps from a sample.
     pub(super) off: f64,
-    /// The sample with this distance.
+    /// The index of the sample with the largest distance.
     pub(super) off_at: usize,
 }
 
@@ -77,7 +77,7 @@ impl<'a> Problem<'a> {
         Ok(self.fit(&found))
     }
 
-    /// The fewest steps within the room, if there are at most `most`.
+    /// The fewest steps whose distance from the curve is at most `room`. `None` if there are none, or more than `most` are needed.
     pub(super) fn within(&mut self, room: f64, most: usize) -> Option<Found> {
         let possible = room >= 0.0 && self.shortest.path.len() <= most;
         let room = possible.then_some(room + self.dust)?;
@@ -94,7 +94,7 @@ impl<'a> Problem<'a> {
         Some(self.measured(path, at_least))
     }
 
-    /// The candidate values of a sample, for a device that moves linearly.
+    /// The values that a step at this sample may take, for a device that moves linearly.
     pub(super) fn candidates(&self, sample: usize, room: f64) -> Candidates {
         let (value, room) = (self.curve.values[sample], self.curve.room_at(sample, room));
         let is_last = sample + 1 == self.curve.values.len();
@@ -115,7 +115,7 @@ impl<'a> Problem<'a> {
         self.measured(path, steps)
     }
 
-    /// Initial steps for the search of the closest ones: one at each sample.
+    /// One step at each sample: the start of the search for the closest steps.
     fn closest_start(&self) -> Found {
         let last = self.curve.times.len() - 1;
         if last == 0 {
@@ -134,7 +134,7 @@ impl<'a> Problem<'a> {
         prescribed.unwrap_or_else(|| self.lattice.nearest(self.curve.values[sample]))
     }
 
-    /// Lower bound of the distance with any steps: the distance at the ends.
+    /// Lower bound of the distance of any steps from the curve: the distance at the ends.
     pub(super) fn off_min(&self) -> f64 {
         let last = self.curve.times.len() - 1;
         let off = |end: Option<f64>, sample: usize| {
@@ -158,7 +158,7 @@ impl<'a> Problem<'a> {
         Found { path, at_least, off: worst.0, off_at: worst.1 }
     }
 
-    /// The value between two steps.
+    /// The device's value at `sample` on the line between two steps.
     fn follows(&self, from: (usize, f64), to: (usize, f64), sample: usize) -> f64 {
         if sample == from.0 {
             return from.1;
@@ -196,7 +196,7 @@ pub(super) fn check(curve: &Samples) -> Result<(), Unfit> {
     if (0.0..=EXTREME).contains(&slack) { Ok(()) } else { Err(Unfit::Slack(slack)) }
 }
 
-/// Bound of the rounding error of this curve's values.
+/// Upper bound of the rounding error of this curve's values.
 pub(super) fn dust(curve: &Samples, ends: Ends) -> f64 {
     let values = curve.values.iter().chain(&ends.first).chain(&ends.last);
     ROUNDING * values.fold(0.0, |largest: f64, value| largest.max(value.abs()))

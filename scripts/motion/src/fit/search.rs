@@ -1,4 +1,5 @@
-//! Finds the least error for a number of steps, by bisecting the room over the fewest steps within it.
+//! Finds the least error for a number of steps. It bisects the room, which is the largest allowed distance from the curve, and counts the
+//! fewest steps for each room.
 
 use super::problem::{Found, Problem};
 
@@ -8,13 +9,13 @@ const ROUNDS_MAX: u32 = 200;
 /// The required precision of the least error.
 #[derive(Clone, Copy)]
 pub(super) enum Precision {
-    /// A relative 1e-6, or a millionth of the granularity.
+    /// A millionth of the error, or a millionth of the granularity.
     Fine,
-    /// This distance.
+    /// An absolute distance, in units of the value.
     Within(f64),
 }
 
-/// The closest steps within the budget, at least as close as `start`.
+/// The steps closest to the curve, of at most `budget` steps. They are at least as close as `start`.
 pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precision: Precision) -> Found {
     let mut too_little = problem.off_min().max(bound(problem, start.off, budget, precision));
     if let Some(found) = problem.within(too_little, budget) {
@@ -49,7 +50,7 @@ pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precisio
     best
 }
 
-/// A room that is insufficient, or barely sufficient, for connected lines on any grid.
+/// A room that is insufficient, or just sufficient, for `budget` steps on any grid.
 fn bound(problem: &Problem, enough: f64, budget: usize, precision: Precision) -> f64 {
     let close = match precision {
         Precision::Fine => problem.lattice.granularity * 1e-7,

@@ -1,4 +1,5 @@
-//! Straight lines through a tube around the curve, without a grid and without connections: a lower bound for all steps.
+//! Straight lines through a tube around the curve. They need not be connected or lie on a grid, so their number is a lower bound for all
+//! steps.
 
 use std::cmp::Ordering;
 
@@ -6,7 +7,7 @@ use super::Samples;
 use super::cones::Sight;
 use super::lattice::Candidates;
 
-/// A curve with precomputed data for all rooms.
+/// A curve with precomputed data. The tube contains all values within the room, which is the largest allowed distance from the curve.
 pub(super) struct Tubes<'a> {
     curve: Samples<'a>,
     /// The slope from each sample to the next.
@@ -18,9 +19,9 @@ pub(super) struct Tubes<'a> {
 /// The bend of a curve before a sample.
 #[derive(Clone, Copy)]
 struct Bend {
-    /// The first sample after which the curve bends to one side only.
+    /// The first sample from which the curve bends to one side only, up to this sample.
     since: usize,
-    /// The side: above 0 if slopes increase, below 0 if they decrease.
+    /// The side to which the curve bends: above 0 if slopes increase, below 0 if they decrease.
     side: f64,
 }
 
@@ -59,12 +60,12 @@ impl<'a> Tubes<'a> {
         pieces < steps
     }
 
-    /// Steps at samples that a polyline within the room needs at least.
+    /// Minimum number of steps, all at samples, of a polyline within the room.
     pub(super) fn steps_at_least(&self, room: f64) -> usize {
         self.pieces_left(room).first().map_or(0, |pieces| *pieces as usize + 1)
     }
 
-    /// For each sample, the fewest straight pieces from it to the last sample, each from a sample to a sample.
+    /// For each sample, the fewest straight pieces from there to the last sample. Each piece starts and ends at a sample.
     pub(super) fn pieces_left(&self, room: f64) -> Vec<u32> {
         let mut left = vec![0; self.curve.times.len()];
         self.backwards(room, |sample, pieces| {
@@ -74,7 +75,7 @@ impl<'a> Tubes<'a> {
         left
     }
 
-    /// Visits the samples from the last to the first with their number of pieces, while the visitor returns true.
+    /// Visits the samples from the last to the first, each with the fewest pieces from there to the end, while the visitor returns true.
     ///
     /// Greedily extends pieces backwards from the end: if one line can follow a section, it can also follow every part of it.
     fn backwards(&self, room: f64, mut visit: impl FnMut(usize, u32) -> bool) {
@@ -112,15 +113,15 @@ impl<'a> Tubes<'a> {
     }
 }
 
-/// Samples that one line passes, extended backwards from the last one.
+/// Consecutive samples that one line can pass within the room, extended backwards from the last one.
 struct Piece<'a> {
     tubes: &'a Tubes<'a>,
     room: f64,
     last: usize,
     bend: Bend,
-    /// The sample farthest from the line between the first and the last, if all bend to one side.
+    /// The sample farthest from the line between the first and the last sample, if the curve bends to one side only.
     farthest: usize,
-    /// Whether they bend to both sides or jump; the tube is only needed then.
+    /// Whether the curve bends to both sides or jumps in this piece. Only then is the tube needed.
     is_winding: bool,
     tube: Tube,
 }
@@ -141,7 +142,7 @@ impl<'a> Piece<'a> {
         }
     }
 
-    /// The interval in which a line may pass a sample, with negative time.
+    /// The negated time of a sample, and the lowest and highest value at which a line may pass it.
     fn gap(&self, sample: usize) -> (f64, f64, f64) {
         let (low, high) = self.tubes.curve.gate(sample, self.room);
         (-self.tubes.curve.times[sample], low, high)
@@ -155,7 +156,7 @@ impl<'a> Piece<'a> {
         }
     }
 
-    /// Prepends a sample. Returns false if no line passes any longer.
+    /// Prepends a sample. Returns false if no line passes all samples any longer.
     #[inline]
     fn add(&mut self, first: usize) -> bool {
         if first < self.bend.since || self.is_winding {
@@ -179,8 +180,8 @@ impl<'a> Piece<'a> {
 
 /// The lines through a growing sequence of vertical gaps (O'Rourke 1981).
 ///
-/// The steepest line touches the bottom of a gap and the top of a later one; the flattest line touches a top and a later bottom. Only
-/// corners of the convex hull of the bottoms so far, or of the tops, can be on the next such line.
+/// The steepest line touches the bottom of a gap and the top of a later gap; the flattest line touches a top and a later bottom. Only
+/// corners of the convex hull of the bottoms so far, or of the tops so far, can be on the next steepest or flattest line.
 #[derive(Default)]
 struct Tube {
     steepest: Option<Line>,
@@ -189,7 +190,7 @@ struct Tube {
     bottoms: Hull,
 }
 
-/// A line through a corner and a point to the right of it.
+/// A line through a corner of the hull and a point to the right of the corner.
 #[derive(Clone, Copy)]
 struct Line {
     corner: (f64, f64),
@@ -218,14 +219,14 @@ impl Line {
 }
 
 impl Tube {
-    /// Starts again with the same allocation.
+    /// Removes all gaps, but keeps the allocated memory.
     fn clear(&mut self) {
         (self.steepest, self.flattest) = (None, None);
         self.tops.clear();
         self.bottoms.clear();
     }
 
-    /// Adds the gap at `x` from `low` to `high`. Returns false if no line passes any longer.
+    /// Adds the gap at `x` from `low` to `high`. Returns false if no line passes all gaps any longer.
     fn add(&mut self, (x, low, high): (f64, f64, f64)) -> bool {
         let (bottom, top) = ((x, low), (x, high));
         let above = self.steepest.is_some_and(|line| line.below(bottom) > 0.0);
@@ -245,11 +246,11 @@ impl Tube {
     }
 }
 
-/// The values that lines between the lowest and the highest of some values may reach: a superset of those reached from the values
-/// themselves.
+/// The lines that start anywhere between the lowest and the highest of some values. They reach a superset of the values that lines from
+/// these values reach.
 pub(super) struct View {
     tube: Tube,
-    /// Bound of the rounding error of values.
+    /// Upper bound of the rounding error of values.
     dust: f64,
 }
 
@@ -282,7 +283,7 @@ impl Sight for View {
     }
 }
 
-/// Corners from left to right; those before the last touched one can no longer be touched.
+/// A convex hull: its corners from left to right. Lines can no longer touch the corners before index `touched`.
 #[derive(Default)]
 struct Hull {
     corners: Vec<(f64, f64)>,
@@ -295,7 +296,7 @@ impl Hull {
         self.touched = 0;
     }
 
-    /// The best line through a corner and the point. Along the hull, lines first get no worse, and then worse.
+    /// The best line through a corner and `point`, as judged by `no_worse`. Along the hull, lines first get no worse, and then worse.
     fn touch(&mut self, point: (f64, f64), no_worse: impl Fn(&Line, &Line) -> bool) -> Option<Line> {
         let (first, later) = self.corners.get(self.touched..)?.split_first()?;
         let mut best = Line::through(*first, point);
@@ -310,7 +311,7 @@ impl Hull {
         Some(best)
     }
 
-    /// Adds a corner on the right, and drops those that it covers.
+    /// Adds a corner on the right, and drops the corners that are then inside the hull.
     fn push(&mut self, point: (f64, f64), convex: impl Fn(f64) -> bool) {
         while self.corners.len() >= self.touched + 2 {
             let [.., a, b] = self.corners[..] else { break };

@@ -7,25 +7,25 @@ use std::fmt;
 pub enum Unfit {
     /// The curve has no samples.
     Empty,
-    /// The sample with this index has no value or no time, or one that is beyond 1e100 or not a number, or it is not later than the
-    /// previous sample.
+    /// The sample with this index is invalid. It lacks a time or a value, is not later than the previous sample, or has a number that is
+    /// NaN or beyond 1e100.
     Sample(usize),
-    /// The slack is negative, beyond 1e100 or not a number.
+    /// The slack of the samples is negative, beyond 1e100 or not a number.
     Slack(f64),
     /// No multiple of the granularity lies from `min` to `max`, or the granularity is not a number above 0.
     Grid,
-    /// A prescribed value is beyond 1e100 or not a number, or a single sample has two different ones.
+    /// A prescribed value is beyond 1e100 or not a number, or a curve of a single sample has two different prescribed values.
     Ends,
     /// No number of steps meets the tolerance.
     Tolerance {
         /// The smallest tolerance that can be met.
         smallest: f64,
-        /// The time in milliseconds of the sample that determines it.
+        /// The time in milliseconds of the sample that determines the smallest tolerance.
         at: f64,
     },
-    /// The ends alone require more steps.
+    /// The steps at the ends alone exceed the budget.
     Budget {
-        /// The minimum number of steps.
+        /// The number of steps that the ends require.
         needed: usize,
     },
 }
@@ -38,7 +38,7 @@ impl fmt::Display for Unfit {
                 write!(f, "sample {index} is not a number, or not later than the previous sample")
             }
             Self::Slack(slack) => write!(f, "{slack} is not a valid distance from a chord"),
-            Self::Grid => write!(f, "the grid has no value"),
+            Self::Grid => write!(f, "the grid contains no values"),
             Self::Ends => write!(
                 f,
                 "the values at the ends are not numbers, or differ although there is only one sample"

@@ -25,20 +25,20 @@ const SAMPLES_MIN: f64 = 16.0;
 pub struct Actuator<'a> {
     /// The device's interpolation between two steps.
     pub interpolation: Interpolation,
-    /// The quantity that its steps set.
+    /// The quantity that the device's steps set.
     pub control_type: ControlType,
-    /// The limits of the device, if it has any.
+    /// The limits of the device; `None` if it has none.
     pub limits: Option<&'a Limits>,
-    /// A movement with more steps than this is abandoned.
+    /// Maximum number of steps; the conversion stops when a movement needs more.
     pub room: usize,
 }
 
-/// A value that a step sets, relative to the cue's start.
+/// A value that a step sets, and its time relative to the start of the cue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
     /// The time of the step.
     pub at: Span,
-    /// The value.
+    /// The value that the device is set to.
     pub to: f64,
 }
 
@@ -47,14 +47,14 @@ pub struct Value {
 pub struct Fitted {
     pub steps: Vec<Value>,
     interpolation: Interpolation,
-    /// The error of the last step, which may be removed again.
+    /// The error of the last step. It is kept separately because the step may be removed again.
     last_off: f64,
-    /// The largest difference from the movement as written, and its time.
+    /// The largest difference from the movement as written; `worst_at` is its time.
     pub worst: f64,
     pub worst_at: Span,
-    /// Lower bound of the number of steps with any placement.
+    /// Lower bound of the number of steps, wherever they are placed.
     pub at_least: usize,
-    /// The smallest feasible tolerance, if the requested one cannot be met.
+    /// The smallest tolerance that can be met, if the requested one cannot; otherwise `None`.
     pub needed: Option<f64>,
 }
 
@@ -78,21 +78,21 @@ enum Means {
     Jump,
     /// The device takes the new value, then holds it.
     Early,
-    /// Fitted separately, with exact ends.
+    /// The course is fitted separately, with exact values at both ends.
     Alone,
-    /// Fitted together with adjacent courses of the same kind.
+    /// The course is fitted together with adjacent `Joined` courses.
     Joined,
-    /// For a device that holds: fitted together with adjacent courses, both steps and curves.
+    /// For a device that holds its value: the course is fitted together with adjacent courses, both steps and curves.
     Held,
-    /// The value does not change.
+    /// The value does not change in the course.
     Still,
 }
 
 /// A movement, with the values that the device is set to at its knots.
 pub struct Played<'a> {
-    /// The movement.
+    /// The movement as written.
     pub curve: &'a Curve,
-    /// One value per knot; empty if the written values are used.
+    /// The value that the device is set to at each knot; empty if the written values are used.
     set: Vec<f64>,
 }
 
@@ -106,7 +106,7 @@ impl<'a> Played<'a> {
         self.set.get(index).copied().unwrap_or(self.curve.knots[index].to)
     }
 
-    /// The movement through the values that the device is set to.
+    /// The movement, with the values that the device is set to in place of the written ones.
     pub fn as_set(&self) -> Cow<'a, Curve> {
         if self.set.is_empty() {
             return Cow::Borrowed(self.curve);
@@ -125,7 +125,7 @@ struct Tracked<'a> {
 }
 
 impl<'a> Actuator<'a> {
-    /// `limits` are the values that its scripts can set.
+    /// Creates an actuator for a device. `limits` describe the values that scripts can set; `room` is the maximum number of steps.
     pub fn new(device: &Device, control_type: ControlType, limits: Option<&'a Limits>, room: usize) -> Self {
         Self { interpolation: device.interpolation, control_type, limits, room }
     }
@@ -134,7 +134,7 @@ impl<'a> Actuator<'a> {
         self.interpolation == Interpolation::Linear
     }
 
-    /// Whether the device moves to the first knot from any position.
+    /// Whether the movement starts by moving the device to the first knot, from any position.
     pub fn moves_from_anywhere(&self, curve: &Curve) -> bool {
         let first = curve.knots.first();
         first.is_some_and(|first| {
@@ -144,7 +144,7 @@ impl<'a> Actuator<'a> {
         })
     }
 
-    /// Whether the first knot needs an initial value, but has none.
+    /// Whether the course to the first knot needs an initial value, but the movement has none.
     pub fn lacks_beginning(&self, curve: &Curve) -> bool {
         let Some(first) = curve.knots.first() else { return false };
         let waits = match first.shape {
@@ -155,13 +155,13 @@ impl<'a> Actuator<'a> {
         first.at > Span::ZERO && !waits && !self.moves_from_anywhere(curve)
     }
 
-    /// The default tolerance: `max_error`, or one granularity if that is larger.
+    /// The default tolerance: the limit `max_error`, or one granularity if that is larger.
     pub fn tolerance(&self) -> f64 {
         self.limits.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity))
     }
 
-    /// Finds the fewest steps within the tolerance. Keyframes that the device can play unchanged are kept, unless `thinned` permits
-    /// omitting some.
+    /// Converts a movement to the fewest steps within the tolerance. Keyframes that the device can play unchanged are kept, unless
+    /// `thinned` permits omitting some.
     pub fn steps(&self, played: &Played<'_>, tolerance: f64, thinned: bool, fits: &mut Fits) -> Fitted {
         let knots = &played.curve.knots;
         let track = Tracked { played, tolerance, thinned };
@@ -224,7 +224,8 @@ impl<'a> Actuator<'a> {
         fitted
     }
 
-    /// How the course to a knot is converted to steps. If it takes no time and its gap is within the tolerance, the movement continues.
+    /// How the course to a knot is converted to steps. A course that takes no time and whose gap is within the tolerance does not
+    /// interrupt the fit.
     fn way(&self, track: &Tracked<'_>, index: usize) -> Means {
         let knots = &track.played.curve.knots;
         let means = |index: usize| self.means(knots, index, track.thinned);
@@ -244,7 +245,7 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// The end of the courses that are fitted together, starting with the one to `index`.
+    /// The index after the last knot whose course is fitted together with the course to the knot `index`.
     fn run_end(&self, track: &Tracked<'_>, index: usize) -> usize {
         let knots = &track.played.curve.knots;
         let mut samples = 0.0;
@@ -261,7 +262,7 @@ impl<'a> Actuator<'a> {
         end
     }
 
-    /// The value that the device is set to at a knot, on its grid unless a value is written.
+    /// The value that the device is set to at a knot: the written value if there is one, otherwise the nearest grid value.
     fn settled(&self, played: &Played<'_>, index: usize) -> f64 {
         if played.curve.knots[index].shape.is_written() {
             played.set(index)
@@ -271,7 +272,7 @@ impl<'a> Actuator<'a> {
     }
 
     /// Finds the smallest error with at most `most` steps, but at least the tolerance, by bisection. Returns the corresponding tolerance
-    /// as well. If `most` is too small for any tolerance, the steps are the fewest possible.
+    /// and the steps. If `most` steps suffice for no tolerance, returns the fewest possible steps.
     pub fn least_error(
         &self,
         played: &Played<'_>,
@@ -312,7 +313,7 @@ impl<'a> Actuator<'a> {
     fn means(&self, knots: &[Knot], index: usize, thinned: bool) -> Means {
         use Between::{Linear, OwnReversed, Step};
         let knot = &knots[index];
-        // Only the last of several equal samples is needed.
+        // Of several equal values in sequence, only the last is needed.
         let still = || knot.to == knots[index - 1].to && index + 1 < knots.len();
         match (knot.shape, self.interpolation) {
             (Shape::Meets, _) => Means::Own,
@@ -341,7 +342,7 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// Fits the courses to the knots of `run`, and adds the steps after the first one, which already exists.
+    /// Fits the courses to the knots of `run`, and adds all steps but the first, which already exists.
     fn fit(&self, track: &Tracked<'_>, run: Range<usize>, fitted: &mut Fitted, fits: &mut Fits) {
         let (played, tolerance) = (track.played, track.tolerance);
         let knots = &played.curve.knots;
@@ -462,7 +463,7 @@ fn tidy_scale(granularity: f64) -> f64 {
     10f64.powf((-granularity.log10()).ceil().max(0.0) + 7.0)
 }
 
-/// The nearest value that a device can be set to; beyond the limits, the nearest multiple of the granularity.
+/// The nearest value that a device can be set to; for a value beyond the limits, the nearest multiple of the granularity.
 pub fn nearest_on_grid(limits: &Limits, value: f64) -> f64 {
     if limits.contains(value) { limits.nearest_settable(value) } else { limits.nearest(value) }
 }
@@ -482,7 +483,7 @@ struct Sampled {
 }
 
 impl Sampled {
-    /// Two pieces meet at the last sample, with a possible gap.
+    /// Makes the last sample the middle of a possible gap between two pieces that meet there.
     fn meets(&mut self, before: f64, after: f64) {
         let Some(last) = self.values.last_mut().filter(|_| before != after) else { return };
         *last = f64::midpoint(before, after);
@@ -498,8 +499,8 @@ impl Fitted {
         Self { steps: Vec::with_capacity(room), interpolation, ..Self::default() }
     }
 
-    /// Adds a step, given its written value. Two steps at the same time with the same value are merged. For a device that holds its
-    /// values, the later step replaces the earlier one.
+    /// Adds a step with the value `to`; `written` is the value in the movement. Two steps at the same time with the same value are
+    /// merged. For a device that holds its values, the later step replaces the earlier one.
     fn put(&mut self, at: Span, to: f64, written: f64) {
         if self.interpolation == Interpolation::Hold {
             self.take_back(at);
@@ -521,7 +522,7 @@ impl Fitted {
         }
     }
 
-    /// Makes the last step final, and includes its error.
+    /// Makes the last step final, and includes its error in `worst`.
     fn settle(&mut self) {
         if let Some(at) = self.steps.last().map(|last| last.at) {
             let off = std::mem::take(&mut self.last_off);

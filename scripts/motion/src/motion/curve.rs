@@ -1,4 +1,4 @@
-//! A movement as knots: values at times, with the shape of the course to each; and operations on whole movements.
+//! A movement as knots, and operations on whole movements. A knot is a value at a time, with the shape of the course that leads to it.
 
 use std::sync::Arc;
 
@@ -7,12 +7,12 @@ use urrcp::Span;
 use super::{Easing, Function};
 use crate::exact::{Exact, Laps};
 
-/// A change of length that scales all times within the length.
+/// A change of a movement's length that scales all its times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stretch {
-    /// The length before.
+    /// The length before the change.
     pub from: Span,
-    /// The length after.
+    /// The length after the change.
     pub to: Span,
 }
 
@@ -28,7 +28,7 @@ impl Stretch {
     }
 }
 
-/// A movement over time, relative to its cue's start.
+/// A movement over time. Times are relative to the start of its cue.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     /// Knots in order of time. Two knots at the same time are a jump.
@@ -40,13 +40,13 @@ pub struct Curve {
 /// A value at a time, and the course to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Knot {
-    /// The time of the knot.
+    /// The time of the knot, from the start of the cue.
     pub at: Span,
-    /// The value of the knot.
+    /// The value that the movement has at the knot.
     pub to: f64,
     /// The shape of the course to the knot.
     pub shape: Shape,
-    /// The index of the item in the file's list from which it originates.
+    /// The index of the list item in the file that the knot comes from.
     pub item: u32,
 }
 
@@ -57,19 +57,19 @@ pub enum Shape {
     Own,
     /// The device's own interpolation in reverse: a device that holds takes the knot's value at once.
     OwnReversed,
-    /// An easing.
+    /// The course of an easing.
     Eased(Easing),
-    /// The new value immediately.
+    /// The new value, from the time of the previous knot on.
     Early,
-    /// Between samples of a curve, which may be thinned.
+    /// Part of a sampled curve, from the previous sample to this one. Samples may be omitted.
     Sampled(Between),
-    /// No time passes: two pieces meet, or a repeated movement restarts, with a possible gap.
+    /// A change that takes no time: two pieces meet, or a repeated movement restarts. The values may differ slightly.
     Meets,
     /// offset + gain * function(s), where s runs from 0 to 1 or, if reversed, from 1 to 0.
     Function {
-        /// Index into the functions of the curve.
+        /// The index of the function in [`Curve::functions`].
         index: u32,
-        /// The factor of the function.
+        /// The factor that the function is multiplied by.
         gain: f64,
         /// The value that is added to the product.
         offset: f64,
@@ -85,11 +85,11 @@ pub enum Between {
     Own,
     /// The device's own interpolation in reverse.
     OwnReversed,
-    /// Linear.
+    /// A straight line.
     Linear,
-    /// The old value until the next sample.
+    /// The old value, until the time of the next sample.
     Step,
-    /// The new value immediately.
+    /// The new value, from the time of the previous sample on.
     Early,
 }
 
@@ -106,12 +106,12 @@ impl Between {
 }
 
 impl Shape {
-    /// Whether the value at its end is written in the file, or follows from one by scaling and mirroring.
+    /// Whether the value at the end of the course is written in the file, or results from a written value by scaling or mirroring.
     pub fn is_written(self) -> bool {
         matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
     }
 
-    /// Whether at least some devices need it to be fitted.
+    /// Whether a course of this shape has to be fitted with steps, at least for some devices.
     pub fn is_fitted(self) -> bool {
         match self {
             Self::Function { .. } | Self::Sampled(_) => true,
@@ -130,7 +130,7 @@ impl Shape {
             Self::Function { index, gain, offset, reversed } => {
                 Self::Function { index, gain, offset, reversed: !reversed }
             }
-            // All others are symmetric about their middle.
+            // All other shapes are symmetric about their middle.
             other => other,
         }
     }
@@ -146,7 +146,7 @@ impl Shape {
 }
 
 impl Knot {
-    /// The same knot at a later time, with offsets for the indices of items and functions.
+    /// A copy of the knot, later by `by`, with `item` and `function` added to its indices.
     fn moved(&self, by: Span, item: u32, function: u32) -> Self {
         let shape = match self.shape {
             Shape::Function { index, gain, offset, reversed } => {
@@ -160,12 +160,12 @@ impl Knot {
 }
 
 impl Curve {
-    /// Knots with the functions that they refer to.
+    /// Creates a curve from knots and the functions that they refer to.
     pub fn new(knots: Vec<Knot>, functions: Vec<Function>) -> Self {
         Self { knots, functions: functions.into() }
     }
 
-    /// Its memory consumption, in knots.
+    /// The memory consumption of the curve, as an equivalent number of knots.
     pub fn size(&self) -> usize {
         let coefficients = |function: &Function| match function {
             Function::Polynomial(coefficients) => coefficients.len(),
@@ -189,7 +189,7 @@ impl Curve {
         }
     }
 
-    /// Stretches all times of a curve that begins at `starts`.
+    /// Stretches all times of the curve. `starts` is the curve's start within the length that `stretch` scales.
     pub fn stretch(&mut self, stretch: Stretch, starts: Span) {
         let begin = stretch.of(starts);
         for knot in &mut self.knots {
@@ -197,8 +197,8 @@ impl Curve {
         }
     }
 
-    /// Joins movements in sequence, each with its start and the index of its first item. The last value is held until the next movement
-    /// begins. Movements that do not meet are joined by a jump.
+    /// Joins movements in sequence. Each is given with its start and the index of its first item. The last value of a movement is held
+    /// until the next movement begins. Movements that do not meet are joined by a jump.
     pub fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
         let (mut knots, mut functions): (Vec<Knot>, Vec<Function>) = (Vec::new(), Vec::new());
         for (curve, begin, item) in parts {
@@ -237,8 +237,8 @@ impl Curve {
         }
     }
 
-    /// Repeats the movement, whose exact duration is `length`, `times` times in total, once per lap. If its end differs from its
-    /// beginning, it jumps.
+    /// Plays the movement, whose exact duration is `length`, `times` times in total, once per lap. If its last value differs from its
+    /// first, the value jumps at the start of each lap.
     pub fn repeat(&mut self, times: u32, laps: &Laps, length: Exact) {
         let cycle = laps.begin(1);
         let once = self.knots.clone();
@@ -265,7 +265,7 @@ impl Curve {
         }
     }
 
-    /// The number of knots that repeating adds.
+    /// The number of knots that [`Self::repeat`] would add.
     pub fn added_by_repeating(&self, times: u32, cycle: Span) -> usize {
         let (Some(first), Some(last)) = (self.knots.first(), self.knots.last()) else { return 0 };
         let (waits, joined) = Self::seam(first, last, cycle);
@@ -273,14 +273,14 @@ impl Curve {
         turn.saturating_mul(times.saturating_sub(1) as usize)
     }
 
-    /// The transition between two repetitions: whether the device waits for the next one, and whether the last knot equals the next first
-    /// knot.
+    /// The transition between two repetitions: whether the device waits for the next repetition, and whether the last knot has the value
+    /// of the first knot, which starts without a delay.
     fn seam(first: &Knot, last: &Knot, cycle: Span) -> (bool, bool) {
         let waits = last.at < cycle || first.at > Span::ZERO;
         (waits, first.at == Span::ZERO && first.to == last.to)
     }
 
-    /// Bounds of speed and acceleration on the way to a knot, in units per second and per second squared.
+    /// Upper bounds of the speed and acceleration in the course to a knot, in units per second and per second squared.
     pub fn rates(&self, index: usize) -> (f64, f64) {
         let (Some(before), Some(knot)) =
             (index.checked_sub(1).and_then(|i| self.knots.get(i)), self.knots.get(index))
@@ -304,13 +304,14 @@ impl Curve {
         (slope / seconds, curvature / (seconds * seconds))
     }
 
-    /// The largest derivatives of each function; many knots may share a function.
+    /// The largest first and second derivative of each function, in the order of `functions`. They are computed in advance because many
+    /// knots may share a function.
     pub fn peaks(&self) -> Vec<(f64, f64)> {
         self.functions.iter().map(Function::peak_rates).collect()
     }
 
-    /// The largest speed and acceleration on the way to a knot, in units per second and per second squared. They are exact for easings.
-    /// For functions, whose [`Self::peaks`] are passed, they are the largest of many samples.
+    /// The largest speed and acceleration in the course to a knot, in units per second and per second squared. They are exact for
+    /// easings. For functions, they are derived from `peaks`, the result of [`Self::peaks`].
     pub fn peak_rates(&self, index: usize, peaks: &[(f64, f64)]) -> (f64, f64) {
         let Some(knot) = self.knots.get(index) else { return (0.0, 0.0) };
         let Shape::Function { index: function, gain, .. } = knot.shape else { return self.rates(index) };
@@ -323,7 +324,7 @@ impl Curve {
         (gain.abs() * slope / seconds, gain.abs() * curvature / (seconds * seconds))
     }
 
-    /// The value on the way to a knot, at the fraction s of its time.
+    /// The value in the course to a knot, at the fraction s of the course's duration.
     pub fn value(&self, index: usize, s: f64) -> f64 {
         let knot = &self.knots[index];
         let from = index.checked_sub(1).map_or(knot.to, |before| self.knots[before].to);

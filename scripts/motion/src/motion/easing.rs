@@ -1,13 +1,13 @@
 //! Easings: the course from one keyframe to the next, as a function of s from 0 to 1.
 
-/// The course to a value.
+/// The course from the previous value to the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Easing {
-    /// s
+    /// The function s.
     Linear,
-    /// Minimum jerk, 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan, J. Neurosci. 5, 1985).
+    /// The minimum jerk law, 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan, J. Neurosci. 5, 1985).
     Smooth,
-    /// 3 s^2 - 2 s^3
+    /// The function 3 s^2 - 2 s^3.
     Cubic,
     /// The old value until the keyframe's time.
     Step,
@@ -33,7 +33,7 @@ impl Easing {
         }
     }
 
-    /// The time at which [`Self::Smooth`] has a value from 0 to 1, by bisection.
+    /// The s at which [`Self::Smooth`] has a given value from 0 to 1, by bisection.
     pub fn smooth_time(value: f64) -> f64 {
         let (mut early, mut late) = (0.0, 1.0);
         for _ in 0..50 {

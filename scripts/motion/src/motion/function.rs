@@ -19,48 +19,48 @@ pub enum Function {
         /// The phase at the beginning, in turns.
         phase: f64,
     },
-    /// A part of a formula over time.
+    /// Part of a formula over time; s runs from the start to the end of the part.
     Formula(Box<FormulaPart>),
     /// A coordinate of a body that moves with a group.
     Swept(Box<Swept>),
 }
 
-/// Number of samples of a movement without turns, and additional samples per turn.
+/// Number of samples of a movement without turns, and number of additional samples per turn (`IN_TURN`).
 const SAMPLES: f64 = 1_024.0;
 const IN_TURN: f64 = 128.0;
-/// Distance from the end of a path's part at which both sides are sampled, in u.
+/// Distance in u from the end of a path's part at which samples on both sides of the end are taken.
 const BESIDE: f64 = 1e-9;
 /// The ratio of the peak speed of the minimum jerk law to its mean speed.
 const PEAK: f64 = 1.875;
 
 /// A coordinate of a body that moves with a group: along a line or a parabola, around a centre, away from it, or all of these together.
-/// It is a function of u, the minimum jerk law of s.
+/// The coordinate is a function of u, the minimum jerk law applied to s ([`Easing::Smooth`]).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Swept {
-    /// Coefficients of 1, u and u^2.
+    /// The line or parabola: coefficients of 1, u and u^2.
     pub line: [f64; 3],
-    /// Coefficients of 1 and u of the radius.
+    /// The distance from the centre: coefficients of 1 and u.
     pub radius: [f64; 2],
-    /// The angle in turns at u = 0; its sine is used.
+    /// The angle around the centre at u = 0, in turns. The coordinate is the radius times the sine of the angle.
     pub phase: f64,
     /// The number of turns that the angle increases by from u = 0 to u = 1.
     pub turns: f64,
-    /// A path along which it is carried in addition.
+    /// A path along which the body is carried in addition, if any.
     pub carried: Option<Carried>,
 }
 
 /// A part of a path along which a coordinate is carried, relative to its position at u = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Carried {
-    /// The path.
+    /// The path that carries the body.
     pub path: Arc<Path>,
-    /// The coordinate of the path that it follows.
+    /// The coordinate of the path that the body's coordinate follows.
     pub along: Along,
-    /// Units per metre.
+    /// Factor of the path's coordinate, in units per metre.
     pub gain: f64,
-    /// The distance along the path at which it begins, in metres.
+    /// The distance along the path at u = 0, in metres.
     pub from: f64,
-    /// The distance that it covers along the path, in metres.
+    /// The distance covered along the path from u = 0 to u = 1, in metres.
     pub length: f64,
     /// Whether the angle changes with the heading of the path.
     pub turning: bool,
@@ -137,7 +137,7 @@ impl Swept {
         self.bounds().0 == 0.0
     }
 
-    /// All data that determines it, as a key for caches.
+    /// All data that determines the coordinate, as a key for caches.
     pub(super) fn key(&self) -> impl Iterator<Item = u64> {
         let Self { line, radius, phase, turns, carried } = self;
         let numbers = line.iter().chain(radius).chain([phase, turns]).map(|number| number.to_bits());
@@ -157,7 +157,7 @@ impl Swept {
         slope * Easing::Smooth.curvature_max() + curvature * Easing::Smooth.slope_max().powi(2)
     }
 
-    /// Converts it to other units: `offset + scale * new value` equals the present value.
+    /// Converts the coordinate to other units, such that `offset + scale * new value` equals the present value.
     pub fn in_units(&self, scale: f64, offset: f64) -> Self {
         let [a, b, c] = self.line;
         Self {
@@ -168,8 +168,9 @@ impl Swept {
         }
     }
 
-    /// Upper bounds of the speed and acceleration of a point with these coordinates, with respect to s. With turns, they are at most a
-    /// thirtieth of a percent too large. Along a path, they are the largest at the ends of its parts or of many samples.
+    /// Upper bounds of the speed and acceleration of a point with the coordinates `axes`, with respect to s. With turns, the bounds are
+    /// at most a thirtieth of a percent too large. Along a path, they are the largest values at the ends of its parts and at many
+    /// samples.
     pub fn together(axes: &[Self]) -> (f64, f64) {
         let turns = axes.iter().map(|axis| axis.turns.abs()).fold(0.0, f64::max);
         let carried = axes.iter().find_map(|axis| axis.carried.as_ref());
@@ -207,15 +208,15 @@ impl Swept {
 /// The part of a formula between two times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FormulaPart {
-    /// The formula.
+    /// The whole formula.
     pub formula: Formula,
-    /// The start of the part, in seconds.
+    /// The start of the part, in seconds from the start of the formula.
     pub from: f64,
-    /// The end of the part, in seconds.
+    /// The end of the part, in seconds from the start of the formula.
     pub to: f64,
-    /// Bound of the first derivative, per second.
+    /// Upper bound of the first derivative, per second.
     pub slope_max: f64,
-    /// Bound of the second derivative, per second squared.
+    /// Upper bound of the second derivative, per second squared.
     pub curvature_max: f64,
 }
 
@@ -238,7 +239,8 @@ impl Function {
         }
     }
 
-    /// A bound of the first derivative. For polynomials, the sum of |k c_k|, which may exceed the largest slope.
+    /// Upper bound of the first derivative with respect to s. For polynomials, it is the sum of |k c_k|, which may exceed the largest
+    /// slope.
     pub fn slope_max(&self) -> f64 {
         match self {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k),
@@ -248,7 +250,8 @@ impl Function {
         }
     }
 
-    /// The largest first and second derivative: exact for polynomials, the largest of many samples for formulas, and a bound for waves.
+    /// The largest first and second derivative with respect to s: exact for polynomials, the largest of many samples for formulas, and an
+    /// upper bound for waves.
     pub fn peak_rates(&self) -> (f64, f64) {
         if let Self::Formula(part) = self {
             let (slope, curvature) = part.formula.peak_rates(part.from, part.to);
@@ -263,7 +266,7 @@ impl Function {
         (largest(&slope), largest(&curvature))
     }
 
-    /// A bound of the second derivative.
+    /// Upper bound of the second derivative with respect to s.
     pub fn curvature_max(&self) -> f64 {
         match self {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k * (k - 1.0)),
@@ -274,8 +277,8 @@ impl Function {
     }
 }
 
-/// The largest absolute value of a polynomial from 0 to 1: at an end, at one of 257 points, or where its derivative changes sign between
-/// two of them.
+/// The largest absolute value of a polynomial from 0 to 1. It is at one of 257 points, or where the derivative changes sign between two
+/// of them.
 fn largest(coefficients: &[f64]) -> f64 {
     let slope = derivative(coefficients);
     let at = |i: u32| f64::from(i) / 256.0;

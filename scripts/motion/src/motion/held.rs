@@ -1,21 +1,22 @@
-//! Steps of a device that holds its value, for a movement that consists of steps itself: finds the longest runs that one value serves,
-//! which are the fewest.
+//! Steps of a device that holds its value, for a movement that consists of steps. One held value can replace several successive levels (a
+//! run). Always taking the longest run gives the fewest runs.
 
-/// The ranges of several values that are held together.
+/// For each value of a level, the lowest and the highest level of a run.
 #[derive(Clone, Debug)]
 struct Ranges(Vec<(f64, f64)>);
 
-/// A value that is held from one level until the next run.
+/// Values that are held from one level until the next run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
-    /// Index of the first level that it serves.
+    /// Index of the first level that the run replaces.
     pub first: usize,
     pub values: Vec<f64>,
-    /// The largest distance from a level.
+    /// The largest difference between a held value and a level of the run.
     pub worst: f64,
 }
 
-/// Finds the fewest runs. A level without a close value on the grid is a separate run.
+/// Finds the fewest runs whose values are within the tolerance of all their levels. A level without a value on the grid within the
+/// tolerance is a separate run.
 ///
 /// All levels have the same number of values. `grid` returns the nearest value that the device can take.
 pub fn runs<'l>(
@@ -53,7 +54,7 @@ impl Ranges {
         Self(level.iter().enumerate().map(range).collect())
     }
 
-    /// The grid values nearest to the middles, and their largest distance from a level.
+    /// The grid values nearest to the middles of the ranges, and their largest distance from a level.
     fn held(&self, grid: &impl Fn(f64) -> f64) -> (Vec<f64>, f64) {
         let values: Vec<f64> = self.0.iter().map(|(low, high)| grid(f64::midpoint(*low, *high))).collect();
         let off = |(value, (low, high)): (&f64, &(f64, f64))| (value - low).max(high - value);

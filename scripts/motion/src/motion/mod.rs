@@ -1,7 +1,7 @@
 //! Movements: the course of a track over time, in any notation, and its conversion to steps of a device.
 //!
-//! `curve` is the common form of all movements, `easing` and `function` are the courses between two values, `actuator` creates the steps
-//! of a device, and `path` is a way through space.
+//! `curve` is the common form of all movements. `easing` and `function` are the courses between two values, and `path` is a route through
+//! space. `actuator` creates the steps of a device.
 
 mod actuator;
 mod curve;

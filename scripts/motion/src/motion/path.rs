@@ -5,7 +5,7 @@ use std::hash::{Hash as _, Hasher as _};
 
 use super::spline::{Cubic, hermite, natural};
 
-/// Number of parts between two points; each part is a cubic of the distance along the path.
+/// Number of parts between two points. The coordinates in each part are cubic functions of the distance along the path.
 const PARTS: usize = 32;
 /// Number of points of a closed path that are repeated before its first and after its last point. The effect of a point on the slope at
 /// another one at least halves with each point between them.
@@ -14,7 +14,7 @@ const AROUND: usize = 40;
 const BEND_MIN: f64 = 0.5;
 /// Smallest ratio of horizontal speed to speed along the path for which a heading is defined.
 const LEVEL_MIN: f64 = 1e-3;
-/// Largest change of the heading within a part, in turns, if the path is not vertical there.
+/// Largest change of the heading within a part, in turns. A larger one means that the path is vertical there.
 const HEADING_MAX: f64 = 0.25;
 /// Nodes and weights of the five-point Gauss-Legendre rule on the interval from -1 to 1 (NIST DLMF, 3.5).
 const GAUSS: [(f64, f64); 5] = [
@@ -27,39 +27,40 @@ const GAUSS: [(f64, f64); 5] = [
 
 /// A smooth path through points in space, as a function of the distance along it.
 ///
-/// The points are joined by a cubic spline over the square roots of their distances (Lee 1989, Choosing nodes in parametric curve
-/// interpolation): it neither stops nor has corners. The spline is then divided finely. Each part is the cubic with the same positions
-/// and directions at its ends, as a function of the distance along the path. Open paths have no curvature at their ends.
+/// A cubic spline joins the points; its parameter grows by the square root of the distance between two points (Lee 1989, Choosing nodes
+/// in parametric curve interpolation). The spline neither stops nor has corners. It is then divided finely. Each part becomes a cubic
+/// function of the distance along the path, with the positions and directions of the spline at its ends. Open paths have no curvature at
+/// their ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// The points, x, y and z in metres. They and `closed` determine everything else.
+    /// The x, y and z of the points, in metres. The points and `closed` determine all other fields.
     points: Vec<[f64; 3]>,
     closed: bool,
     /// The distance along the path to the start of each part, and to the end of the last one, in metres.
     far: Vec<f64>,
-    /// x, y, z in metres, and the heading in turns.
+    /// The parts of the path: x, y and z in metres, and the heading in turns.
     parts: Vec<[Cubic; 4]>,
-    /// Bounds of the first two derivatives of each, per metre.
+    /// Upper bounds of the first two derivatives of x, y, z and the heading, per metre.
     bounds: [(f64, f64); 4],
     has_heading: bool,
     /// A hash of everything that determines the path.
     digest: [u64; 2],
 }
 
-/// The quantity of a path that moves a device.
+/// The quantity of a path that a device follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Along {
-    /// The first coordinate.
+    /// The x coordinate, in metres.
     X,
-    /// The second coordinate.
+    /// The y coordinate, in metres.
     Y,
-    /// The third coordinate.
+    /// The z coordinate, in metres.
     Z,
-    /// The horizontal direction, in turns from x to y. On a closed path it continues from lap to lap.
+    /// The horizontal direction, in turns from x to y. On a closed path, it keeps growing or falling from lap to lap.
     Heading,
 }
 
-/// A path that would reverse on the spot at one of its points.
+/// The error of a path that would reverse on the spot at the point with this index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TurnsBack {
     pub point: usize,
@@ -97,7 +98,7 @@ impl Path {
         Ok(Self { points: points.to_vec(), closed, far, parts, bounds, has_heading: !is_steep, digest })
     }
 
-    /// The length in metres; for a closed path, that of one lap.
+    /// The length of the path in metres; for a closed path, the length of one lap.
     pub fn length(&self) -> f64 {
         self.far.last().copied().unwrap_or(0.0)
     }
@@ -107,22 +108,23 @@ impl Path {
         self.far.get(point * PARTS).copied().unwrap_or_else(|| self.length())
     }
 
-    /// The points, x, y and z in metres.
+    /// The x, y and z of the points that the path leads through, in metres.
     pub fn points(&self) -> &[[f64; 3]] {
         &self.points
     }
 
-    /// Whether it returns to its first point.
+    /// Whether the path returns to its first point.
     pub const fn is_closed(&self) -> bool {
         self.closed
     }
 
-    /// Whether a horizontal direction is defined everywhere, because it is nowhere too steep.
+    /// Whether the heading is defined everywhere, because the path is too steep nowhere.
     pub const fn has_heading(&self) -> bool {
         self.has_heading
     }
 
-    /// The value at a distance along the path, and its first two derivatives per metre. A closed path continues in laps.
+    /// The value of a quantity at a distance along the path, and its first two derivatives per metre. On a closed path, distances beyond
+    /// the length are on further laps.
     pub fn jet(&self, along: Along, metres: f64) -> [f64; 3] {
         let length = self.length();
         let laps = if self.closed { (metres / length).floor() } else { 0.0 };
@@ -135,20 +137,20 @@ impl Path {
         [value + lapped, slope / whole, bend / (whole * whole)]
     }
 
-    /// The change of the heading from the beginning to the end, in turns.
+    /// The change of the heading from the start to the end of the path, in turns.
     fn turns(&self) -> f64 {
         let ends = self.parts.first().zip(self.parts.last());
         let heading = Along::Heading as usize;
         ends.map_or(0.0, |(first, last)| jet(&last[heading], 1.0)[0] - first[heading][0])
     }
 
-    /// Bounds of the first two derivatives per metre.
+    /// Upper bounds of the first two derivatives of a quantity, per metre.
     pub const fn bounds(&self, along: Along) -> (f64, f64) {
         self.bounds[along as usize]
     }
 
-    /// The ends of parts between two distances along the path, in metres. For many laps, only those of the first and the last lap and of
-    /// the laps around the middle, where a body that moves from rest to rest is fastest.
+    /// The ends of the parts between two distances along the path, in metres. If there are many laps, only the first lap, the last lap
+    /// and the laps around the middle count. A body that moves from rest to rest is fastest around the middle.
     pub(super) fn ends(&self, from: f64, to: f64) -> Vec<f64> {
         let length = self.length();
         let lap = |metres: f64| if self.closed { (metres / length).floor() } else { 0.0 };
@@ -160,7 +162,7 @@ impl Path {
         ends.filter(|metres| (from..=to).contains(metres)).collect()
     }
 
-    /// A key that distinguishes it from other paths.
+    /// A key that distinguishes the path from other paths.
     pub(super) const fn key(&self) -> [u64; 2] {
         self.digest
     }
@@ -176,18 +178,18 @@ fn digest(points: &[[f64; 3]], closed: bool) -> [u64; 2] {
     })
 }
 
-/// The parts of a path so far.
+/// The parts of a path that is being created.
 #[derive(Default)]
 struct Laid {
     far: Vec<f64>,
     parts: Vec<[Cubic; 4]>,
-    /// Direction and heading at the end.
+    /// The direction and the heading at the end of the last part.
     last: Option<([f64; 3], f64)>,
     is_steep: bool,
 }
 
 impl Laid {
-    /// Adds the parts of a piece of the spline that begins at a point.
+    /// Adds the parts of a piece of the spline. The piece begins at the point with index `point`.
     fn add(&mut self, piece: [Cubic; 3], point: usize) -> Result<(), TurnsBack> {
         if self.far.is_empty() {
             self.far.push(0.0);
@@ -222,19 +224,19 @@ impl Laid {
     }
 }
 
-/// The path at one end of a part.
+/// Position, direction and heading of the path at one end of a part.
 struct End {
     at: [f64; 3],
-    /// A unit vector.
+    /// The direction of the path, as a unit vector.
     direction: [f64; 3],
-    /// In turns, and its change per metre.
+    /// The heading in turns, and its change per metre (`turning`).
     heading: f64,
     turning: f64,
     is_steep: bool,
 }
 
 impl End {
-    /// `None` if the spline has no speed here.
+    /// The end at the parameter `s` of a piece; `None` if the derivative of the spline is 0 there.
     fn of(piece: &[Cubic; 3], s: f64) -> Option<Self> {
         let [x, y, z] = piece.each_ref().map(|cubic| jet(cubic, s));
         let speed = norm([x[1], y[1], z[1]]);
@@ -256,15 +258,15 @@ impl End {
     }
 }
 
-/// The length of the path between two values of s, in metres.
+/// The length of a piece of the spline between two values of s, in metres.
 fn arc(piece: &[Cubic; 3], [from, to]: [f64; 2]) -> f64 {
     let half = (to - from) / 2.0;
     let speed = |s: f64| norm(piece.each_ref().map(|cubic| jet(cubic, s)[1]));
     GAUSS.iter().map(|(place, weight)| weight * speed(from + half * (1.0 + place))).sum::<f64>() * half
 }
 
-/// Bounds of the first two derivatives. The second derivative of a cubic is largest at its ends; the first derivative, there or where the
-/// second is 0.
+/// Upper bounds of the first two derivatives of all parts. The second derivative of a cubic is largest at one of its ends. The first
+/// derivative is largest at an end or where the second derivative is 0.
 fn bounds(far: &[f64], parts: &[[Cubic; 4]]) -> [(f64, f64); 4] {
     let mut bounds = [(0.0_f64, 0.0_f64); 4];
     for (part, ends) in parts.iter().zip(far.windows(2)) {
@@ -282,12 +284,12 @@ fn bounds(far: &[f64], parts: &[[Cubic; 4]]) -> [(f64, f64); 4] {
     bounds
 }
 
-/// A cubic and its first two derivatives.
+/// The value of a cubic at s, and its first two derivatives.
 fn jet(&[a, b, c, d]: &Cubic, s: f64) -> [f64; 3] {
     [a + s * (b + s * (c + s * d)), b + s * (2.0 * c + 3.0 * s * d), 2.0 * c + 6.0 * s * d]
 }
 
-/// The same direction, with the fewest turns from another.
+/// The heading `heading` plus the whole number of turns that brings it closest to `other`.
 fn nearest_turn(heading: f64, other: f64) -> f64 {
     heading + (other - heading).round()
 }

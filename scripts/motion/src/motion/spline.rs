@@ -1,27 +1,27 @@
 //! Cubic splines through points: the clamped spline that starts and ends at rest, and the natural one.
 
-/// The polynomials between the points, each in s from 0 to 1: c0 + c1 s + c2 s^2 + c3 s^3.
+/// A cubic polynomial between two points, for s from 0 to 1: the coefficients of c0 + c1 s + c2 s^2 + c3 s^3.
 pub type Cubic = [f64; 4];
 
-/// How a spline begins and ends.
+/// The condition at both ends of a spline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ends {
-    /// With zero slope.
+    /// The slope at both ends is zero.
     Rest,
-    /// With zero curvature.
+    /// The curvature at both ends is zero.
     Natural,
 }
 
-/// The clamped cubic spline with zero slope at both ends. Among all curves through the points that start and end at rest, it has the
-/// least integral of the squared acceleration (de Boor, A Practical Guide to Splines, chapter IV). The slopes m_i at the points solve
-/// m_{i-1}/h_i + 2 m_i (1/h_i + 1/h_{i+1}) + m_{i+1}/h_{i+1} = 3 (d_i/h_i + d_{i+1}/h_{i+1}), where h are the lengths of the intervals
-/// and d their mean slopes.
+/// The clamped cubic spline with zero slope at both ends. Of all curves through the points that start and end at rest, it has the
+/// smallest integral of the squared acceleration (de Boor, A Practical Guide to Splines, chapter IV). The slopes m_i at the points solve
+/// m_{i-1}/h_i + 2 m_i (1/h_i + 1/h_{i+1}) + m_{i+1}/h_{i+1} = 3 (d_i/h_i + d_{i+1}/h_{i+1}), where h_i are the lengths of the intervals
+/// and d_i their mean slopes.
 pub fn spline(times: &[f64], values: &[f64]) -> Vec<Cubic> {
     between(times, values, &slopes(times, values, Ends::Rest))
 }
 
-/// The natural cubic spline, which has zero curvature at both ends. The first and the last equation for its slopes contain one interval
-/// each.
+/// The natural cubic spline, whose curvature is zero at both ends. The first and the last equation for its slopes involve only one
+/// interval.
 pub(super) fn natural(times: &[f64], values: &[f64]) -> Vec<Cubic> {
     between(times, values, &slopes(times, values, Ends::Natural))
 }
@@ -32,13 +32,13 @@ fn between(times: &[f64], values: &[f64], slopes: &[f64]) -> Vec<Cubic> {
     (1..times.len()).map(of).collect()
 }
 
-/// The cubic with these values and slopes at the two ends of an interval.
+/// The cubic with the given values and slopes at the two ends of an interval.
 pub(super) fn hermite([from, to]: [f64; 2], slopes: [f64; 2], length: f64) -> Cubic {
     let [m0, m1] = slopes.map(|slope| slope * length);
     [from, m0, 3.0 * (to - from) - 2.0 * m0 - m1, 2.0 * (from - to) + m0 + m1]
 }
 
-/// Thomas' algorithm for the tridiagonal system.
+/// The slopes of a spline at its points: solves the tridiagonal system by Thomas' algorithm.
 fn slopes(times: &[f64], values: &[f64], ends: Ends) -> Vec<f64> {
     let n = times.len();
     let mut slopes = vec![0.0; n];

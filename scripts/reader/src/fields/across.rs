@@ -1,5 +1,5 @@
-//! The position of each robot of a cue among all of them: by its number, by its place in the fleet, or at random. Also values that are
-//! spread over the robots: `{from: 0, to: 90, across: group}`.
+//! Orders the robots of a cue by their number, by their place in space, or at random. Also reads values that are spread over the robots:
+//! `{from: 0, to: 90, across: group}`.
 
 use std::sync::Arc;
 
@@ -14,9 +14,9 @@ use downbeat_space::space::Coordinate;
 use downbeat_yaml::finding::{Code, Pending, names};
 use downbeat_yaml::node::Node;
 
-/// Places are distinguished to the nanometre.
+/// Units per metre of an integer coordinate: places are distinguished to the nanometre.
 const UNITS_A_METRE: f64 = 1e9;
-/// Upper bound for coordinates and distances, in metres.
+/// Upper bound of coordinates and distances, in metres.
 const FARTHEST: f64 = 1e8;
 /// Maximum number of robots without a place that a finding names.
 const NAMED_MAX: usize = 8;
@@ -45,44 +45,44 @@ keys! {
 /// The robots of the cue that is being read.
 #[derive(Debug, Default)]
 pub struct Group {
-    /// The indices in the fleet, in the order of the cue.
+    /// The indices of the robots in the fleet, in the order of the cue.
     pub robots: Vec<usize>,
     /// All robots of the fleet.
     pub fleet: Vec<Standing>,
-    /// Results that are already computed for these robots.
+    /// The shares that are already computed for these robots, by order.
     shares: Vec<(Across, Arc<[Fraction]>)>,
 }
 
-/// A robot with its place.
+/// A robot with its place in space.
 #[derive(Debug)]
 pub struct Standing {
     /// The id of the robot.
     pub id: RobotId,
-    /// x, y and z; `None` without a body.
+    /// The coordinates x, y and z; `None` if the robot has no body.
     pub axes: Option<[Axis; 3]>,
 }
 
-/// One coordinate of a robot.
+/// One coordinate of a robot's place.
 #[derive(Debug)]
 pub struct Axis {
-    /// The device that moves it, or a fixed value.
+    /// The device that sets the coordinate, or its fixed value.
     pub of: Coordinate,
     /// The position of the robot on this axis.
     pub at: Whereabouts,
 }
 
-/// The position on an axis at the start of a cue.
+/// The position of a robot on an axis at the start of a cue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Whereabouts {
     /// The position in metres.
     Known(f64),
     /// The position is not known.
     Unknown,
-    /// A group moved the robot, and its ways do not exist or are not known. In most cases, the compiler reports the cause.
+    /// A group moved the robot, and the robot's route does not exist or is not known. In most cases, the compiler reports the cause.
     Lost,
 }
 
-/// The order of the robots.
+/// The order of the robots of a cue.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Across {
     /// The criterion by which the robots are ordered.
@@ -93,18 +93,18 @@ pub struct Across {
 /// The criterion by which the robots are ordered.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum By {
-    /// Their number in the cue.
+    /// The index of the robot in the cue.
     #[default]
     Index,
-    /// A coordinate of their place: 0 for x, 1 for y, 2 for z.
+    /// A coordinate of the robot's place: 0 for x, 1 for y, 2 for z.
     Axis(usize),
-    /// Their distance from a point, in metres.
+    /// The distance of the robot from a point given in metres.
     Point([f64; 3]),
-    /// Chance, with a seed.
+    /// A random order; the number is its seed.
     Random(f64),
 }
 
-/// The robots that come first.
+/// Which robots of the order come first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Direction {
     #[default]
@@ -140,7 +140,7 @@ pub(crate) enum Word {
 }
 
 impl Group {
-    /// A group in this fleet, before any cue.
+    /// A group without robots, in the given fleet, before any cue is read.
     pub fn of(fleet: Vec<Standing>) -> Self {
         Self { fleet, ..Self::default() }
     }
@@ -150,7 +150,7 @@ impl Group {
         self.robots.len()
     }
 
-    /// Replaces the robots of the current cue.
+    /// Sets the robots of the cue that is read next.
     pub fn enter(&mut self, robots: Vec<usize>) {
         self.robots = robots;
         self.shares.clear();
@@ -167,7 +167,7 @@ impl Axis {
 }
 
 impl Standing {
-    /// Its place in metres, if all coordinates are known.
+    /// The place of the robot in metres, if all coordinates are known.
     pub fn metres(&self) -> Option<[f64; 3]> {
         let known = |axis: &Axis| match axis.at {
             Whereabouts::Known(metres) => Some(metres),
@@ -181,7 +181,7 @@ impl Standing {
         self.axes.iter().flatten().any(|axis| axis.at == Whereabouts::Lost)
     }
 
-    /// The place in nanometres.
+    /// The place of the robot in nanometres, if all coordinates are known.
     fn place(&self) -> Option<[i128; 3]> {
         Some(self.metres()?.map(nanometres))
     }
@@ -199,7 +199,7 @@ fn distance(place: [i128; 3], point: [f64; 3]) -> i128 {
 }
 
 impl Across {
-    /// Reads the order from its keys.
+    /// Reads an order from the keys `by`, `seed` and `direction`.
     pub fn read(
         reader: &mut Reader,
         by: Option<At<'_>>,
@@ -231,7 +231,7 @@ impl Across {
         Some(Self { by: by?, direction: direction? })
     }
 
-    /// The position of each robot of the cue in this order, from 0; in metres if the order depends on places.
+    /// The distance of each robot of the cue from the first one in this order; in metres if the order depends on places.
     pub fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
         let own = self.own(reader, at)?;
         let metres = matches!(self.by, By::Axis(_) | By::Point(_));
@@ -257,7 +257,7 @@ impl Across {
         Some(self.directed(&ranks).iter().map(whole).collect())
     }
 
-    /// The criterion of each robot, as an integer.
+    /// The value of the criterion for each robot, as an integer.
     fn own(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<i128>> {
         let Group { robots, fleet, .. } = &reader.group;
         let count = robots.len();
@@ -316,7 +316,7 @@ impl Across {
         all.iter().map(one).collect()
     }
 
-    /// The position of each robot between the first and the last, from 0 to 1.
+    /// The position of each robot in this order, from 0 for the first to 1 for the last.
     fn shares(self, reader: &mut Reader, at: &At<'_>) -> Option<Arc<[Fraction]>> {
         if let Some((_, known)) = reader.group.shares.iter().find(|(across, _)| *across == self) {
             return Some(known.clone());
@@ -337,7 +337,7 @@ impl Across {
     }
 }
 
-/// Each value as a fraction of the largest; 0 if the largest is 0.
+/// Each value as a fraction of the largest one; 0 if the largest one is 0.
 pub fn parts(all: &[Fraction]) -> Vec<Fraction> {
     let most = all.iter().max().copied().unwrap_or_default();
     let part = |value: &Fraction| if most == Fraction::ZERO { Fraction::ZERO } else { *value / most };
@@ -391,7 +391,7 @@ pub fn is_spread(node: &Node) -> bool {
 }
 
 impl Reader {
-    /// Reads something for one robot. Also returns whether the result depends on the robot.
+    /// Calls `read` for one robot. Also returns whether the result depends on the robot.
     pub fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
         let before = self.robots.current.replace(robot);
         self.robots.asked = false;
@@ -400,7 +400,7 @@ impl Reader {
         (found, std::mem::take(&mut self.robots.asked))
     }
 
-    /// `{from: 0, to: 90, across: group}` as an expression, for the robot whose movement is read.
+    /// Reads `{from: 0, to: 90, across: group}`. Returns the text of an expression for the robot whose movement is being read.
     pub fn spread(&mut self, at: &At<'_>) -> Option<String> {
         let SpreadKeys { from, to, across, by, seed, direction, ease } = self.keys(at, "a spread")?;
         let across = across.and_then(|at| self.word(&at, &ACROSS_WORDS));

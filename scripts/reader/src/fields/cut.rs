@@ -7,7 +7,7 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 impl Reader {
-    /// YAML reads `{at: 0,3s}` as the number 0 and a key `3s`: one fault, one finding.
+    /// Adds one finding for a decimal comma: YAML reads `{at: 0,3s}` as the number 0 and a key `3s`.
     pub(super) fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), others: &[&str]) {
         let Some(rest) = others.first() else { return };
         let place = at.entry(rest, 0, &Node::Null).key_place();
@@ -24,7 +24,7 @@ impl Reader {
         self.wrong.push(at.place().of_key(key));
     }
 
-    /// YAML reads `{to: max(1, 2)}` as the text `max(1` and a key `2)`: one fault, one finding.
+    /// Adds one finding for a comma in an expression: YAML reads `{to: max(1, 2)}` as the text `max(1` and a key `2)`.
     pub(super) fn cut_in_brackets(&mut self, at: &At<'_>, key: &str, text: &str) {
         let place = at.entry(key, 0, &Node::Null).place();
         let message = format!("the expression `{}` is cut off by a comma", shortened(text));
@@ -37,7 +37,7 @@ impl Reader {
     }
 }
 
-/// The entry and its number, if a decimal comma turned its decimals into this key.
+/// The key of an entry and the number before the comma, if a decimal comma turned the decimals into the key `rest`.
 pub(super) fn cut_by_comma<'a>(
     (key, value): &'a (String, Node),
     rest: &str,
@@ -57,7 +57,7 @@ pub(super) fn cut_by_comma<'a>(
     }
 }
 
-/// The leading keys that are numbers without a value; the first key is always included.
+/// The keys at the start of `entries` that are numbers without a value. The first key is always included.
 pub(super) fn numbers_alone(entries: &[(String, Node)]) -> Vec<&str> {
     let is_number = |(key, node): &&(String, Node)| *node == Node::Null && key.parse::<f64>().is_ok();
     let count = entries.iter().take_while(is_number).count().max(1);
@@ -73,8 +73,8 @@ fn is_open(text: &str) -> usize {
     })
 }
 
-/// The entry whose value ended at a comma within the brackets of an expression, so that the rest became a key. `None` if that is not the
-/// case.
+/// The entry whose value ended at a comma within the brackets of an expression, so that the rest of the expression became a key. `None`
+/// if that is not the case.
 pub(super) fn cut_in_brackets<'a>(
     (key, value): &'a (String, Node),
     node: &Node,

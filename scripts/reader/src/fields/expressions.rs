@@ -18,28 +18,28 @@ use downbeat_yaml::shown::shortened;
 
 pub use tried::tried;
 
-/// Maximum length of a variable's expression after other variables are substituted.
+/// Maximum length of a variable's expression after other variables are substituted, in characters.
 const WRITTEN_MAX: usize = 2_000;
-/// Limits of bars and beats, and of nanoseconds, for conversion to time.
+/// Largest numbers of bars or beats, and of nanoseconds, that are converted to a time.
 const BEATS_MAX: f64 = 1e9;
 const NANOS_MAX: f64 = 1e20;
 
-/// The position of a robot in its cue.
+/// The index of a robot in its cue, and the number of robots there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
-    /// The position of the robot in the cue, counted from 0.
+    /// The index of the robot in the cue, counted from 0.
     pub index: usize,
     /// The number of robots in the cue.
     pub count: usize,
 }
 
-/// The robot whose movement is read, and the parts of the movement that depend on it.
+/// The robot whose movement is being read, and the parts of the movement that depend on the robot.
 #[derive(Debug, Default)]
 pub struct Robots {
     pub current: Option<Robot>,
-    /// Whether `$index` or `$count` was used.
+    /// Whether `$index` or `$count` has been used for the current robot.
     pub asked: bool,
-    /// The results of expressions that used them. Robots with equal results share a movement.
+    /// The results of expressions that used `$index` or `$count`. Robots with equal results share a movement.
     pub results: Vec<u64>,
 }
 
@@ -49,7 +49,7 @@ const ONE_ROBOT: &str =
 
 struct Here<'r> {
     reader: &'r mut Reader,
-    /// Whether this is the value of a variable, which cannot use other variables.
+    /// Whether the value of a variable is being evaluated, which cannot use other variables.
     inner: bool,
 }
 
@@ -182,7 +182,7 @@ impl Reader {
         found
     }
 
-    /// The value of an expression at this place, or within the text at this place.
+    /// Evaluates the expression `text`, which is the node's text or a part of it.
     pub fn quantity(&mut self, at: &At<'_>, text: &str) -> Option<Quantity> {
         let text = text.trim();
         let told = self.evaluations.is_overdrawn();
@@ -197,7 +197,7 @@ impl Reader {
         }
     }
 
-    /// Whether both ends of a spread are of the same kind, as far as they have values.
+    /// Whether both ends of a spread have the same unit, as far as they have values.
     pub fn is_alike(&mut self, to: &At<'_>, ends: [&str; 2]) -> bool {
         let unit = |value: Result<Quantity, Fault>| match value {
             Ok(Quantity::Amount(amount)) => Some(amount.unit),
@@ -244,7 +244,7 @@ impl Reader {
         self.faulty(at, text.trim(), fault);
     }
 
-    /// A plain number; an angle is converted to radians.
+    /// Evaluates an expression as a plain number; an angle is converted to radians.
     pub fn number_of(&mut self, at: &At<'_>, text: &str, expected: &str) -> Option<f64> {
         if slips::is_rate(text) {
             self.wrong_type(at, expected);
@@ -313,7 +313,7 @@ impl Reader {
         }
     }
 
-    /// A duration that is not negative.
+    /// Evaluates an expression as a duration that is not negative.
     pub fn time_of(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let amount = match self.quantity(at, text)? {
             Quantity::Amount(amount) if amount.unit == Unit::TIME => amount,
@@ -349,8 +349,8 @@ impl Reader {
         self.no_longer(at, text, length)
     }
 
-    /// The value of a variable or a parameter. An expression with variables is evaluated at once. If it differs between robots, the
-    /// result is an expression that only uses `$index` and `$count`.
+    /// The value of a variable or a parameter. An expression with variables is evaluated at once. If its value differs between robots,
+    /// the result is an expression that only uses `$index` and `$count`.
     pub fn defined(&mut self, at: &At<'_>) -> Option<Node> {
         if let Node::Text(text) = at.node
             && names_variables(text)
@@ -384,7 +384,7 @@ impl Reader {
         }
     }
 
-    /// The same expression with its variables replaced by their values.
+    /// The expression with its variables replaced by their values.
     fn put_in(&self, text: &str, expression: &Expression) -> Result<Node, Fault> {
         let chars: Vec<char> = text.chars().collect();
         let (mut written, mut done) = (String::new(), 0);
@@ -411,7 +411,7 @@ impl Reader {
         Ok(Node::Text(written))
     }
 
-    /// A formula of time, with its variables substituted.
+    /// Reads a formula of time and replaces its variables by their values.
     pub fn formula(&mut self, at: &At<'_>) -> Option<Formula> {
         let text = match self.scalar(at)?.into_owned() {
             Node::Number(value) if value.is_finite() => value.to_string(),
@@ -444,7 +444,7 @@ impl Reader {
     }
 }
 
-/// The form in which a variable stores a value.
+/// Converts a value to the node that a variable stores.
 fn node_of(value: Quantity, span: Span) -> Result<Node, Fault> {
     let amount = match value {
         Quantity::Truth(truth) => return Ok(Node::Bool(truth)),

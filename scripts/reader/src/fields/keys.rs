@@ -9,45 +9,45 @@ use super::At;
 
 /// The keys that one kind of map may have, declared by [`keys!`](crate::keys!).
 pub trait Keys<'a>: Sized {
-    /// Their names in files.
+    /// The names of the keys in files.
     const NAMES: &'static [&'static str];
-    /// Whether each of them is required.
+    /// For each key, whether it is required.
     const REQUIRED: &'static [bool];
 
     /// Creates the struct from the values, in the order of the names.
     fn of(values: Vec<Option<At<'a>>>) -> Self;
 }
 
-/// A declared map.
+/// The declaration of a map and its keys.
 #[derive(Debug)]
 pub struct Declaration {
-    /// The name of its definition in a schema. `None` if it is defined inline at each use.
+    /// The name of the map's definition in a schema. `None` if the map is defined inline at each use.
     pub definition: Option<&'static str>,
-    /// A description, line by line.
+    /// The lines of a description of the map.
     pub doc: &'static [&'static str],
-    /// Its keys, in the order in which messages list them.
+    /// The keys of the map, in the order in which messages list them.
     pub keys: &'static [Key],
-    /// Additional constraints on its keys, such as mutual exclusion: part of a JSON schema.
+    /// Additional constraints on the keys, such as mutual exclusion, as part of a JSON schema.
     pub also: Option<&'static str>,
 }
 
-/// A declared key.
+/// The declaration of a key of a map.
 #[derive(Debug)]
 pub struct Key {
-    /// Its name in a file.
+    /// The name of the key in a file.
     pub name: &'static str,
-    /// Its meaning, line by line. Empty if its kind describes it. Lines after an empty line appear only in the documentation.
+    /// The lines that describe the key; empty if its kind describes it. Lines after an empty line appear only in the documentation.
     pub doc: &'static [&'static str],
-    /// The default value.
+    /// The default value, as an item that is `Some`; all other items are `None`.
     pub default: &'static [Option<&'static str>],
     /// Whether the key is required.
     pub required: bool,
-    /// The values that it accepts.
+    /// The values that the key accepts.
     pub kind: &'static Kind,
 }
 
 impl Key {
-    /// The default value, if there is one.
+    /// The default value of the key, if it has one.
     #[must_use]
     pub fn default(&self) -> Option<&'static str> {
         self.default.iter().copied().flatten().next()
@@ -61,9 +61,9 @@ pub enum Kind {
     Named {
         /// The name of the kind.
         name: &'static str,
-        /// A description, line by line.
+        /// The lines of a description of the kind.
         doc: &'static [&'static str],
-        /// The values that it accepts.
+        /// The values that the kind accepts.
         kind: &'static Self,
     },
     /// A map with declared keys.
@@ -76,15 +76,15 @@ pub enum Kind {
     Entries(&'static Self),
     /// A map like `Entries` with at least one entry.
     SomeEntries(&'static Self),
-    /// A list of values of one kind, with a length in this range.
+    /// A list of values of one kind; its length is in this range.
     List(&'static Self, RangeInclusive<usize>),
-    /// A list with one value of each kind.
+    /// A list of fixed length, with one value of each of these kinds in order.
     Tuple(&'static [&'static Self]),
     /// One of these words.
     Words(&'static [&'static str]),
     /// One of several kinds.
     AnyOf(&'static [&'static Self]),
-    /// A JSON schema.
+    /// Values that a JSON schema describes.
     Schema(&'static str),
 }
 

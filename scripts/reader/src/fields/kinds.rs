@@ -1,18 +1,18 @@
-//! Kinds of values that many keys share.
+//! Kinds of values that many keys have in common.
 
 use super::keys::Kind;
 use super::{BY_WORDS, DIRECTION_WORDS, SpreadKeys};
 use crate::{named, schema, words};
 
-/// Any text.
+/// The kind of any text.
 pub static TEXT: Kind = schema!({"type": "string"});
-/// A literal number.
+/// The kind of literal numbers.
 pub static PLAIN_NUMBER: Kind = schema!({"type": "number"});
-/// A literal number above 0.
+/// The kind of literal numbers above 0.
 pub static POSITIVE: Kind = schema!({"type": "number", "exclusiveMinimum": 0});
-/// An individual value for each robot of a cue.
+/// The kind of maps that give each robot of a cue an individual value.
 pub static SPREAD: Kind = SpreadKeys::KIND;
-/// A literal `true` or `false`.
+/// The kind of the literals `true` and `false`.
 pub static BOOLEAN: Kind = schema!({"type": "boolean"});
 
 named! {

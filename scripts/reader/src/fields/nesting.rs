@@ -7,10 +7,10 @@ use downbeat_motion::exact::Beginning;
 use downbeat_yaml::budget::{Budget, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
 use downbeat_yaml::finding::Place;
 
-/// A name with its place.
+/// A name in a file, with its place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Name {
-    /// The name.
+    /// The name itself.
     pub text: String,
     /// The place of the name.
     pub place: Place,
@@ -30,21 +30,21 @@ pub struct Unset {
 /// The moves and sequences that are being read, nested in one another.
 #[derive(Debug)]
 pub struct Nesting {
-    /// From the outermost to the innermost, each as named in messages: `the move `wave``.
+    /// The items from the outermost to the innermost, each as named in messages: `the move `wave``.
     pub inside: Vec<String>,
-    /// The copy of a file whose names take precedence.
+    /// The number of the included file's copy whose names take precedence.
     pub copy: usize,
-    /// Budget of moves that the current movement plays.
+    /// Budget for the moves that the current movement plays.
     pub plays: Budget,
-    /// Budget of moves that all movements play.
+    /// Budget for the moves that all movements play.
     pub all_plays: Budget,
-    /// Budget of cues that sequences generate.
+    /// Budget for the cues that sequences generate.
     pub cues: Budget,
-    /// The number of cues of unused sequences.
+    /// The number of cues of unused sequences so far.
     unused_cues: usize,
     /// The number of sequences that are being read.
     pub sequences: usize,
-    /// The robots for cues of a sequence that do not name any.
+    /// The robots that cues of a sequence use if they name none.
     pub robots: Option<Arc<[Name]>>,
     /// The start of the cue that was read last, as far as it is fixed.
     pub began: Beginning,
@@ -90,7 +90,7 @@ impl Nesting {
         self.unused_cues += unused.most() - unused.left();
     }
 
-    /// Resets the budget for the next movement.
+    /// Resets the budget for moves, for the next movement.
     pub fn renew_plays(&mut self) {
         self.plays = Budget::new(PLAYS_MAX);
     }

@@ -16,7 +16,7 @@ use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 impl Reader {
-    /// The node itself, or the value of the variable at this place. Expressions remain unchanged.
+    /// The node's value: the node itself, or the value of the variable that it names. Expressions remain unchanged.
     pub fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if self.is_variable(text) => self.variable(at, text).map(Cow::Owned),
@@ -24,7 +24,7 @@ impl Reader {
         }
     }
 
-    /// The same for places that do not allow expressions: any text that begins like a variable is a variable.
+    /// Like [`Self::scalar`], but for places that do not allow expressions. There, any text that begins like a variable is a variable.
     fn plain_scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
@@ -48,7 +48,7 @@ impl Reader {
         }
     }
 
-    /// The place that assigns the parameter at this node, if it is a parameter of a move or a sequence.
+    /// The place that assigns the parameter that this node names. `None` unless it is a parameter of a move or a sequence.
     pub fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
         let Node::Text(text) = at.node else { return None };
         self.scope.place(text.strip_prefix('$')?).cloned()
@@ -93,7 +93,7 @@ impl Reader {
         None
     }
 
-    /// A hint for a variable that is used above or within its definition.
+    /// A hint for the variable `name`, which is used above or within its definition.
     pub fn move_up(&self, name: &str) -> String {
         format!(
             "define `{}` above the variables that use it, with numbers or variables defined above it",
@@ -101,7 +101,7 @@ impl Reader {
         )
     }
 
-    /// A text; anything else is a finding.
+    /// Reads a text. Adds a finding if the node is anything else.
     pub fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<Cow<'a, str>> {
         match self.plain_scalar(at)? {
             Cow::Borrowed(Node::Text(text)) => Some(Cow::Borrowed(text)),
@@ -113,7 +113,7 @@ impl Reader {
         }
     }
 
-    /// A name: text, or a number that is used as a name.
+    /// Reads a name: a text, or a number that is used as a name.
     pub fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
         match self.plain_scalar(at)?.as_ref() {
             Node::Number(value) => Some(value.to_string()),
@@ -125,7 +125,7 @@ impl Reader {
         }
     }
 
-    /// A number, or an expression that evaluates to one; anything else is a finding.
+    /// Reads a number, or an expression that evaluates to one. Adds a finding if the node is anything else.
     pub fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         match self.scalar(at)?.as_ref() {
             Node::Number(value) if value.is_finite() => Some(*value),
@@ -145,7 +145,7 @@ impl Reader {
         }
     }
 
-    /// A number above 0.
+    /// Reads a number above 0.
     pub fn positive(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         let value = self.number(at, expected)?;
         if value > 0.0 {
@@ -156,7 +156,7 @@ impl Reader {
         None
     }
 
-    /// A whole number from `least` to `most`.
+    /// Reads a whole number from `least` to `most`.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked by the range")]
     pub fn count(&mut self, at: &At<'_>, least: u32, most: u32) -> Option<u32> {
         let expected = format!("a whole number from {least} to {most}");
@@ -169,7 +169,7 @@ impl Reader {
         None
     }
 
-    /// `true` or `false`, or an expression that evaluates to either; anything else is a finding.
+    /// Reads `true` or `false`, or an expression that evaluates to either. Adds a finding if the node is anything else.
     pub fn truth(&mut self, at: &At<'_>) -> Option<bool> {
         match self.scalar(at)?.as_ref() {
             Node::Bool(value) => Some(*value),
@@ -181,12 +181,12 @@ impl Reader {
         }
     }
 
-    /// A duration in seconds and related units, or in beats and bars, converted to clock time at the start of the cue.
+    /// Reads a duration in seconds and related units, or in beats and bars. These are converted to clock time from the start of the cue.
     pub fn duration(&mut self, at: &At<'_>) -> Option<Span> {
         self.exact(at).map(|length| self.music.start.lay(length))
     }
 
-    /// The same before rounding.
+    /// Like [`Self::duration`], but before rounding to nanoseconds.
     pub fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
         if self.is_template(at, duration::EXPECTED) {
             return None;
@@ -210,17 +210,17 @@ impl Reader {
         None
     }
 
-    /// Repetitions of this length from the start of the cue.
+    /// Laps of the given length, from the start of the cue on.
     pub fn laps(&self, length: Exact) -> Laps {
         Laps { length, from: self.music.start }
     }
 
-    /// A duration that is part of a text.
+    /// Reads a duration from `text`, which is a part of the node's text.
     pub fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
         self.exact_time(at, text).map(|length| self.music.start.lay(length))
     }
 
-    /// The same before rounding.
+    /// Like [`Self::time`], but before rounding to nanoseconds.
     pub fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let text = text.trim();
         if let Some(name) = text.strip_prefix('$').filter(|_| self.is_variable(text)) {
@@ -268,7 +268,7 @@ impl Reader {
         None
     }
 
-    /// Checks the limit of times, which beats and bars may exceed.
+    /// Checks that a length does not exceed the longest time. Beats and bars may exceed it.
     pub fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
         if length.rounded_down() <= longest() {
             return Some(length);
@@ -279,7 +279,7 @@ impl Reader {
         None
     }
 
-    /// A duration that may be negative.
+    /// Reads a duration that may be negative.
     pub fn signed_duration(&mut self, at: &At<'_>) -> Option<Span> {
         if let Node::Text(text) = at.node
             && let Some(span) = duration::parse_signed(text)
@@ -289,12 +289,12 @@ impl Reader {
         self.duration(at)
     }
 
-    /// One of the given words.
+    /// Reads one of the given words, and returns the value that belongs to it.
     pub fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
         self.word_or(at, words, |_| None)
     }
 
-    /// The same, with special hints for some other words.
+    /// Like [`Self::word`], but with special hints for some unknown words.
     pub fn word_or<T: Copy>(
         &mut self,
         at: &At<'_>,

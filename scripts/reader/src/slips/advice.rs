@@ -1,6 +1,7 @@
 //! Advice for keys of other programs that have no equivalent: QLab, MoveIt, Skybrush, Blender and others.
 
-/// The map that contains the keys by mistake, the keys, and the advice; `{key}` and `{given}` are replaced by the key and its value.
+/// Advice for keys: the map that contains them by mistake, the keys, and the advice. In the advice, `{key}` and `{given}` stand for the
+/// key and its value.
 pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",

@@ -7,7 +7,7 @@ use downbeat_yaml::finding::did_you_mean_this;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-/// Synonyms for the keys of a map: the map, the synonyms, and the key.
+/// Synonyms for keys: the map that has the key, the synonyms, and the key.
 const KEYS: [(&str, &[&str], &str); 76] = [
     ("a keyframe", &["value", "position", "positions", "pos", "angle", "target", "val", "goal"], "to"),
     ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
@@ -87,7 +87,7 @@ const KEYS: [(&str, &[&str], &str); 76] = [
     ("`samples`", &["column"], "value"),
 ];
 
-/// A hint for an unknown key of a map.
+/// A hint for the unknown key `key` of the map `what`.
 pub fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String> {
     let known = KEYS.iter().find(|(place, words, _)| is_named(what, place) && words.contains(&key));
     if let Some((.., meant)) = known {
@@ -136,7 +136,7 @@ fn of_devices(what: &str, key: &str) -> Option<String> {
     }
 }
 
-/// Advice for a key that has no equivalent.
+/// Advice for a key of another program that has no equivalent.
 fn advice(what: &str, key: &str, given: &str) -> Option<String> {
     let found = ADVICE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., advice)| advice.replace("{key}", key).replace("{given}", given))
@@ -161,7 +161,7 @@ pub fn parameter(
     is_use.then(|| format!("write the value of a parameter as `parameters: {{{}: {value}}}`", shortened(key)))
 }
 
-/// Keys that belong to other maps: the map that contains them by mistake, the keys, and the right place.
+/// Misplaced keys: the map that contains them by mistake, the keys, and the place where they belong.
 const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     (
         "an act",
@@ -199,13 +199,13 @@ const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     ("robot", &["clock_offset", "drift", "jitter", "ntp_error", "fault", "readings"], "under `simulate`"),
 ];
 
-/// The right place for a key that belongs to another map.
+/// The place where a misplaced key of the map `what` belongs, if it is known.
 fn elsewhere(what: &str, key: &str) -> Option<&'static str> {
     let found = ELSEWHERE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., belongs)| *belongs)
 }
 
-/// Whether a map is of this kind: ``robot `left` `` is of kind `robot`.
+/// Whether the map `what` is of the kind `place`: ``robot `left` `` is of kind `robot`.
 fn is_named(what: &str, place: &str) -> bool {
     what.strip_prefix(place).is_some_and(|rest| rest.is_empty() || rest.starts_with(" `"))
 }
@@ -216,7 +216,7 @@ pub fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Op
     known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
 }
 
-/// A hint for a key that beginners often omit.
+/// A hint for the missing key `key` of the map `what`, if beginners often omit it.
 pub fn missing(what: &str, key: &str) -> Option<&'static str> {
     match (what, key) {
         ("the scenario", "scenario") => {

@@ -2,21 +2,21 @@
 
 use super::{Point, middle_of};
 
-/// The indices of two places, and their distance in metres.
+/// Indices of two places, and the distance between them in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
     pub places: [usize; 2],
     pub distance: f64,
 }
 
-/// Returns the two places that are closest to each other; `None` if there are fewer than two.
+/// Returns the two places that are closest to each other; `None` if there are fewer than two places.
 pub fn nearest_pair(places: &[Point]) -> Option<Pair> {
     let (axis, order) = along_longest_axis(places);
     let mut best: Option<Pair> = None;
     for (index, &a) in order.iter().enumerate() {
         for &b in &order[index + 1..] {
             let most = best.map_or(f64::INFINITY, |best| best.distance);
-            // All following places in this order are further along the axis.
+            // All further places in this order are even further away along the axis.
             if places[b][axis] - places[a][axis] > most {
                 break;
             }
@@ -32,7 +32,7 @@ pub fn nearest_pair(places: &[Point]) -> Option<Pair> {
     best
 }
 
-/// Returns the indices of every two points that are closer to each other than `reach` metres.
+/// Returns the indices of all pairs of points that are closer to each other than `reach`, in metres.
 pub fn pairs_within(points: &[Point], reach: f64) -> impl Iterator<Item = (usize, usize)> {
     let (axis, order) = along_longest_axis(points);
     (0..order.len()).flat_map(move |index| {
@@ -43,7 +43,7 @@ pub fn pairs_within(points: &[Point], reach: f64) -> impl Iterator<Item = (usize
     })
 }
 
-/// Returns the axis of the largest extent of the points, and their order along it.
+/// Returns the axis along which the points extend furthest, and the indices of the points in order along this axis.
 fn along_longest_axis(points: &[Point]) -> (usize, Vec<usize>) {
     let (_, lengths) = middle_of(points);
     let axis = (0..3).rev().max_by(|a, b| lengths[*a].total_cmp(&lengths[*b])).unwrap_or(0);
@@ -52,7 +52,7 @@ fn along_longest_axis(points: &[Point]) -> (usize, Vec<usize>) {
     (axis, order)
 }
 
-/// Metres between two points.
+/// Returns the distance between two points, in metres.
 pub fn distance(a: Point, b: Point) -> f64 {
     let square = |axis: usize| (a[axis] - b[axis]).powi(2);
     (square(0) + square(1) + square(2)).sqrt()

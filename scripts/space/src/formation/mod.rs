@@ -1,6 +1,6 @@
-//! Formations: places in space for any number of bodies, in metres. `placing` moves a shape to its position.
+//! Formations: places in space for any number of bodies, in metres. `placing` moves a shape to its position on the stage.
 //!
-//! `scenario::formations` reads them from a scenario; the assignment of bodies to places is made elsewhere.
+//! `scenario::formations` reads formations from a scenario; [`crate::transit`] assigns bodies to places.
 
 pub mod cloud;
 mod crowd;
@@ -27,68 +27,68 @@ pub use tried::tried;
 /// Maximum number of places of a formation.
 pub const PLACES_MAX: usize = 10_000;
 
-/// Places that are closer to each other, in metres, are equal.
+/// Distance in metres below which two places count as the same.
 pub const SAME: f64 = 1e-6;
-/// Rounding error of the distance of two places, in metres.
+/// Rounding error of the distance between two places, in metres.
 pub const ROUNDING: f64 = 1e-9;
 
-/// A place, or a vector: x, y, z in metres.
+/// A place or a vector: x, y and z in metres.
 pub type Point = [f64; 3];
 
-/// A set of places, for as many bodies as take part.
+/// A set of places for any number of bodies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Formation {
-    /// The arrangement of the places.
+    /// Arrangement of the places.
     pub shape: Shape,
-    /// The rotation and translation of the places.
+    /// Scale, rotation and position of the arrangement.
     pub placing: Placing,
 }
 
-/// The arrangement of places before they are turned and moved.
+/// The arrangement of a formation's places, before they are scaled, turned and moved.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
-    /// Explicit places.
+    /// Explicit places, regardless of the number of bodies.
     Points(Arc<[Point]>),
-    /// On a line.
+    /// Places on a line.
     Line(Line),
-    /// On a circle.
+    /// Places on a circle.
     Circle(Ring),
-    /// On a grid.
+    /// Places on a grid.
     Grid(Grid),
-    /// On the two sides of a V.
+    /// Places on the two sides of a V.
     Vee(Vee),
-    /// On a sphere.
+    /// Places on a sphere.
     Sphere(Ball),
-    /// Along these strokes.
+    /// Places along strokes, such as those of letters.
     Strokes(Arc<Strokes>),
-    /// Some of these points, as far from each other as possible.
+    /// Places at some of these points, as far from each other as possible.
     Cloud(Arc<[Point]>),
-    /// Spread over these triangles.
+    /// Places spread over the surface of these triangles.
     Surface(Arc<[Triangle]>),
 }
 
-/// A file with an invalid content or format.
+/// The reason why a file cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unfit {
-    /// The fault.
+    /// The fault of the file.
     pub message: String,
-    /// What was expected.
+    /// The expected content.
     pub expected: &'static str,
 }
 
-/// More places than a formation may have.
+/// A formation would have more places than [`PLACES_MAX`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyPlaces {
-    /// The number of places that the formation would have.
+    /// Number of places that the formation would have.
     pub count: usize,
 }
 
 impl Formation {
-    /// Returns the places for `count` bodies, in metres, in the order of the shape. A shape with its own places ([`Self::own_count`])
-    /// returns all of them, regardless of `count`, and a cloud never has more places than points: the caller must compare the numbers.
+    /// Returns the places for `count` bodies, in metres, in the order of the shape. Callers must compare their number with `count`: a
+    /// shape with its own places ([`Self::own_count`]) returns all of them, and a cloud never has more places than points.
     ///
     /// # Errors
-    /// There are more than [`PLACES_MAX`] places.
+    /// Returns the number of places if it exceeds [`PLACES_MAX`].
     pub fn places(&self, count: usize) -> Result<Vec<Point>, TooManyPlaces> {
         let count = self.own_count().unwrap_or(count);
         if count > PLACES_MAX {
@@ -108,7 +108,7 @@ impl Formation {
         Ok(places.into_iter().map(|place| self.placing.of(place)).collect())
     }
 
-    /// Returns its number of places, if that does not depend on the number of bodies.
+    /// Returns the number of the formation's own places; `None` if the number depends on the number of bodies.
     pub fn own_count(&self) -> Option<usize> {
         match &self.shape {
             Shape::Points(points) => Some(points.len()),

@@ -1,15 +1,15 @@
-//! The scale and rotation of a shape about its middle, and the position of the middle.
+//! The scale and rotation of a shape about its middle, and the position of this middle on the stage.
 
 use super::Point;
 
-/// The transformation from a shape's own frame to the stage.
+/// The transformation of a shape from its own frame to the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placing {
-    /// The centre of scaling and rotation, in the shape's frame.
+    /// Centre of scaling and rotation, in the shape's frame.
     middle: Point,
-    /// Position of the middle on the stage, in metres.
+    /// Position of `middle` on the stage, in metres.
     at: Point,
-    /// Rows of the rotation matrix, multiplied by the factor.
+    /// Rows of the rotation matrix, multiplied by the scale factor.
     rows: [Point; 3],
 }
 
@@ -20,17 +20,17 @@ impl Default for Placing {
 }
 
 impl Placing {
-    /// Keeps this point of a shape in place.
+    /// Creates a placing without scale and rotation that keeps the point `middle` in place and scales and rotates about it.
     pub fn about(middle: Point) -> Self {
         Self { middle, at: middle, ..Self::default() }
     }
 
-    /// Moves the middle to a position, in metres.
+    /// Moves the middle of the shape to a position on the stage, in metres.
     pub fn moved(self, at: Point) -> Self {
         Self { at, ..self }
     }
 
-    /// Scales by a factor, and turns by roll, pitch and yaw about fixed axes in degrees, as in URDF.
+    /// Sets the rotation and the scale factor. The rotation is roll, pitch and yaw in degrees about fixed axes, as in URDF.
     pub fn turned(self, rpy: Point, factor: f64) -> Self {
         let ([sr, sp, sy], [cr, cp, cy]) = (rpy.map(sine), rpy.map(cosine));
         let rows = [
@@ -41,12 +41,12 @@ impl Placing {
         Self { rows: rows.map(|row| row.map(|part| part * factor)), ..self }
     }
 
-    /// Scales by a factor about the same middle.
+    /// Scales by a further factor about the middle.
     pub fn scaled(self, factor: f64) -> Self {
         Self { rows: self.rows.map(|row| row.map(|part| part * factor)), ..self }
     }
 
-    /// Returns the position of the middle, in metres.
+    /// Returns the position of the shape's middle on the stage, in metres.
     pub const fn middle_on_stage(&self) -> Point {
         self.at
     }
@@ -63,7 +63,7 @@ impl Placing {
     }
 }
 
-/// Exact at quarter turns, so that upright shapes have round coordinates.
+/// Returns a sine that is exact at quarter turns, so that upright shapes have round coordinates.
 fn sine(degrees: f64) -> f64 {
     match degrees.rem_euclid(360.0) {
         0.0 | 180.0 => 0.0,

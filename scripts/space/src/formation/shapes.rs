@@ -1,55 +1,55 @@
-//! Shapes for any number of bodies: flat ones lie on the floor, with their middle at 0.
+//! Shapes for any number of bodies. Flat shapes lie on the floor, with their middle at the origin.
 
 use std::f64::consts::{PI, TAU};
 
 use super::Point;
 
-/// Along the x axis, from left to right.
+/// Places on a line along the x axis, from left to right.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
-    /// Metres between neighbours.
+    /// Distance between neighbours, in metres.
     Spacing(f64),
-    /// Metres from the first to the last place.
+    /// Distance from the first to the last place, in metres.
     Length(f64),
 }
 
-/// Around the middle, starting at the x axis, counterclockwise as seen from above.
+/// Places on a circle around the origin, starting at the x axis, counterclockwise as seen from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ring {
-    /// Metres from the middle.
+    /// Radius in metres.
     Radius(f64),
-    /// Metres between neighbours, in a straight line.
+    /// Straight distance between neighbours, in metres.
     Spacing(f64),
 }
 
-/// Row by row along the x axis, the rows along the y axis, layers of full rows along the z axis.
+/// Places on a grid: row by row along the x axis, the rows along the y axis, and layers of full rows along the z axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
-    /// Metres between columns, rows and layers.
+    /// Distance between columns, rows and layers, in metres.
     pub spacing: Point,
-    /// By default, as many as make the grid square.
+    /// Number of columns; `None` for as many as make the grid square.
     pub columns: Option<u32>,
-    /// By default, as many as needed, in one layer.
+    /// Number of rows in a layer; `None` for as many as needed in a single layer.
     pub rows: Option<u32>,
 }
 
-/// Two arms of equal length that meet at the tip, which is at 0; they open along the y axis.
+/// Places on two arms of equal length that meet at a tip at the origin and open along the y axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vee {
-    /// Metres between neighbours on an arm.
+    /// Distance between neighbours on an arm, in metres.
     pub spacing: f64,
-    /// Degrees between the arms.
+    /// Angle between the arms, in degrees.
     pub angle: f64,
 }
 
-/// All around the middle, from the top to the bottom.
+/// Places on a sphere around the origin, from the top to the bottom.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball {
-    /// Metres from the middle.
+    /// Radius in metres.
     pub radius: f64,
 }
 
-/// Returns numbers in steps of 1 that are centred at 0: -1, 0, 1 for three, -0.5, 0.5 for two.
+/// Returns number `index` of `count` numbers in steps of 1 that are centred at 0: -1, 0, 1 for three, -0.5, 0.5 for two.
 #[expect(clippy::cast_precision_loss, reason = "there are few places")]
 fn around(index: usize, count: usize) -> f64 {
     index as f64 - (count.saturating_sub(1)) as f64 / 2.0
@@ -74,7 +74,7 @@ impl Ring {
     pub(super) fn places(self, count: usize) -> Vec<Point> {
         let radius = match self {
             Self::Radius(radius) => radius,
-            // The chord of a part of the circle: 2 r sin(pi / n).
+            // The chord of one part of a circle with n equal parts: 2 r sin(pi / n).
             Self::Spacing(_) if count < 2 => 0.0,
             Self::Spacing(spacing) => spacing / (2.0 * (PI / real(count)).sin()),
         };
@@ -108,7 +108,7 @@ impl Grid {
 }
 
 impl Vee {
-    /// The tip, then one place of the left arm and one of the right arm in turn.
+    /// Returns the tip, then alternately one place on the left arm and one on the right arm.
     pub(super) fn places(self, count: usize) -> Vec<Point> {
         let (across, along) = (self.angle / 2.0).to_radians().sin_cos();
         let place = |index: usize| {
@@ -120,13 +120,12 @@ impl Vee {
     }
 }
 
-/// The fraction of a turn given by the golden ratio: each place is turned by it relative to the previous one, so that no two are above
-/// each other.
+/// Fraction of a turn between successive places of a sphere: the golden ratio, so that no two places are above each other.
 const GOLDEN_TURN: f64 = 0.618_033_988_749_894_8;
 
 impl Ball {
-    /// Returns the Fibonacci lattice: heights in the middles of equal slices, which have equal areas, with each place a golden turn
-    /// further than the previous one (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132, 2006; González, Math. Geosci. 42, 2010).
+    /// Returns the Fibonacci lattice (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132, 2006; González, Math. Geosci. 42, 2010). Heights
+    /// are in the middles of equal slices, which have equal areas. Each place is a golden turn further than the previous one.
     pub(super) fn places(self, count: usize) -> Vec<Point> {
         let place = |index: usize| {
             let height = 1.0 - (2.0 * real(index) + 1.0) / real(count);

@@ -1,18 +1,18 @@
-//! Selects few of many points, as far from each other as possible, and many points of a surface, evenly by area.
+//! Selects a few of many points, as far from each other as possible, or spreads points over a surface, evenly by area.
 
 use super::Point;
 use super::crowd::distance;
 
-/// Maximum number of comparisons of points.
+/// Approximate maximum number of comparisons of points.
 const COMPARISONS_MAX: usize = 200_000_000;
-/// Number of points of a surface per place, and their minimum and maximum in total.
+/// Number of sampled points of a surface for each place, and the minimum and the maximum number of sampled points in total.
 const SAMPLES: (usize, usize, usize) = (32, 2_000, 100_000);
 
-/// A triangle of a surface.
+/// A triangle of a surface, given by its corners.
 pub type Triangle = [Point; 3];
 
-/// Selects `count` points, one after another: the one that is furthest from all those chosen before. No two are closer to each other than
-/// half of the optimum (Gonzalez, Theor. Comput. Sci. 38, 1985).
+/// Selects `count` points. Each one is the point that is furthest from all points selected before. No two of them are closer to each
+/// other than half of the optimum (Gonzalez, Theor. Comput. Sci. 38, 1985).
 pub(super) fn thinned(points: &[Point], count: usize) -> Vec<Point> {
     if count >= points.len() || count == 0 {
         return points.iter().copied().take(count).collect();
@@ -23,7 +23,7 @@ pub(super) fn thinned(points: &[Point], count: usize) -> Vec<Point> {
         points.iter().step_by(every).map(|point| (*point, f64::INFINITY)).collect();
     let (middle, _) = super::middle_of(points);
     let mut chosen = Vec::with_capacity(count);
-    // The first is the point that is furthest from the middle.
+    // The first place is the point that is furthest from the middle.
     let mut next = furthest(left.iter().map(|(point, _)| distance(*point, middle)));
     while chosen.len() < count && !left.is_empty() {
         let (place, _) = left.swap_remove(next);
@@ -40,14 +40,14 @@ fn furthest(far: impl Iterator<Item = f64>) -> usize {
     far.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
 }
 
-/// Returns places that are spread over a surface.
+/// Returns `count` places that are spread over a surface.
 pub(super) fn over(surface: &[Triangle], count: usize) -> Vec<Point> {
     let (each, least, most) = SAMPLES;
     thinned(&samples(surface, count.saturating_mul(each).clamp(least, most)), count)
 }
 
-/// Returns points of a surface in equal steps of area. Their positions within triangles follow the sequence R2 (Roberts 2018): the
-/// multiples of the powers of one over the plastic number.
+/// Returns `count` points of a surface, one for each equal part of its area. Their positions within triangles follow the sequence R2
+/// (Roberts 2018): the multiples of the powers of one over the plastic number.
 #[expect(clippy::cast_precision_loss, reason = "there are few points")]
 fn samples(surface: &[Triangle], count: usize) -> Vec<Point> {
     const PLASTIC: f64 = 1.324_717_957_244_746;
@@ -70,7 +70,7 @@ fn samples(surface: &[Triangle], count: usize) -> Vec<Point> {
     (0..count).map(sample).collect()
 }
 
-/// Returns the area in square metres.
+/// Returns the area of a triangle in square metres.
 pub fn area([a, b, c]: &Triangle) -> f64 {
     let side = |to: &Point| -> Point { std::array::from_fn(|axis| to[axis] - a[axis]) };
     let (p, q) = (side(b), side(c));

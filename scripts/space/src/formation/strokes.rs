@@ -1,7 +1,7 @@
-//! Places that are spread evenly along strokes: lines of letters, paths of a drawing.
+//! Places that are spread evenly along strokes: the lines of letters, or the paths of a drawing.
 //!
-//! Strokes are cut where they meet. If there are enough places, each end and each meeting point gets one; the others are spread between
-//! them so that the largest distance along a stroke is minimal.
+//! Strokes are cut where they meet. If there are enough places, each end and each meeting point has one. The other places are spread
+//! between them so that the largest distance along a stroke is minimal.
 
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, HashMap};
@@ -10,42 +10,42 @@ use super::Point;
 use super::crowd::{distance, nearest_pair};
 use super::spread::thinned;
 
-/// Points closer than this share of the longest side are equal.
+/// Share of the longest side. Points that are closer to each other than this are equal.
 const SAME: f64 = 1e-5;
-/// Maximum number of comparisons of ends with parts of strokes when searching where strokes meet; larger drawings are cut only at common
+/// Maximum number of comparisons of ends with points of strokes in the search for meeting points. Larger drawings are cut only at common
 /// ends.
 const COMPARISONS_MAX: usize = 20_000_000;
 
-/// Places of different strokes are too close below this share of the distance along a stroke.
+/// Share of the mean distance between places along the strokes. Places that are closer to each other than this are too close.
 const CROWDED: f64 = 0.5;
-/// Points along strokes per place; those furthest from each other are taken.
+/// Number of sampled points per place, if places would be too close. Of these points, those furthest from each other become the places.
 const SAMPLES: usize = 16;
 
-/// Strokes, cut where they meet.
+/// Strokes that are cut where they meet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Strokes {
-    /// Ends and meeting points.
+    /// Ends and meeting points of the strokes.
     knots: Vec<Point>,
     parts: Vec<Part>,
 }
 
-/// A line between two knots, or a closed one without knots.
+/// A line between two knots, or a closed line without knots.
 #[derive(Clone, Debug, PartialEq)]
 struct Part {
     points: Vec<Point>,
-    /// Distance of each point along the line.
+    /// For each point, its distance from the first point along the line.
     far: Vec<f64>,
     ends: Option<[usize; 2]>,
 }
 
-/// A part with places between its ends.
+/// A part in the distribution of places, with the distance between its neighbouring places.
 struct Open {
     part: usize,
     gap: f64,
 }
 
 impl Strokes {
-    /// Builds strokes from polylines. A polyline that ends where it begins is closed; one with a single point is a dot.
+    /// Builds strokes from polylines. A polyline that ends where it begins is closed; a polyline with a single point is a dot.
     pub fn of(lines: &[Vec<Point>]) -> Self {
         let points: Vec<Point> = lines.iter().flatten().copied().collect();
         let (_, sides) = super::middle_of(&points);
@@ -79,7 +79,7 @@ impl Strokes {
         {
             (far, places) = (nearest(&regular), regular);
         }
-        // Strokes may cross or be parallel, and there may be fewer places than ends.
+        // Places may be close because strokes cross or are parallel, or because there are fewer places than ends.
         if far < CROWDED * self.length() / real(count.max(1)) {
             let apart = thinned(&self.along(SAMPLES * count), count);
             if nearest(&apart) > far {
@@ -93,13 +93,13 @@ impl Strokes {
         self.parts.iter().map(Part::length).sum()
     }
 
-    /// Places one at each knot, and the others between them.
+    /// Returns one place at each knot, and the other places between knots. `None` if there are fewer places than knots.
     fn with_all_knots(&self, count: usize) -> Option<Vec<Point>> {
         let mut left = count.checked_sub(self.knots.len())?;
         let mut inner = vec![0usize; self.parts.len()];
         let gap = |part: &Part, inner: usize| match (part.ends, inner) {
             (Some(_), inner) => part.length() / real(inner + 1),
-            // A closed line without a place comes first.
+            // A closed line without a place has priority.
             (None, 0) => 2.0 * part.length(),
             (None, inner) => part.length() / real(inner),
         };
@@ -136,7 +136,7 @@ impl Strokes {
         Some(places)
     }
 
-    /// Spreads places evenly along all parts one after another, regardless of their ends.
+    /// Spreads places evenly along all parts, one part after another, regardless of their ends.
     fn along(&self, count: usize) -> Vec<Point> {
         let length = self.length();
         if length <= 0.0 {
@@ -167,7 +167,7 @@ impl Part {
         self.far.last().copied().unwrap_or(0.0)
     }
 
-    /// Returns the point at a distance along the line.
+    /// Returns the point at the distance `far` from the first point along the line.
     fn at(&self, far: f64) -> Point {
         let next = self.far.partition_point(|at| *at < far).clamp(1, self.points.len() - 1);
         let (from, to) = (self.far[next - 1], self.far[next]);
@@ -177,7 +177,7 @@ impl Part {
     }
 }
 
-/// Ends and meeting points, without duplicates.
+/// Ends and meeting points of strokes, without duplicates.
 struct Knots {
     near: f64,
     all: Vec<Point>,
@@ -219,7 +219,7 @@ fn without_repeats(line: &[Point], near: f64) -> Vec<Point> {
     kept
 }
 
-/// Adds a point to the line wherever a knot is on it.
+/// Adds points to the line wherever it passes a knot.
 fn with_knots(line: &[Point], knots: &Knots) -> Vec<Point> {
     let mut with = vec![line[0]];
     for pair in line.windows(2) {
@@ -241,7 +241,7 @@ fn with_knots(line: &[Point], knots: &Knots) -> Vec<Point> {
     with
 }
 
-/// Cuts a line at its knots. A closed line begins at its first knot.
+/// Cuts a line at its knots, and adds the resulting parts to `parts`. A closed line begins at its first knot.
 fn cut(line: &[Point], knots: &mut Knots, closed: bool, parts: &mut Vec<Part>) {
     let mut line = line.to_vec();
     if closed {
@@ -289,7 +289,7 @@ impl PartialOrd for Open {
 }
 
 impl Ord for Open {
-    /// The largest gap first; for equal gaps, the first part.
+    /// The part with the largest gap is the greatest; for equal gaps, the one with the lower index.
     fn cmp(&self, other: &Self) -> Ordering {
         self.gap.total_cmp(&other.gap).then(other.part.cmp(&self.part))
     }

@@ -1,5 +1,5 @@
-//! The paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms. Texts and pictures are ignored, and
-//! external files are never read.
+//! Reads the paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms. Texts and pictures are ignored,
+//! and external files are never read.
 
 use usvg::roxmltree::{Document, ParsingOptions};
 use usvg::tiny_skia_path::{PathSegment, Point as Flat};
@@ -8,25 +8,26 @@ use usvg::{Group, ImageHrefResolver, Node, Options, Tree};
 use super::Unfit;
 use super::text::FlatStroke;
 
-/// Maximum size of a drawing.
+/// Maximum size of a drawing in bytes.
 const BYTES_MAX: usize = 16 * 1024 * 1024;
-/// Maximum number of points of all polylines.
+/// Maximum number of points in all polylines of a drawing.
 const POINTS_MAX: usize = 200_000;
-/// Largest number in a path's data. Beyond that, the library would cut a circular arc into more pieces than it can process in a day.
+/// Largest number in a path's data. With larger numbers, the library would cut a circular arc into more pieces than it can process in a
+/// day.
 const NUMBER_MAX: f64 = 1e9;
-/// Number of lines that replace a curve: the error is below a thousandth of its length.
+/// Number of lines that approximate a curve; the error is below a thousandth of the curve's length.
 const CHORDS: u8 = 32;
-/// Stack size of the thread that reads a drawing: nested groups are read recursively, at most 1024 levels deep.
+/// Stack size of the thread that reads a drawing. It reads nested groups recursively, at most 1024 levels deep.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
 
 const SVG: &str = "http://www.w3.org/2000/svg";
 
 const EXPECTED: &str = "an SVG drawing with at least one visible path";
 
-/// Returns the visible paths, with the y axis upward, in the unit of the drawing.
+/// Returns the visible paths of a drawing, with the y axis upward, in the unit of the drawing.
 ///
 /// # Errors
-/// The file is not SVG, has no paths, or has too many.
+/// Returns the fault if the file is not SVG, has no paths, or has too many.
 pub fn read(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     if bytes.len() > BYTES_MAX {
         let message = format!("the drawing has {} bytes", bytes.len());
@@ -68,7 +69,7 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
         return Err(Unfit { message, expected: "a simpler drawing" });
     }
     if pen.lines.is_empty() {
-        // The tree contains no texts, because no fonts are loaded.
+        // The tree contains no texts, because no fonts are loaded, so the document is searched.
         let message = if document.descendants().any(|node| node.has_tag_name((SVG, "text"))) {
             "the drawing has no paths, only texts, which are not supported: convert them to paths"
         } else {
@@ -79,8 +80,8 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     Ok(pen.lines)
 }
 
-/// Returns the numbers of a path's data, regardless of its commands. They need no spaces between them: `1.5.5-2e3` is 1.5, 0.5 and -2000.
-/// Two flags of an arc may be parsed as one number with the following digits.
+/// Returns the numbers in a path's data, regardless of its commands. No spaces are needed between numbers: `1.5.5-2e3` is 1.5, 0.5 and
+/// -2000. Two flags of an arc may be parsed as one number with the digits after them.
 fn numbers(data: &str) -> impl Iterator<Item = f64> {
     let of_number = |c: char| c.is_ascii_digit() || "+-.eE".contains(c);
     data.split(move |c| !of_number(c)).flat_map(|run| {
@@ -98,7 +99,7 @@ fn numbers(data: &str) -> impl Iterator<Item = f64> {
     })
 }
 
-/// Draws polylines.
+/// Collects the polylines of a drawing, and counts their points.
 #[derive(Default)]
 struct Pen {
     lines: Vec<FlatStroke>,
@@ -155,7 +156,7 @@ impl Pen {
         }
     }
 
-    /// Approximates a Bézier curve, by de Casteljau's algorithm.
+    /// Approximates a Bézier curve by lines, with de Casteljau's algorithm.
     fn curve(&mut self, controls: &[Flat]) {
         for chord in 1..=CHORDS {
             let share = f64::from(chord) / f64::from(CHORDS);
@@ -171,7 +172,7 @@ impl Pen {
     }
 }
 
-/// Flips the y axis upward.
+/// Converts a point of the drawing, and turns its y axis upward.
 fn flat(point: Flat) -> [f64; 2] {
     [f64::from(point.x), -f64::from(point.y)]
 }

@@ -1,4 +1,4 @@
-//! Known coordinates, and even spacing for any number of bodies.
+//! Tests of formations: known coordinates, and even spacing for any number of bodies.
 
 mod files;
 mod lines;

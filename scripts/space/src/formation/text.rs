@@ -4,16 +4,16 @@
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
-/// Height of a capital letter, in the unit of the letters.
+/// Height of a capital letter, in the unit of `letters.txt`.
 pub const LETTER_HEIGHT: f64 = 6.0;
-/// Distance between two letters.
+/// Distance between two letters, in the unit of `letters.txt`.
 const GAP: f64 = 2.0;
-/// Width of a space.
+/// Width of a space, in the unit of `letters.txt`.
 const SPACE: f64 = 3.0;
-/// Distance between lines.
+/// Distance between the base lines of two lines, in the unit of `letters.txt`.
 const LINE_HEIGHT: f64 = 10.0;
 
-/// A stroke on the plane: the points of a polyline.
+/// A stroke in the plane: the points of a polyline, as x and y.
 pub type FlatStroke = Vec<[f64; 2]>;
 
 struct Letter {
@@ -38,17 +38,18 @@ fn letter(line: &str) -> Option<(char, Letter)> {
     Some((name.chars().next()?, Letter { width: width.parse().ok()?, strokes }))
 }
 
-/// Returns every character that has strokes, in order.
+/// Returns every character that has strokes, in the order of code points.
 pub fn letters() -> String {
     let mut all: Vec<char> = LETTERS.keys().copied().collect();
     all.sort_unstable();
     all.into_iter().collect()
 }
 
-/// Returns the strokes of a text. Lower-case letters become capitals, and lines are centred below each other.
+/// Returns the strokes of a text, in the unit of `letters.txt`. Lower-case letters become capitals; lines are below each other and
+/// centred.
 ///
 /// # Errors
-/// The first character that has no strokes.
+/// Returns the first character that has no strokes.
 pub fn strokes_of(text: &str) -> Result<Vec<FlatStroke>, char> {
     let mut strokes = Vec::new();
     let mut top = 0.0;

@@ -1,14 +1,14 @@
-//! Reads arbitrary bytes as a file of a formation, for `fuzz/`, and checks the invariants of the result.
+//! A function for `fuzz/`: reads arbitrary bytes as a file of a formation, and checks the invariants of the result.
 
 use std::sync::Arc;
 
 use super::cloud::{self, Cloud};
 use super::{Formation, Placing, Point, Shape, Strokes, svg};
 
-/// Reads the bytes as a PLY, an STL, a CSV or an SVG file, depending on `which`, and computes places.
+/// Reads the bytes as a PLY, an STL, a CSV or an SVG file, depending on `which`, and computes places of a formation.
 ///
 /// # Panics
-/// When a place is not finite, or the number of places is wrong.
+/// If a place is not finite, or the number of places is wrong.
 pub fn tried(which: u8, bytes: &[u8]) {
     let name = ["a.ply", "a.stl", "a.csv", "a.svg"][usize::from(which) % 4];
     let most;

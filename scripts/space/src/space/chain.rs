@@ -1,14 +1,14 @@
-//! An arm: the places of its links, and upper bounds of the movement and curvature of their points while its joints move linearly.
+//! An arm: the places of its links, and upper bounds on the movement and curvature of their points while its joints move linearly.
 //!
-//! A joint's frame is that of the previous link, moved by `xyz` and turned by `rpy` about fixed axes. The joint then turns about its
-//! `axis`, or slides along it, as in URDF (<http://wiki.ros.org/urdf/XML/joint>).
+//! A joint's frame is the frame of the previous link, moved by `xyz` and turned by `rpy` about fixed axes. The joint then turns about
+//! its `axis`, or slides along it, as in URDF (<http://wiki.ros.org/urdf/XML/joint>).
 
 use parry3d_f64::math::{Pose, Rotation, Vector};
 
 use super::place::Place;
 use super::{Joint, JointKind};
 
-/// The joints of an arm, without their values.
+/// The links and the tip of an arm, without the values of its joints.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Chain {
     links: Vec<Link>,
@@ -23,12 +23,12 @@ struct Link {
     radius: f64,
 }
 
-/// Upper bounds of the movement of a point between two places, relative to the base of its body.
+/// Upper bounds on the movement of a point between two places, relative to the base of the point's body.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sway {
-    /// The length of its path, in metres.
+    /// Length of the point's path, in metres.
     pub(super) length: f64,
-    /// The second derivative of its place by the share of the movement, in metres.
+    /// Second derivative of the point's position by the share of the movement, in metres.
     pub(super) bend: f64,
 }
 
@@ -47,13 +47,13 @@ impl Chain {
         self.links.is_empty()
     }
 
-    /// The radius about each link.
+    /// Returns the radius about each link, in metres.
     pub(super) fn radii(&self) -> impl Iterator<Item = f64> + '_ {
         self.links.iter().map(|link| link.radius)
     }
 
-    /// Returns the largest distance of the tip or a joint from the base, in metres, if the absolute values of the joints do not exceed
-    /// `largest`.
+    /// Returns the largest possible distance of the tip or a joint from the base, in metres. `largest` contains the largest absolute
+    /// value of each joint.
     pub(super) fn reach(&self, largest: &[f64]) -> f64 {
         let far = |(link, value): (&Link, &f64)| {
             let slides = if link.kind == JointKind::Prismatic { *value } else { 0.0 };
@@ -62,7 +62,7 @@ impl Chain {
         self.tip.length() + self.links.iter().zip(largest).map(far).sum::<f64>()
     }
 
-    /// Returns the places of all joints and of the tip; empty without joints.
+    /// Returns the positions of all joints and of the tip; empty if the arm has no joints.
     pub(super) fn points(&self, place: &Place) -> Vec<Vector> {
         if self.is_empty() {
             return Vec::new();
@@ -78,11 +78,11 @@ impl Chain {
         points
     }
 
-    /// Returns upper bounds of the movement of each link's points between two places; they are the bounds of its ends.
+    /// Returns upper bounds on the movement of each link's points between two places. They are the larger bounds of the link's two ends.
     ///
-    /// A point `p` depends on joints `i`, which turn about axes `z` through their origins `o`. Then `dp/di = z × (p - o)`. The second
-    /// derivative by joints `i` and `j`, `j` being the outer one, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` if `j` slides (Siciliano
-    /// and others, Robotics, 2009, section 3.1). Parts between joints that do not move keep their lengths.
+    /// Let a point `p` depend on joints `i`, which turn about axes `z` through their origins `o`. Then `dp/di = z × (p - o)`. The second
+    /// derivative by joints `i` and `j`, where `j` is the outer one, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` if `j` slides
+    /// (Siciliano and others, Robotics, 2009, section 3.1). Parts of the arm between joints that do not move keep their lengths.
     pub(super) fn sways(&self, from: &Place, to: &Place) -> Vec<Sway> {
         if self.is_empty() {
             return Vec::new();
@@ -103,7 +103,7 @@ impl Chain {
 }
 
 impl Sway {
-    /// Returns the larger value of each.
+    /// Returns the larger length and the larger bend of the two.
     fn or(self, other: Self) -> Self {
         Self { length: self.length.max(other.length), bend: self.bend.max(other.bend) }
     }
@@ -118,16 +118,16 @@ impl Link {
     }
 }
 
-/// A joint that moves between two places.
+/// A joint that moves between two places of its body.
 #[derive(Clone, Copy, Debug)]
 struct Turn {
     by: f64,
     kind: JointKind,
-    /// Its place at both ends of the movement.
+    /// Position of the joint at both ends of the movement.
     at: [Vector; 2],
 }
 
-/// The moving joints, starting at the base.
+/// The joints that move between two places, starting at the base.
 #[derive(Default)]
 struct Moving {
     turns: Vec<Turn>,
@@ -140,12 +140,12 @@ impl Moving {
         }
     }
 
-    /// Returns the bounds for a point beyond all of them, given its places at both ends of the movement.
+    /// Returns the bounds for a point beyond all of these joints, given its positions at both ends of the movement.
     fn sway(&self, mut point: [Vector; 2]) -> Sway {
         let mut before: f64 = self.turning().sum();
         let (mut sway, mut reach) = (Sway::default(), 0.0);
         for turn in self.turns.iter().rev() {
-            // Only this joint changes this distance: it is constant, or convex in the movement of a sliding joint.
+            // Only the joint of this turn changes this distance, which is constant, or convex if the joint slides.
             reach += (0..2).map(|end| point[end].distance(turn.at[end])).fold(0.0, f64::max);
             let by = turn.by.abs();
             match turn.kind {
@@ -174,7 +174,7 @@ pub(super) fn base(place: &Place) -> Pose {
     Pose::from_parts(Vector::new(x, y, z), Rotation::from_rotation_z(yaw))
 }
 
-/// Roll about x, then pitch about y, then yaw about z, all axes fixed.
+/// Returns the rotation by roll about x, then by pitch about y, then by yaw about z, where all axes are fixed.
 fn rotation([roll, pitch, yaw]: [f64; 3]) -> Rotation {
     Rotation::from_rotation_z(yaw) * Rotation::from_rotation_y(pitch) * Rotation::from_rotation_x(roll)
 }

@@ -1,9 +1,9 @@
-//! The closest approach of two bodies during an act, including the time between their steps.
+//! The closest approach of two bodies during an act, also at times between their steps.
 //!
-//! A tree of boxes over time contains each body: the root covers the whole act, its children one half each, and so on. The search follows
-//! a pair only into times in which their boxes come closer than the best approach so far (branch and bound). Within a leaf, the
-//! coordinates of both bodies change linearly from knot to knot; `way` bounds the distance there, down to an accuracy of a tenth of a
-//! millimetre. Two balls have a closed form.
+//! A tree of boxes over time contains each body: the root covers the whole act, its children one half each, and so on. The search
+//! follows a pair of bodies only into times in which their boxes are closer than the best approach so far (branch and bound). Within a
+//! leaf, the coordinates of both bodies change linearly from knot to knot. There, `way` bounds the distance, down to an accuracy of a
+//! tenth of a millimetre. For two balls, a closed form gives the distance.
 
 use parry3d_f64::math::Vector;
 
@@ -15,21 +15,21 @@ use super::way::{Best, Way};
 const LEAF: usize = 8;
 const DEPTH_MAX: u32 = 12;
 
-/// The closest approach.
+/// The closest approach of two bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Approach {
-    /// In seconds from the act's start.
+    /// Time of the closest approach, in seconds since the act's start.
     pub at: f64,
-    /// In metres.
+    /// Distance from surface to surface, in metres.
     pub distance: f64,
 }
 
-/// A moving body, with the boxes that contain its parts.
+/// A moving body, with the boxes that contain its parts over time.
 #[derive(Clone, Debug)]
 pub struct Mover {
     path: Path,
     solid: Solid,
-    /// In heap order: 1 is the root, 2n and 2n + 1 are the halves of n. Empty boxes if nothing is known.
+    /// Boxes in heap order: 1 is the root, 2n and 2n + 1 are the halves of n. While the body's place is unknown, boxes are empty.
     boxes: Vec<Held>,
     depth: u32,
     ends: f64,
@@ -53,14 +53,14 @@ impl Held {
         self
     }
 
-    /// Adds everything that a body's cores pass between two knots.
+    /// Extends the box by everything that the cores of a body's parts pass between two knots.
     fn passing(self, solid: &Solid, from: &Knot, to: &Knot) -> Self {
         if solid.ball().is_some() {
             let middles = [from, to].map(|knot| [0, 1, 2].map(|i| knot.place.base[i]));
             return middles.iter().fold(self, |held, middle| held.with(middle, middle));
         }
-        // A point of a path is at most half its length away from one of the ends, and deviates from the straight line by an eighth of the
-        // bend.
+        // A point of a path is at most half of the path's length away from one of the ends. It deviates from the straight line by at
+        // most an eighth of the bend.
         let sways = solid.sways(&from.place, &to.place);
         let aside = sways.iter().map(|sway| (sway.length / 2.0).min(sway.bend / 8.0)).fold(0.0, f64::max);
         let parts = [from, to].into_iter().flat_map(|knot| solid.parts(&knot.place));
@@ -69,20 +69,20 @@ impl Held {
         })
     }
 
-    /// Returns the distance; infinite if one of the boxes is empty.
+    /// Returns the distance between two boxes; infinite if one of them is empty.
     fn distance(&self, other: &Self) -> f64 {
         let apart = |i: usize| (self.least[i] - other.most[i]).max(other.least[i] - self.most[i]).max(0.0);
         (0..3).map(|i| apart(i).powi(2)).sum::<f64>().sqrt()
     }
 }
 
-/// Returns the depth of the trees for paths with this number of knots. All bodies of an act have trees of the same depth.
+/// Returns the depth of the trees for paths with at most this number of knots. All bodies of an act have trees of the same depth.
 pub fn depth(knots: usize) -> u32 {
     (knots / LEAF).max(1).ilog2().min(DEPTH_MAX)
 }
 
 impl Mover {
-    /// Creates the mover for an act that lasts until `ends`, in seconds.
+    /// Creates the mover for an act that lasts `ends` seconds.
     pub fn new(path: Path, solid: Solid, ends: f64, depth: u32) -> Self {
         let leaves = 1_usize << depth;
         let mut boxes = vec![Held::NOTHING; 2 * leaves];
@@ -117,7 +117,7 @@ fn time(leaf: usize, leaves: usize, ends: f64) -> f64 {
     ends * leaf as f64 / leaves as f64
 }
 
-/// Returns the closest approach of two bodies if it is less than `below`. Both have trees of the same depth.
+/// Returns the closest approach of two bodies if its distance is less than `below`. Both trees must have the same depth.
 pub fn closest(a: &Mover, b: &Mover, below: f64) -> Option<Approach> {
     debug_assert_eq!((a.depth, a.ends), (b.depth, b.ends));
     let best = Best { approach: Approach { at: f64::NAN, distance: below }, found: false };
@@ -146,7 +146,7 @@ impl Search<'_> {
         if node >= leaves {
             return self.leaf(node - leaves, leaves);
         }
-        // The better half first: it may exclude the other one.
+        // The closer half first: its result may exclude the other half.
         let mut halves = [2 * node, 2 * node + 1];
         if self.least(halves[1]) < self.least(halves[0]) {
             halves.reverse();
@@ -162,7 +162,7 @@ impl Search<'_> {
     }
 }
 
-/// Returns the moments within a leaf, in order of time.
+/// Returns the moments in a leaf at which one of the bodies has a knot, in order of time.
 fn moments(a: &Mover, b: &Mover, leaf: usize, leaves: usize) -> Vec<path::Both> {
     let from = time(leaf, leaves, a.ends).max(a.path.known_from()).max(b.path.known_from());
     let mut moments = path::together(&a.path, &b.path, from, time(leaf + 1, leaves, a.ends));
@@ -173,7 +173,8 @@ fn moments(a: &Mover, b: &Mover, leaf: usize, leaves: usize) -> Vec<path::Both> 
     moments
 }
 
-/// Returns the time of the first contact of two bodies, in seconds; a graze by less than a tenth of a millimetre may be missed.
+/// Returns the time of the first contact of two bodies, in seconds; a contact that overlaps by less than a tenth of a millimetre may be
+/// missed.
 pub fn first_contact(a: &Mover, b: &Mover) -> Option<f64> {
     contact_in(a, b, 1)
 }

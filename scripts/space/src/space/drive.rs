@@ -1,28 +1,30 @@
-//! The places of robots that are driven by speeds: the integral of their forward speed and turn rate.
+//! The places of robots that are driven by speeds: integrals of their forward speed and turn rate.
 //!
 //! A body moves forward at `v` along its yaw, and turns at `w`: `x' = v cos yaw`, `y' = v sin yaw`, `yaw' = w` (the unicycle; Siciliano
-//! and others, Robotics, 2009, section 11.2). While both are constant, it moves on an arc, which has a closed form. While they change
-//! linearly, Simpson's rule integrates from moment to moment. The path becomes a polyline in x, y and yaw, with a bound of the deviation
-//! of the body's points.
+//! and others, Robotics, 2009, section 11.2). While `v` and `w` are constant, the body moves on an arc, which has a closed form. While
+//! they change linearly, Simpson's rule integrates from moment to moment. The path becomes a polyline in x, y and yaw, with a bound on
+//! the deviation of the body's points.
 
 use super::path::{Axis, Peak, moments};
 use super::{Drive, Steering};
 
-/// Largest distance of the body from the polyline, in metres; determines the spacing of its points.
+/// Largest deviation of the body from the polyline, in metres, if [`POINTS_MAX`] permits it; determines the spacing of the polyline's
+/// points.
 const CHORD: f64 = 5e-5;
 /// Largest error of Simpson's rule over a whole act, in metres.
 const DRIFT: f64 = 1e-5;
-/// Approximate maximum number of points of an act. If more would be needed, the deviation from the polyline is larger, and reported.
+/// Approximate maximum number of points of a path in an act. If more would be needed, the deviation from the polyline is larger, and
+/// reported.
 const POINTS_MAX: f64 = 200_000.0;
 
-/// The pose of a driven body.
+/// The pose of a driven body on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// In metres.
+    /// Position along x, in metres.
     pub x: f64,
-    /// In metres.
+    /// Position along y, in metres.
     pub y: f64,
-    /// The heading, in radians.
+    /// Heading, in radians.
     pub yaw: f64,
     /// Largest error of x and y, in metres.
     pub drift: f64,
@@ -31,13 +33,13 @@ pub struct Pose {
 /// The movement of a driven body in an act.
 #[derive(Clone, Debug)]
 pub struct Driven {
-    /// x, y and yaw.
+    /// Movements of x, y and yaw.
     pub axes: [Axis; 3],
-    /// Largest deviation of a point of the body from them, in metres.
+    /// Largest deviation of a point of the body from `axes`, in metres.
     pub margin: f64,
-    /// The final pose; `None` if it still moves.
+    /// Final pose; `None` if the body still moves at the end.
     pub end: Option<Pose>,
-    /// The largest speed and the largest acceleration of its middle.
+    /// The largest speed and the largest acceleration of the body's middle.
     pub peaks: [Option<Peak>; 2],
 }
 
@@ -52,7 +54,7 @@ impl Twist {
     const REST: Self = Self { ahead: 0.0, turn: 0.0 };
 }
 
-/// An interval in which both speeds change linearly.
+/// An interval in which forward speed and turn rate change linearly.
 #[derive(Clone, Copy, Debug)]
 struct Leg {
     from: f64,
@@ -69,7 +71,7 @@ impl Pose {
 }
 
 impl Drive {
-    /// Converts two signals: those of the wheels in m/s, or the speed in m/s and the turn rate in rad/s.
+    /// Converts the values of both devices: the speeds of the wheels in m/s, or the forward speed in m/s and the turn rate in rad/s.
     fn twist(&self, [first, second]: [f64; 2]) -> Twist {
         match &self.steering {
             Steering::Wheels { track, .. } => {
@@ -79,8 +81,8 @@ impl Drive {
         }
     }
 
-    /// Returns the path from a pose until `ends`, in seconds. `signals`: both devices, starting at 0, in m/s and rad/s. `lever`: largest
-    /// distance of the body's points from its middle. `None` if the path exceeds the range of numbers.
+    /// Returns the path from the pose `start` until `ends`, in seconds. `signals` are the values of both devices, starting at 0, in m/s
+    /// and rad/s. `lever` is the largest distance of the body's points from its middle. `None` if the path exceeds the range of numbers.
     pub fn path(&self, start: Pose, signals: &[Axis; 2], ends: f64, lever: f64) -> Option<Driven> {
         let (legs, rests) = self.legs(signals, ends);
         let wanted: f64 = legs.iter().map(|leg| leg.parts(ends, lever)).sum();
@@ -100,7 +102,7 @@ impl Drive {
         })
     }
 
-    /// Also returns whether both speeds are 0 at the end.
+    /// Returns the intervals in which the speeds change linearly, and whether both speeds are 0 at the end.
     fn legs(&self, signals: &[Axis; 2], ends: f64) -> (Vec<Leg>, bool) {
         let mut twists: Vec<(f64, Twist)> = Vec::new();
         moments(signals, 0.0, |at, values| twists.push((at, self.twist([values[0], values[1]]))));
@@ -132,7 +134,7 @@ impl Leg {
         self.begin.turn.abs().max(self.end.turn.abs())
     }
 
-    /// Returns the changes of the speeds, in m/s² and rad/s².
+    /// Returns the rates of change of both speeds, in m/s² and rad/s².
     fn rates(&self) -> Twist {
         let seconds = self.seconds();
         Twist {
@@ -141,18 +143,18 @@ impl Leg {
         }
     }
 
-    /// Returns an upper bound of its acceleration, along its path and across it.
+    /// Returns an upper bound on the acceleration, along the path and across it together, in m/s².
     fn acceleration(&self) -> f64 {
         self.rates().ahead.hypot(self.speed() * self.turn())
     }
 
-    /// Returns the largest deviation of a point of the body from a straight line over `seconds`: the error of linear interpolation is an
+    /// Returns the largest deviation of a point of the body from a straight line over `seconds`. The error of linear interpolation is an
     /// eighth of the second derivative times the time squared.
     fn sag(&self, seconds: f64, lever: f64) -> f64 {
         (self.acceleration() + lever * self.rates().turn.abs()) * seconds * seconds / 8.0
     }
 
-    /// Returns a bound of the fourth derivative of the velocity, whose direction `g` is that of the yaw: with the turn rate `w` and its
+    /// Returns a bound on the fourth derivative of the velocity. Its direction `g` is that of the yaw; with the turn rate `w` and its
     /// change `c`, `g'' = (ic - w²) g`, `g''' = -(3wc + iw³) g`, `g'''' = (w⁴ - 3c² - 6icw²) g`.
     fn fourth(&self) -> f64 {
         let (v, w, rates) = (self.speed(), self.turn(), self.rates());
@@ -160,21 +162,21 @@ impl Leg {
         v * (w.powi(4) + 6.0 * w * w * c + 3.0 * c * c) + 4.0 * a * (3.0 * w * c + w.powi(3))
     }
 
-    /// Returns the error of Simpson's rule over `seconds`.
+    /// Returns the error of Simpson's rule over `seconds`, in metres.
     fn drift(&self, seconds: f64) -> f64 {
         if self.is_constant() { 0.0 } else { seconds.powi(5) / 2_880.0 * self.fourth() }
     }
 
-    /// Returns the number of parts into which it is divided.
+    /// Returns the number of parts into which the interval is divided.
     fn parts(&self, ends: f64, lever: f64) -> f64 {
         let seconds = self.seconds();
         let for_chords = (self.sag(seconds, lever) / CHORD).sqrt();
-        // Each second has its share of the drift.
+        // Each second of the act has an equal share of the permitted drift.
         let for_drift = (self.drift(seconds) / (DRIFT * seconds / ends)).powf(0.25);
         for_chords.max(for_drift).max(1.0)
     }
 
-    /// Returns the speeds and the yaw after some seconds.
+    /// Returns the speeds, and the yaw, when `seconds` of the interval have passed; `yaw` is the yaw at its start.
     fn after(&self, seconds: f64, yaw: f64) -> (Twist, f64) {
         let rates = self.rates();
         let twist = Twist {
@@ -184,13 +186,13 @@ impl Leg {
         (twist, yaw + f64::midpoint(self.begin.turn, twist.turn) * seconds)
     }
 
-    /// Returns the movement in x and y between two of its moments.
+    /// Returns the movement in x and y between two moments of the interval.
     fn way(&self, [from, to]: [f64; 2], yaw: f64) -> [f64; 2] {
         let middle = f64::midpoint(from, to);
         let (twist, course) = self.after(middle, yaw);
         if self.is_constant() {
             let half = twist.turn * (to - from) / 2.0;
-            // sin x / x is 1 to the last digit if x² / 6 is below that resolution.
+            // sin x / x is 1 to the last digit if x² / 6 is below the resolution of a double.
             let chord = if half.abs() < 1e-8 { 1.0 } else { half.sin() / half };
             let long = twist.ahead * (to - from) * chord;
             return [long * course.cos(), long * course.sin()];
@@ -204,10 +206,10 @@ impl Leg {
     }
 }
 
-/// The poses along a path, in order of time.
+/// The poses along the path of a driven body, in order of time.
 struct Course {
     points: Vec<(f64, Pose)>,
-    /// The largest deviation of a point of the body between two of them, in metres.
+    /// Largest deviation of a point of the body between two poses, in metres.
     sag: f64,
 }
 
@@ -238,7 +240,7 @@ fn peak(legs: &[Leg], rate: fn(&Leg) -> f64) -> Option<Peak> {
     peaks.max_by(|a, b| a.rate.total_cmp(&b.rate))
 }
 
-/// Returns the largest acceleration, within a leg or at a jump of the speed; a jump is divided by the mean of the adjacent times.
+/// Returns the largest acceleration, in an interval or at a jump of the speed. A jump is divided by the mean of the adjacent intervals.
 fn acceleration(legs: &[Leg]) -> Option<Peak> {
     let jump = |pair: &[Leg]| {
         let middles = [&pair[0], &pair[1]].map(|leg| f64::midpoint(leg.from, leg.to));

@@ -1,9 +1,8 @@
-//! Bodies in space: their movements, their distances from each other, and the volumes in which they must stay.
+//! Bodies in space: their movements, the distances between them, and the volumes in which they must stay.
 //!
 //! The fleet file maps the devices of a robot to coordinates (`body`) and contains the limits (`space`). `path` follows a body through
-//! the steps of an act, `drive` integrates speeds, `chain` follows an arm. `closest` and `way` find the closest approach, including the
-//! time between steps; `compile/check_space.rs` turns the results into findings. Lengths are in metres, angles in radians, times in
-//! seconds.
+//! the steps of an act, `drive` integrates speeds, `chain` computes an arm. `closest` and `way` find the closest approach, also at times
+//! between steps; `compile/check_space.rs` turns the results into findings. Lengths are in metres, angles in radians, times in seconds.
 
 mod chain;
 mod closest;
@@ -28,68 +27,68 @@ pub use path::{Axis, Knot, Path, Peak, Played, peaks};
 pub use solid::Solid;
 pub use volume::furthest_out;
 
-/// The limits in the space that all robots share.
+/// The limits in the space that all robots share. A limit that is `None` does not apply.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Space {
-    /// Least distance between any two bodies, from surface to surface.
+    /// Least distance between any two bodies, from surface to surface, in metres.
     pub distance: Option<f64>,
-    /// The volume in which all bodies must stay.
+    /// Volume in which all bodies must stay.
     pub keep_in: Option<Volume>,
     /// Volumes in which no body may be, by name.
     pub keep_out: BTreeMap<String, Volume>,
 }
 
-/// A box whose sides are parallel to the axes; infinite where no limit is given.
+/// A box whose sides are parallel to the axes, in metres; a side without a limit is infinite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Volume {
-    /// The least x, y and z.
+    /// Least x, y and z.
     pub least: [f64; 3],
-    /// The largest x, y and z.
+    /// Largest x, y and z.
     pub most: [f64; 3],
 }
 
-/// The position and size of a robot in space, as a function of its devices.
+/// The position and shape of a robot in space, as a function of its devices' values.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Body {
-    /// x, y, z, and the rotation about z, counted from x to y. For a body with a drive, x, y and the rotation are its start.
+    /// x, y, z, and the rotation about z, from x to y. For a body with a drive, x, y and the rotation are those of its start.
     pub coordinates: [Coordinate; 4],
-    /// Its drive, if it is driven by speeds.
+    /// Drive of a body that speeds move; `None` for other bodies.
     pub drive: Option<Drive>,
-    /// Its shape, centred at x, y and z. If the body has joints, a ball of radius 0 is no shape; otherwise it is a point.
+    /// Shape of the base, centred at x, y and z. A ball of radius 0 is a point or, if the body has joints, no shape.
     pub shape: Shape,
-    /// Its arm, from the base to the tip; empty for most bodies.
+    /// Joints of the body's arm, from the base to the tip; empty for most bodies.
     pub joints: Vec<Joint>,
-    /// The end of the last link, in metres in the frame of the last joint.
+    /// Position of the arm's tip, in metres in the frame of the last joint.
     pub tip: [f64; 3],
-    /// Largest speed of its middle in any direction.
+    /// Largest speed of the body's middle in any direction, in m/s; `None` for no limit.
     pub speed: Option<f64>,
-    /// Largest acceleration of its middle in any direction.
+    /// Largest acceleration of the body's middle in any direction, in m/s²; `None` for no limit.
     pub acceleration: Option<f64>,
 }
 
-/// The movement of a body whose devices are driven by speed: forward along its yaw, and about itself.
+/// How a body moves whose devices are driven by speed: forward along its yaw, and about itself.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Drive {
-    /// The meaning of its devices.
+    /// Meaning of the devices' speeds.
     pub steering: Steering,
-    /// x and y in metres and yaw in radians at the beginning of the first act.
+    /// Pose at the beginning of the first act: x and y in metres, and yaw in radians.
     pub start: [f64; 3],
 }
 
-/// The speeds that drive a body. Here, the value of a coordinate is a speed, with a scale from the device's unit.
+/// The speeds that drive a body. Here, the value of a coordinate is a speed, scaled from the device's unit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Steering {
-    /// Two wheels or tracks side by side: the body moves forward at the mean of their speeds. It turns at their difference divided by the
-    /// distance between them.
+    /// Two wheels or tracks side by side. The body moves forward at the mean of their speeds. It turns at their difference divided by
+    /// the distance between them.
     Wheels {
         /// Rolling speed of the left wheel, in m/s.
         left: Coordinate,
         /// Rolling speed of the right wheel, in m/s.
         right: Coordinate,
-        /// The distance between the wheels, in metres.
+        /// Distance between the wheels, in metres.
         track: f64,
     },
-    /// The robot itself converts the received values to wheel speeds.
+    /// A forward speed and a turn rate, which the robot itself converts to wheel speeds.
     Twist {
         /// Forward speed, in m/s.
         speed: Coordinate,
@@ -98,71 +97,71 @@ pub enum Steering {
     },
 }
 
-/// A joint of an arm, with the link from it to the next joint or to the tip.
+/// A joint of an arm, with the link from this joint to the next one or to the tip.
 ///
-/// Its frame is that of the previous link (for the first joint, that of the body, which turns with `yaw`), moved by `xyz` and turned by
-/// `rpy`, as in URDF. The link is a capsule: all points within `radius` of the line to the next joint.
+/// The joint's frame is the frame of the previous link (for the first joint, that of the body, which turns with `yaw`), moved by `xyz`
+/// and turned by `rpy`, as in URDF. The link is a capsule: all points within `radius` of the line to the next joint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Joint {
-    /// Its name: that of its device, or of the joint in a URDF.
+    /// Name of the joint: that of its device, or of the joint in a URDF.
     pub name: String,
-    /// Kind of its movement.
+    /// Whether the joint turns or slides.
     pub kind: JointKind,
-    /// Its position, in metres in the frame of the previous link.
+    /// Position of the joint, in metres in the frame of the previous link.
     pub xyz: [f64; 3],
-    /// Roll, pitch and yaw about the fixed axes x, y and z of the previous link, one after another, in radians.
+    /// Roll, pitch and yaw of the joint's frame about the fixed axes x, y and z of the previous link, one after another, in radians.
     pub rpy: [f64; 3],
-    /// Its axis of rotation or translation, of length 1, in its own frame.
+    /// Axis of rotation or translation, of length 1, in the joint's own frame.
     pub axis: [f64; 3],
-    /// Its rotation in radians, or its translation in metres.
+    /// Rotation of the joint in radians, or its translation in metres.
     pub value: Coordinate,
-    /// The radius about its link, in metres.
+    /// Radius about the link, in metres.
     pub radius: f64,
 }
 
 /// The kind of movement of a joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub enum JointKind {
-    /// It turns about its axis.
+    /// The joint turns about its axis.
     #[default]
     Revolute,
-    /// It slides along its axis.
+    /// The joint slides along its axis.
     Prismatic,
 }
 
-/// The source of a coordinate.
+/// The source of a coordinate's value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Coordinate {
-    /// It never changes.
+    /// A constant value.
     Fixed(f64),
-    /// `offset + scale * value of the device`.
+    /// `offset + scale * value of the device`
     Device {
-        /// The device of the robot.
+        /// Id of the device on the robot.
         device: DeviceId,
         /// Metres, or radians, per unit of the device.
         scale: f64,
-        /// The coordinate at the device's zero.
+        /// Coordinate at the device's zero, in metres or radians.
         offset: f64,
     },
 }
 
-/// The shape of a body about its middle.
+/// The shape of a body's base about its middle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Shape {
-    /// A ball; a point if its radius is 0.
+    /// A ball, or a point if the radius is 0.
     Ball {
-        /// Its radius.
+        /// Radius in metres.
         radius: f64,
     },
-    /// A box that turns with the body.
+    /// A box that turns with the body about the vertical.
     Box {
-        /// Its whole length, width and height.
+        /// Length, width and height in metres.
         size: [f64; 3],
     },
 }
 
 impl Shape {
-    /// Returns the radius of the enclosing ball about its middle, in metres.
+    /// Returns the radius of the ball about the shape's middle that encloses the shape, in metres.
     pub fn outer_radius(&self) -> f64 {
         match *self {
             Self::Ball { radius } => radius,
@@ -170,7 +169,7 @@ impl Shape {
         }
     }
 
-    /// Returns half of its least width, in metres: in any rotation, no other body comes closer to its middle.
+    /// Returns half of the shape's least width, in metres: in any rotation, no other body comes closer to the shape's middle.
     pub fn inner_radius(&self) -> f64 {
         match *self {
             Self::Ball { radius } => radius,
@@ -179,80 +178,80 @@ impl Shape {
     }
 }
 
-/// The bodies' movements in an act, if the fleet file describes bodies.
+/// The movements of bodies in an act; empty if the fleet file describes no bodies.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct InSpace {
-    /// The closest approach of two bodies.
+    /// The closest approach of two bodies; `None` if no two bodies have known places.
     pub closest: Option<Closest>,
     /// The largest speed and acceleration of each body.
     pub bodies: Vec<BodyUse>,
     /// The paths of bodies that are driven by speeds, for drawing.
     pub driven: Vec<DrivenPath>,
-    /// Robots that play and whose place is unknown all the time. While it is unknown, they are ignored here.
+    /// Robots that play and whose place is never known in the act. While a robot's place is unknown, the other fields ignore the robot.
     pub unknown: Vec<RobotId>,
 }
 
-/// The path of a body that is driven by speeds. It moves evenly between two points, with an accuracy of [`DrivenPath::DRAWN`].
+/// The path of a body that is driven by speeds. Between two points, the body moves evenly, with an accuracy of [`DrivenPath::DRAWN`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrivenPath {
     /// Id of the robot.
     pub robot: RobotId,
-    /// In order of time.
+    /// Poses along the path, in order of time.
     pub points: Vec<DrivenPoint>,
 }
 
-/// The pose of a body at a time.
+/// The pose of a body at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenPoint {
-    /// Since the act's start.
+    /// Time of the pose, since the act's start.
     pub at: Span,
-    /// x and y in metres, and yaw in radians.
+    /// Pose of the body: x and y in metres, and yaw in radians.
     pub pose: [f64; 3],
 }
 
 impl DrivenPath {
-    /// Permitted deviation of a drawing of the path, in metres or radians. The checks follow the body more closely.
+    /// Largest deviation of a drawing of the path, in metres or radians. The checks follow the body more closely.
     pub const DRAWN: f64 = 2e-3;
 }
 
-/// The largest speed and acceleration of a body's middle in an act, over all directions.
+/// The largest speed and acceleration of a body's middle in an act, in any direction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BodyUse {
     /// Id of the robot.
     pub robot: RobotId,
-    /// In metres per second, without the possible increase by rounding of steps.
+    /// Largest speed in m/s, without the possible increase by rounding of steps.
     #[serde(rename = "speed_m_s")]
     pub speed: f64,
-    /// In metres per second squared, without the possible increase by rounding of steps.
+    /// Largest acceleration in m/s², without the possible increase by rounding of steps.
     #[serde(rename = "acceleration_m_s2")]
     pub acceleration: f64,
 }
 
-/// Factor by which rounding may increase a rate.
+/// Factor by which a rate may exceed its limit because of rounding.
 pub const DUST: f64 = 1.0 + 1e-6;
 
 /// The closest approach of two bodies in an act.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Closest {
-    /// The ids of both robots.
+    /// Ids of the two robots.
     pub robots: [RobotId; 2],
-    /// Since the act's start.
+    /// Time of the approach, since the act's start.
     #[serde(rename = "at_ms")]
     pub at: Span,
-    /// From surface to surface, in metres; 0 if they touch or overlap.
+    /// Distance from surface to surface, in metres; 0 if the bodies touch or overlap.
     #[serde(rename = "distance_m")]
     pub distance: f64,
 }
 
 impl Space {
-    /// Whether any limit is set.
+    /// Whether any limit of the space is set.
     #[must_use]
     pub fn is_checked(&self) -> bool {
         self.distance.is_some() || self.keep_in.is_some() || !self.keep_out.is_empty()
     }
 
-    /// Returns the least permitted distance between the middles of any two of these bodies, in metres, using the radii of the two
-    /// smallest.
+    /// Returns the least permitted distance between the middles of any two of these bodies, in metres. It depends on the radii of the
+    /// two smallest ones.
     pub fn between_middles<'b>(&self, bodies: impl Iterator<Item = &'b Body>) -> f64 {
         let mut radii: Vec<f64> = bodies.map(|body| body.shape.inner_radius()).collect();
         radii.sort_unstable_by(f64::total_cmp);
@@ -260,7 +259,7 @@ impl Space {
     }
 }
 
-/// A point at 0 that never moves.
+/// The default is a point at the origin that never moves.
 impl Default for Body {
     fn default() -> Self {
         Self {

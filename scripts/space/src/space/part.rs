@@ -7,17 +7,17 @@ use parry3d_f64::query::details::{
 };
 use parry3d_f64::shape::{Cuboid, Segment, SupportMap};
 
-/// Below this distance, in metres, no direction separates two cores.
+/// Distance in metres below which two cores touch, so that no direction separates them.
 const TOUCH: f64 = 1e-12;
 
-/// All points within a radius of a core: a ball, a capsule, or a box.
+/// All points within a radius of a core, which form a ball, a capsule, or a box.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Part {
     pub(super) core: Core,
     pub(super) radius: f64,
 }
 
-/// A part without its radius.
+/// A part of a body without its radius.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Core {
     Point(Vector),
@@ -25,17 +25,17 @@ pub(super) enum Core {
     Box(Pose, Cuboid),
 }
 
-/// The distance of two parts.
+/// The distance between two parts.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gap {
-    /// From surface to surface; 0 if they touch or overlap.
+    /// Distance from surface to surface, in metres; 0 if the parts touch or overlap.
     pub(super) distance: f64,
-    /// The direction from the first core to the second, of length 1; `None` if they touch.
+    /// Direction from the first core to the second, of length 1; `None` if the cores touch.
     pub(super) normal: Option<Vector>,
 }
 
 impl Part {
-    /// Returns the bounding box of its core, as the least and the largest coordinates.
+    /// Returns the smallest and the largest coordinates of the core.
     pub(super) fn hull(&self) -> [Vector; 2] {
         match &self.core {
             Core::Point(point) => [*point; 2],
@@ -48,7 +48,7 @@ impl Part {
         }
     }
 
-    /// Returns the middle and the radius of an enclosing ball.
+    /// Returns the middle and the radius of a ball that encloses the part.
     fn ball(&self) -> (Vector, f64) {
         match &self.core {
             Core::Point(point) => (*point, self.radius),
@@ -59,18 +59,19 @@ impl Part {
         }
     }
 
-    /// Returns the distance of the enclosing balls of two parts, a lower bound of their distance.
+    /// Returns the distance between the enclosing balls of two parts, which is a lower bound on the distance between the parts.
     pub(super) fn at_least(&self, other: &Self) -> f64 {
         let ((a, reach), (b, other_reach)) = (self.ball(), other.ball());
         (a.distance(b) - reach - other_reach).max(0.0)
     }
 
-    /// Returns the distance along a direction of length 1, from the first part to the second: a lower bound of their distance.
+    /// Returns the distance between two parts along `normal`, a direction of length 1 from this part to the other. It is a lower bound
+    /// on their distance.
     pub(super) fn apart(&self, other: &Self, normal: Vector) -> f64 {
         -other.furthest(-normal) - self.furthest(normal) - self.radius - other.radius
     }
 
-    /// Returns the extent of the core in a direction of length 1.
+    /// Returns the largest coordinate of the core along a direction of length 1.
     fn furthest(&self, direction: Vector) -> f64 {
         match &self.core {
             Core::Point(point) => point.dot(direction),
@@ -102,7 +103,7 @@ fn closest_points(a: &Core, b: &Core) -> Option<[Vector; 2]> {
         (Core::Segment(a), Core::Segment(b)) => of_segments(a, b),
         (Core::Point(a), Core::Box(pose, b)) => Some([*a, b.project_point(pose, *a, true).point]),
         (Core::Box(pose, a), Core::Point(b)) => Some([a.project_point(pose, *b, true).point, *b]),
-        // Not `query::distance`: for two cuboids, its result is too long by up to half their size (parry3d 0.31.1).
+        // Not `query::distance`: its result for two cuboids is too large by up to half of their size (parry3d 0.31.1).
         (Core::Box(pose, a), Core::Box(other, b)) => of_supports(pose, a, other, b),
         (Core::Segment(a), Core::Box(pose, b)) => of_supports(&Pose::identity(), a, pose, b),
         (Core::Box(pose, a), Core::Segment(b)) => of_supports(pose, a, &Pose::identity(), b),

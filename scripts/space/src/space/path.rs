@@ -1,37 +1,37 @@
-//! The path of a body through an act: a polyline in x, y, z, yaw and the values of its joints over time.
+//! The path of a body through an act: a polyline over time in x, y, z, yaw and the values of the body's joints.
 
 use urrcp::{ControlType, Interpolation, Millis, Script};
 
 use super::Coordinate;
 use super::place::Place;
 
-/// A value at a time, in seconds since the act's start. Two values at one time are a jump.
+/// A time in seconds since the act's start, and the value then. Two values at the same time are a jump.
 type Point = (f64, f64);
 
 /// One coordinate over an act.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
-    /// In order of time, at least one.
+    /// Points in order of time, at least one.
     points: Vec<Point>,
-    /// Largest error of a value: the deviation of the steps from the movement as written.
+    /// Largest error of a value: the deviation of the device's steps from the movement as written.
     error: f64,
 }
 
 /// The movement of one device in an act.
 pub struct Played<'a> {
-    /// Each script with its start, since the act's start.
+    /// Scripts of the device, each with its start since the act's start.
     pub scripts: &'a [(Millis, &'a Script)],
-    /// The control type of all values; steps of another type are not allowed.
+    /// Control type of all steps; a step of another type makes the coordinate unknown.
     pub control_type: ControlType,
-    /// The movement of the device between two steps.
+    /// How the device moves between two steps.
     pub interpolation: Interpolation,
-    /// Its position at the act's start, if known.
+    /// Position of the device at the act's start; `None` if it is unknown.
     pub begin: Option<f64>,
-    /// Largest deviation of its steps from the movement as written.
+    /// Largest deviation of the device's steps from the movement as written, in the device's unit.
     pub error: f64,
 }
 
-/// No movement, by position.
+/// The default is no movement, under position control.
 impl Default for Played<'_> {
     fn default() -> Self {
         let control_type = ControlType::Position;
@@ -40,17 +40,18 @@ impl Default for Played<'_> {
 }
 
 impl Axis {
-    /// Returns its largest absolute value.
+    /// Returns the largest absolute value of the coordinate.
     pub fn largest(&self) -> f64 {
         self.points.iter().map(|(_, value)| value.abs()).fold(0.0, f64::max)
     }
 
-    /// Creates an axis that is linear between values; in order of time, at least one.
+    /// Creates an axis that is linear between `points`, which are in order of time and at least one.
     pub(super) fn through(points: Vec<Point>) -> Self {
         Self { points, error: 0.0 }
     }
 
-    /// Returns `None` if the coordinate is never known: the position of the device is unknown, or it is driven by another control type.
+    /// Returns a coordinate over the act. `None` if it is never known: the device's position is unknown, or a step has another control
+    /// type.
     pub fn of(coordinate: &Coordinate, played: &Played<'_>) -> Option<Self> {
         let (scale, offset) = match coordinate {
             Coordinate::Fixed(value) => return Some(Self { points: vec![(0.0, *value)], error: 0.0 }),
@@ -59,7 +60,7 @@ impl Axis {
         let mut points: Vec<Point> = played.begin.map(|begin| (0.0, begin)).into_iter().collect();
         let linear = played.interpolation == Interpolation::Linear;
         for (start, script) in played.scripts {
-            // Overlapping cues are reported elsewhere: here, time only increases.
+            // Overlapping cues are reported elsewhere; in this computation, time never decreases.
             let not_before = points.last().map_or(0.0, |(at, _)| *at);
             let start = (start.get() / 1_000.0).max(not_before);
             // The device keeps its value until the script starts.
@@ -84,7 +85,7 @@ impl Axis {
         self.points[0].0
     }
 
-    /// Returns the mean speeds between values. An instantaneous change is attributed to the time since the previous value.
+    /// Returns the mean speed between each two values. An instantaneous change counts as a movement since the previous value.
     fn speeds(&self) -> Vec<Stretch> {
         let ends = self.points.iter().enumerate();
         let last_of_its_time =
@@ -103,13 +104,13 @@ impl Axis {
     }
 }
 
-/// An interval with a constant rate of a coordinate.
+/// An interval in which a coordinate changes at a constant rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stretch {
     from: f64,
     to: f64,
     rate: f64,
-    /// Possible error of the rate because of deviations of the steps.
+    /// Possible error of the rate, because steps deviate from the movement as written.
     doubt: f64,
 }
 
@@ -119,7 +120,7 @@ impl Stretch {
     }
 }
 
-/// Returns the changes of speed where two intervals meet, divided by the mean of their lengths: the second divided difference.
+/// Returns the change of speed where two intervals meet, divided by the mean of their lengths: the second divided difference.
 fn changes(speeds: &[Stretch]) -> Vec<Stretch> {
     let change = |pair: &[Stretch]| {
         let (from, to) = (pair[0].middle(), pair[1].middle());
@@ -133,18 +134,18 @@ fn changes(speeds: &[Stretch]) -> Vec<Stretch> {
     speeds.windows(2).map(change).collect()
 }
 
-/// The largest speed or acceleration of a body's middle.
+/// The largest speed or acceleration of a body's middle, and when it occurs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Peak {
-    /// Its start, in seconds from the act's start.
+    /// Start of the interval with this rate, in seconds since the act's start.
     pub from: f64,
-    /// Its end, in seconds from the act's start.
+    /// End of the interval with this rate, in seconds since the act's start.
     pub to: f64,
-    /// Lower bound of the rate: deviations of steps from the movement as written may increase a rate.
+    /// Lower bound on the rate of the written movement: steps that deviate from it may have a larger rate.
     pub rate: f64,
 }
 
-/// Returns the largest speed and the largest acceleration in x, y and z together.
+/// Returns the largest speed and the largest acceleration, over x, y and z together.
 pub fn peaks(axes: &[Axis]) -> [Option<Peak>; 2] {
     let speeds: [Vec<Stretch>; 3] = std::array::from_fn(|i| axes[i].speeds());
     let accelerations = speeds.each_ref().map(|speeds| changes(speeds));
@@ -173,7 +174,8 @@ fn largest(rates: &[Vec<Stretch>; 3]) -> Option<Peak> {
     peak
 }
 
-/// Visits the values of all axes whenever one of them has a point, starting at `from`: just before that moment, and just after it.
+/// Visits the values of all axes whenever one of them has a point, starting at `from`: first the values just before that moment, then
+/// those just after it.
 pub(super) fn moments(axes: &[Axis], from: f64, mut visit: impl FnMut(f64, &[f64])) {
     let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
     times.retain(|at| *at >= from);
@@ -195,22 +197,22 @@ pub(super) fn moments(axes: &[Axis], from: f64, mut visit: impl FnMut(f64, &[f64
 /// The place of a body at a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knot {
-    /// In seconds from the act's start.
+    /// Time in seconds since the act's start.
     pub at: f64,
-    /// The place of the body.
+    /// Place of the body at this time.
     pub place: Place,
 }
 
-/// The places of a body from the moment at which all its coordinates are known.
+/// The places of a body, from the moment at which all its coordinates are known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// In order of time, at least one; two at one time are a jump.
+    /// Knots in order of time, at least one; two knots at the same time are a jump.
     knots: Vec<Knot>,
 }
 
 impl Path {
-    /// `axes`: x, y, z, yaw and the joints. `sure`: whether the place at the act's start is more than an assumption, so that a jump from
-    /// there is a movement as well.
+    /// Creates the path of a body from `axes`: x, y, z, yaw and the joints. `sure` is whether the place at the act's start is certain,
+    /// so that a jump from it is a movement as well.
     pub fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut knots: Vec<Knot> = Vec::new();
@@ -227,12 +229,12 @@ impl Path {
         Self { knots }
     }
 
-    /// Creates the path of a stationary body.
+    /// Creates the path of a stationary body until `ends`, in seconds.
     pub fn resting(place: Place, ends: f64) -> Self {
         Self { knots: vec![Knot { at: 0.0, place: place.clone() }, Knot { at: ends, place }] }
     }
 
-    /// Returns the time from which it is known, in seconds.
+    /// Returns the time from which the body's place is known, in seconds.
     pub fn known_from(&self) -> f64 {
         self.knots[0].at
     }
@@ -247,7 +249,7 @@ impl Path {
         &self.knots
     }
 
-    /// Returns the knots within an interval, and the places of the body at its ends.
+    /// Returns the knots from `from` to `to`, and knots at these two times.
     pub(super) fn within(&self, from: f64, to: f64) -> impl Iterator<Item = Knot> + '_ {
         let first = self.knots.partition_point(|knot| knot.at < from);
         let last = self.knots.partition_point(|knot| knot.at <= to);
@@ -265,8 +267,8 @@ pub(super) struct Both {
     pub(super) places: [Place; 2],
 }
 
-/// Returns the moments of an interval at which one of two bodies has a knot, and its ends. Between two moments, both bodies move
-/// linearly.
+/// Returns the moments between `from` and `to` at which one of two bodies has a knot, including both ends. Between two moments, both
+/// bodies move linearly.
 pub(super) fn together(a: &Path, b: &Path, from: f64, to: f64) -> Vec<Both> {
     let mut paths = [a, b].map(|path| path.within(from, to).collect::<Vec<Knot>>());
     if from > to || paths.iter().any(Vec::is_empty) {
@@ -294,7 +296,7 @@ struct Sides {
 }
 
 impl Sides {
-    /// `knots` must cover the moment.
+    /// Returns the places at the time `at`, which `knots` must cover. Removes knots that are no longer needed.
     fn at(knots: &mut Vec<Knot>, at: f64) -> Self {
         let first = knots.partition_point(|knot| knot.at < at);
         let last = knots.partition_point(|knot| knot.at <= at);
@@ -309,7 +311,7 @@ impl Sides {
     }
 }
 
-/// Returns the place between the knot before `index` and that one.
+/// Returns the place at the time `at`, which is between the knot at `index` and the previous one.
 fn between(knots: &[Knot], at: f64, index: usize) -> Place {
     let (Some(before), after) = (index.checked_sub(1), knots.get(index)) else {
         return knots[0].place.clone();
@@ -319,15 +321,15 @@ fn between(knots: &[Knot], at: f64, index: usize) -> Place {
     before.place.towards(&after.place, (at - before.at) / (after.at - before.at))
 }
 
-/// Iterates over the points of an axis.
+/// Iterates over the points of an axis in order of time.
 struct Cursor<'a> {
     points: &'a [Point],
-    /// The first point that is not before the last requested time.
+    /// Index of the first point that is not before the last requested time.
     next: usize,
 }
 
 impl Cursor<'_> {
-    /// Returns the value just before a time and just after it. Times must not decrease.
+    /// Returns the value just before a time and the value just after it. Requested times must not decrease.
     fn advance(&mut self, at: f64) -> (f64, f64) {
         while self.points.get(self.next).is_some_and(|point| point.0 < at) {
             self.next += 1;

@@ -1,11 +1,11 @@
-//! The place of a body at one moment: its base, and the values of its joints.
+//! The place of a body at one moment: the coordinates of its base, and the values of its joints.
 
-/// The coordinates of a body.
+/// The coordinates of a body at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
-    /// x, y, z and yaw.
+    /// x, y and z in metres, and yaw in radians.
     pub base: [f64; 4],
-    /// In radians, or in metres for a sliding joint; empty for a body without joints.
+    /// Values of the joints, in radians or, for a sliding joint, in metres; empty for a body without joints.
     pub joints: Box<[f64]>,
 }
 
@@ -20,12 +20,12 @@ impl Place {
         Self { base: std::array::from_fn(|i| values[i]), joints: values[4..].into() }
     }
 
-    /// Whether these are its coordinates.
+    /// Whether `values` are the coordinates of this place: x, y, z, yaw and the joints.
     pub(super) fn has(&self, values: &[f64]) -> bool {
         self.base == values[..4] && *self.joints == values[4..]
     }
 
-    /// Interpolates linearly to another place of the same body.
+    /// Interpolates linearly between this place and another one of the same body; `share` is 0 here and 1 there.
     pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
         let mixed = |from: f64, to: f64| from + share * (to - from);
         Self {

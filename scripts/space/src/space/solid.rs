@@ -1,4 +1,4 @@
-//! The parts of a body: a ball or a box about its base, and the links of its arm.
+//! The solid of a body: a ball or a box about its base, and the links of its arm.
 
 use parry3d_f64::math::Vector;
 use parry3d_f64::shape::{Cuboid, Segment};
@@ -8,28 +8,28 @@ use super::part::{Core, Part};
 use super::place::Place;
 use super::{Body, Shape, Volume};
 
-/// The assumed distance of a missing side of a volume, in metres.
+/// Distance that stands for a missing side of a volume, in metres.
 const FAR: f64 = 1e5;
 
-/// A body without its place.
+/// The shape of a body with its arm, at any place.
 #[derive(Clone, Debug)]
 pub struct Solid {
-    /// `None` if the body consists only of its arm.
+    /// Shape of the base; `None` if the body consists only of its arm.
     base: Option<Shape>,
     chain: Chain,
-    /// Possible deviation of the whole body, in metres.
+    /// Possible deviation of the whole body from its path, in metres; it enlarges the body.
     margin: f64,
 }
 
 impl Solid {
-    /// `margin`: possible deviation of the body from its path, in metres; it enlarges the body.
+    /// Creates the solid of a body. `margin` is the possible deviation of the body from its path, in metres, which enlarges the solid.
     pub fn of(body: &Body, margin: f64) -> Self {
         let is_nothing = matches!(body.shape, Shape::Ball { radius } if radius <= 0.0);
         let base = Some(body.shape).filter(|_| !is_nothing || body.joints.is_empty());
         Self { base, chain: Chain::of(&body.joints, body.tip), margin }
     }
 
-    /// Turns a volume into a stationary body.
+    /// Turns a volume into a stationary solid.
     pub fn of_volume(volume: &Volume) -> (Self, Place) {
         let least = volume.least.map(|side| side.max(-FAR));
         let most = volume.most.map(|side| side.min(FAR));
@@ -39,7 +39,7 @@ impl Solid {
         (solid, Place::of([middle(0), middle(1), middle(2), 0.0]))
     }
 
-    /// Returns the radius if the body is just a ball.
+    /// Returns the radius if the body is only a ball; `None` for other bodies.
     pub(super) fn ball(&self) -> Option<f64> {
         match self.base {
             Some(Shape::Ball { radius }) if self.chain.is_empty() => Some(radius + self.margin),
@@ -47,7 +47,7 @@ impl Solid {
         }
     }
 
-    /// Returns the largest radius of its parts about their cores.
+    /// Returns the largest radius of the body's parts about their cores.
     pub(super) fn reach(&self) -> f64 {
         let ball = match self.base {
             Some(Shape::Ball { radius }) => radius,
@@ -56,13 +56,13 @@ impl Solid {
         self.margin + self.chain.radii().fold(ball, f64::max)
     }
 
-    /// Returns the largest distance of its cores from the vertical line through its middle, in metres, if the absolute values of the
-    /// joints do not exceed `largest`.
+    /// Returns the largest distance of the parts' cores from the vertical line through the body's middle, in metres. `largest` contains
+    /// the largest absolute value of each joint.
     pub fn lever(&self, largest: &[f64]) -> f64 {
         self.base.map_or(0.0, Shape::lever).max(self.chain.reach(largest))
     }
 
-    /// Returns all parts: the base first, then the links from the base to the tip.
+    /// Returns all parts of the body at a place: the base first, then the links from the base to the tip.
     pub(super) fn parts(&self, place: &Place) -> Vec<Part> {
         let shape = self.base.map(|shape| shape.part(place));
         let points = self.chain.points(place);
@@ -74,7 +74,8 @@ impl Solid {
         parts.map(|part| Part { radius: part.radius + self.margin, ..part }).collect()
     }
 
-    /// Returns upper bounds of the movement of each part's points between two places, in addition to x, y and z of the base.
+    /// Returns upper bounds on the movement of each part's points between two places, in addition to the movement of the base in x, y
+    /// and z.
     pub(super) fn sways(&self, from: &Place, to: &Place) -> Vec<Sway> {
         let turned = (to.base[3] - from.base[3]).abs();
         let shape = self.base.map(|shape| {

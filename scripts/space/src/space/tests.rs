@@ -1,4 +1,4 @@
-//! Distances, compared with closed forms and with a slow reading of the same movements that samples many moments.
+//! Distances, compared with closed forms and with a slow computation of the same movements that samples many moments.
 
 use proptest::prelude::*;
 use urrcp::{Interpolation, Millis, Script, Setpoint, Step};
@@ -28,7 +28,7 @@ fn axis_of(scripts: &[&(Millis, Script)], interpolation: Interpolation, begin: O
     Axis::of(&coordinate, &Played { scripts: &scripts, interpolation, begin, ..Played::default() })
 }
 
-/// Linear between values; times are in seconds.
+/// Creates an axis that is linear between values; times are in seconds.
 fn axis(points: &[(f64, f64)]) -> Axis {
     let steps: Vec<_> = points.iter().map(|(at, value)| (at * 1_000.0, *value)).collect();
     axis_of(&[&script(0.0, &steps)], Interpolation::Linear, None).unwrap()
@@ -42,7 +42,7 @@ fn solid(shape: &Shape) -> Solid {
     Solid::of(&Body { shape: *shape, ..Body::default() }, 0.0)
 }
 
-/// Returns the least distance between all parts of both.
+/// Returns the least distance between any part of `a` and any part of `b`.
 fn distance((a, at_a): (&Solid, &Place), (b, at_b): (&Solid, &Place)) -> f64 {
     let parts = b.parts(at_b);
     let gaps = a.parts(at_a).into_iter().flat_map(|a| parts.iter().map(move |b| a.gap(b).distance));
@@ -124,7 +124,7 @@ fn a_box_that_turns_comes_closest_with_its_corner() {
     let turning = mover([fixed(0.0), fixed(0.0), fixed(0.0), turn], &long, 2.0);
     let ball = mover([fixed(0.0), fixed(1.5), fixed(0.0), fixed(0.0)], &Shape::Ball { radius: 0.1 }, 2.0);
     let approach = between(&turning, &ball);
-    // Its corners move on a circle; the end between them comes closer to the ball: half a length.
+    // The box's corners move on a circle; the end between them comes closer to the ball: half a length.
     let corner = 1.0_f64.hypot(0.1);
     assert!((approach.distance - (1.4 - corner)).abs() < 2e-3, "{approach:?}");
     let touching =
@@ -150,7 +150,7 @@ fn the_first_contact_is_when_a_body_enters() {
     let way = axis(&[(0.0, -2.0), (4.0, 2.0), (8.0, -2.0)]);
     let ball = mover([way, fixed(0.0), fixed(0.0), fixed(0.0)], &Shape::Ball { radius: 0.1 }, 8.0);
     let pillar = mover([fixed(0.5), fixed(0.0), fixed(0.0), fixed(0.0)], &Shape::Box { size: [0.4; 3] }, 8.0);
-    // At x = 0.2 on its way there.
+    // The first contact is at x = 0.2, on the ball's way there.
     let first = first_contact(&ball, &pillar).unwrap();
     assert!((first - 2.2).abs() < 1e-3, "{first}");
     let aside = mover([fixed(0.5), fixed(0.31), fixed(0.0), fixed(0.0)], &Shape::Box { size: [0.4; 3] }, 8.0);
@@ -212,7 +212,7 @@ fn body() -> impl Strategy<Value = ([Vec<(f64, f64)>; 4], Shape)> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// The search finds no larger distance than any of many moments, and no smaller one than the moments permit.
+    /// The search finds no larger distance than any of many sampled moments, and no smaller one than these permit.
     #[test]
     fn the_closest_approach_is_that_of_a_slow_search(a in body(), b in body()) {
         let ends = 20.0;
@@ -258,7 +258,7 @@ fn corners(size: [f64; 3], place: [f64; 4]) -> [[f64; 2]; 4] {
     })
 }
 
-/// Twice the area of a triangle, positive if its corners are counterclockwise.
+/// Returns twice the area of a triangle, positive if its corners are counterclockwise.
 fn turn(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
@@ -270,7 +270,7 @@ fn to_side(point: [f64; 2], [a, b]: [[f64; 2]; 2]) -> f64 {
     (point[0] - a[0] - share * way[0]).hypot(point[1] - a[1] - share * way[1])
 }
 
-/// Returns the distance of two upright boxes, from their horizontal and their vertical distance.
+/// Returns the distance between two upright boxes, from their horizontal and their vertical distance.
 fn distance_of_boxes(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> f64 {
     let above = ((a.1[2] - b.1[2]).abs() - (a.0[2] + b.0[2]) / 2.0).max(0.0);
     let both = [corners(a.0, a.1), corners(b.0, b.1)];
@@ -293,7 +293,7 @@ fn distance_of_boxes(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> f64 {
 }
 
 proptest! {
-    /// A library computes the distance of boxes; one of its methods is wrong in one of sixteen cases.
+    /// The library computes the distance between boxes; one of its methods is wrong in one of sixteen cases.
     #[test]
     fn the_distance_of_boxes_is_what_geometry_says(
         size in [[0.05f64..1.0, 0.05..1.0, 0.05..1.0], [0.05f64..1.0, 0.05..1.0, 0.05..1.0]],

@@ -1,4 +1,4 @@
-//! The largest distance by which a body leaves the volume in which it must stay.
+//! The largest distance by which a body leaves a volume in which it must stay.
 
 use super::Volume;
 use super::closest::{Approach, Mover};
@@ -9,13 +9,13 @@ use super::way::EXACT;
 
 /// Maximum number of checks between two knots.
 const LOOKS_MAX: f64 = 1e4;
-/// Distances up to half a micrometre are rounding.
+/// Distance in metres up to which leaving a volume is rounding.
 const ROUNDING: f64 = 5e-7;
 
-/// Returns the largest distance of a body outside a volume, with its time. `None` if it never leaves the volume.
+/// Returns the largest distance by which a body is outside a volume, and its time. `None` if the body never leaves the volume.
 ///
-/// Between two checks, a turning body may be further outside than at both, by at most `EXACT`: an eighth of the second derivative of its
-/// points' movements times the time squared.
+/// Between two checks, a turning body may be further outside than at both, by at most `EXACT`: an eighth of the second derivative of the
+/// movement of its points times the time squared.
 pub fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     let mut worst = Approach { at: 0.0, distance: 0.0 };
     let mut note = |at: f64, place: &Place| {
@@ -38,7 +38,7 @@ pub fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     (worst.distance > 0.0).then_some(worst)
 }
 
-/// Returns the number of checks at which the movement bends by at most [`EXACT`] between two of them.
+/// Returns the number of checks between two knots, so that the movement bends by at most [`EXACT`] between two checks.
 fn looks(solid: &Solid, from: &Knot, to: &Knot) -> u32 {
     let bend = solid.sways(&from.place, &to.place).iter().map(|sway| sway.bend).fold(0.0, f64::max);
     (bend / (8.0 * EXACT)).sqrt().ceil().clamp(1.0, LOOKS_MAX) as u32

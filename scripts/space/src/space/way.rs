@@ -1,7 +1,7 @@
 //! Two bodies between two moments, while the coordinates of both change linearly.
 //!
-//! The distance of each pair of their parts is bounded from below between two moments, by two methods. First, the distance changes by at
-//! most the movements of their points (Lipschitz). Second, in any fixed direction, two convex parts are at least as far apart as their
+//! Two methods bound the distance of each pair of parts from below between two moments. First, the distance changes by at most the
+//! movements of the parts' points (Lipschitz). Second, in any fixed direction, two convex parts are at least as far apart as their
 //! points. Between two moments, this distance is at least as large as at both of them, except for an eighth of the second derivative of
 //! the points' movements times the time squared (the error of linear interpolation). With the second bound, few moments suffice for
 //! bodies that move alike.
@@ -12,8 +12,8 @@ use super::part::{Gap, Part};
 use super::path::Both;
 use super::solid::Solid;
 
-/// Accuracy of distances, in metres, and as a share of the movement between two steps; the larger one applies. This bounds the work for
-/// bodies that move by hundreds of kilometres at once.
+/// Accuracy of distances, in metres. `SHARE` is the accuracy as a share of the movement between two steps. The larger one applies, which
+/// bounds the work for bodies that move by hundreds of kilometres at once.
 pub(super) const EXACT: f64 = 1e-4;
 const SHARE: f64 = 1e-5;
 
@@ -21,24 +21,24 @@ pub(super) struct Way<'a> {
     solids: [&'a Solid; 2],
     from: &'a Both,
     to: &'a Both,
-    /// Largest movement of one base relative to the other, without turns.
+    /// Largest movement of one base relative to the other base, without rotations, in metres.
     shift: f64,
     sways: [Vec<Sway>; 2],
 }
 
-/// All parts of two bodies at a share of the movement.
+/// All parts of two bodies when the share `s` of the movement has passed.
 struct Look {
     s: f64,
     parts: [Vec<Part>; 2],
 }
 
-/// A part of each body, with their distances at both ends of an interval.
+/// One part of each body, with the distances between them at both ends of an interval.
 struct Pair {
     parts: [usize; 2],
     gaps: [Gap; 2],
 }
 
-/// The closest approach so far; initially an upper limit.
+/// The closest approach found so far; until one is found, an upper limit.
 pub(super) struct Best {
     pub(super) approach: Approach,
     pub(super) found: bool,
@@ -60,7 +60,7 @@ impl<'a> Way<'a> {
         way
     }
 
-    /// Searches for a closer approach than the best.
+    /// Searches for an approach that is closer than `best`.
     pub(super) fn closest(mut self, best: &mut Best) {
         let nearest = self.middles_are_nearest();
         if let [Some(a), Some(b)] = self.solids.map(Solid::ball) {
@@ -77,7 +77,7 @@ impl<'a> Way<'a> {
         }
     }
 
-    /// Returns the time of the first contact, in seconds; a graze by less than [`EXACT`] may be missed.
+    /// Returns the time of the first contact, in seconds; a contact that overlaps by less than [`EXACT`] may be missed.
     pub(super) fn first_contact(mut self) -> Option<f64> {
         self.measure();
         let (from, to) = (self.look(0.0), self.look(1.0));
@@ -119,25 +119,25 @@ impl<'a> Way<'a> {
         Look { s, parts: [parts(0), parts(1)] }
     }
 
-    /// Returns all pairs of parts that may come closer than `below`.
+    /// Returns all pairs of parts that may come closer to each other than `below`, in metres.
     fn pairs(&self, ends: [&Look; 2], below: f64) -> Vec<Pair> {
         let [a, b] = self.sways.each_ref().map(Vec::len);
         let all = (0..a).flat_map(|i| (0..b).map(move |j| [i, j]));
         let near = all.filter(|parts| {
             let [from, to] = ends.map(|look| look.at_least(*parts));
             let least = f64::midpoint(from, to) - self.steepest(*parts) * (ends[1].s - ends[0].s) / 2.0;
-            // Pairs without a comparable value (NaN) are checked, too.
+            // Pairs whose bound is not a number are kept, too.
             least < below || least.is_nan()
         });
         near.map(|parts| Pair { parts, gaps: ends.map(|look| look.gap(parts)) }).collect()
     }
 
-    /// Returns the largest change of the distance of two parts over the whole movement.
+    /// Returns the largest possible change of the distance between two parts over the whole movement, in metres.
     fn steepest(&self, [i, j]: [usize; 2]) -> f64 {
         self.shift + self.sways[0][i].length + self.sways[1][j].length
     }
 
-    /// Returns a lower bound of the distance between two moments.
+    /// Returns a lower bound on the distance between two parts between two moments.
     fn least(&self, pair: &Pair, [from, to]: [&Look; 2]) -> f64 {
         let (took, [i, j]) = (to.s - from.s, pair.parts);
         let [at_from, at_to] = pair.gaps.map(|gap| gap.distance);
@@ -149,14 +149,15 @@ impl<'a> Way<'a> {
         level.fold(sloped.max(0.0), f64::max)
     }
 
-    /// Returns the required accuracy for these pairs, and whether their distances may change by more than that between two moments.
+    /// Returns the required accuracy for these pairs, and whether their distances may change by more than this accuracy between two
+    /// moments.
     fn exact(&self, pairs: &[Pair], [from, to]: [&Look; 2]) -> (f64, bool) {
         let steepest = pairs.iter().map(|pair| self.steepest(pair.parts)).fold(0.0, f64::max);
         let exact = EXACT.max(steepest * SHARE);
         (exact, steepest.is_finite() && steepest * (to.s - from.s) >= exact)
     }
 
-    /// Searches for a closer approach between two moments, unless it cannot be closer than the best by more than [`EXACT`].
+    /// Searches for a closer approach between two moments, unless it could be closer than `best` by at most [`EXACT`].
     fn narrow(&self, ends: [&Look; 2], mut pairs: Vec<Pair>, best: &mut Best) {
         let (exact, divided) = self.exact(&pairs, ends);
         pairs.retain(|pair| self.least(pair, ends) < best.approach.distance - exact);

@@ -4,22 +4,22 @@ use super::way::Way;
 use crate::formation::{Point, metres_between};
 use downbeat_motion::motion::Easing;
 
-/// Metres by which a distance may be larger than reported, if it is not found by a formula.
+/// Metres by which a distance may be larger than reported, if no formula gives the distance.
 pub const SLACK: f64 = 1e-3;
-/// Maximum number of sampled times for two routes.
+/// Maximum number of times at which two routes are sampled.
 const LOOKS_MAX: u32 = 50_000;
 
 /// The closest approach of the middles of two bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Approach {
-    /// In metres; the true distance is not smaller.
+    /// Distance in metres; the true distance is not smaller.
     pub distance: f64,
-    /// In seconds.
+    /// Time of the approach, in seconds.
     pub at: f64,
 }
 
-/// Returns the closest approach of two routes if it is below `enough`, in metres. If it returns `None`, the routes are no closer than
-/// that, except for [`SLACK`].
+/// Returns the closest approach of two routes if it is below `enough`, in metres. If the result is `None`, the routes are no closer than
+/// `enough`, except for [`SLACK`].
 pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if !may_meet(a, b, enough) {
         return None;
@@ -27,7 +27,7 @@ pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if a.is_even_with(b) { Some(together(a, b)) } else { searched(a, b, enough) }
 }
 
-/// Whether [`closest`] may find an approach; a cheap test, which is exact for straight routes with the same time law.
+/// Whether [`closest`] may find an approach. A cheap test, which is exact for straight routes with the same time law.
 pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
     if a.is_even_with(b) {
         Line::between(a, b).nearest().0 < enough
@@ -36,7 +36,7 @@ pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
     }
 }
 
-/// Whether [`closest`] finds an approach; faster than that function if it does.
+/// Whether [`closest`] finds an approach. Faster than calling [`closest`], if there is an approach.
 pub fn meet(a: &Way, b: &Way, enough: f64) -> bool {
     if a.is_even_with(b) || !may_meet(a, b, enough) {
         return may_meet(a, b, enough);
@@ -49,13 +49,13 @@ pub fn meet(a: &Way, b: &Way, enough: f64) -> bool {
     early || closest(a, b, enough).is_some()
 }
 
-/// Returns the distance of two boxes.
+/// Returns the distance between two boxes, given by their least and largest coordinates.
 fn apart(a: &[Point; 2], b: &[Point; 2]) -> f64 {
     let gap = |axis: usize| (a[0][axis] - b[1][axis]).max(b[0][axis] - a[1][axis]).max(0.0);
     gap(0).hypot(gap(1)).hypot(gap(2))
 }
 
-/// The route of one body relative to another.
+/// The route of one body relative to another body, if both have the same time law.
 struct Line {
     from: Point,
     vector: Point,
@@ -70,7 +70,7 @@ impl Line {
         }
     }
 
-    /// Returns its least distance, in metres, and the share of the line at that point.
+    /// Returns the least distance of the line from the other body, in metres, and the share of the line at which it occurs.
     fn nearest(&self) -> (f64, f64) {
         let dot = |a: &Point, b: &Point| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let square = dot(&self.vector, &self.vector);
@@ -80,15 +80,15 @@ impl Line {
     }
 }
 
-/// Computes the approach of straight routes with the same time law: relative to one body, the other moves along a line.
+/// Computes the approach of straight routes with the same time law: relative to one body, the other body moves along a line.
 fn together(a: &Way, b: &Way) -> Approach {
     let (distance, u) = Line::between(a, b).nearest();
     Approach { distance, at: a.begin + a.length * Easing::smooth_time(u) }
 }
 
-/// Computes the approach of any two routes, by halving their time where bounds of their speeds permit a closer approach.
+/// Computes the approach of any two routes. Halves the time wherever bounds on their speeds permit a closer approach.
 fn searched(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
-    // Relative to a body with the same time law, the other one moves on a single route: bodies in equal arcs keep their distance.
+    // Relative to a body with the same time law, the other body moves on a single route: bodies on equal arcs keep their distance.
     if (a.begin, a.length) == (b.begin, b.length) {
         let seen = |a: Point, b: Point| -> Point { std::array::from_fn(|axis| b[axis] - a[axis]) };
         let other = Way { from: seen(a.from, b.from), to: seen(a.to, b.to), lift: b.lift - a.lift, ..*a };
@@ -136,7 +136,7 @@ impl Search<'_> {
         }
         self.left = self.left.saturating_sub(1);
         if self.left == 0 {
-            // Unchecked times may be as close as this.
+            // At times that remain unchecked, the bodies may be this close.
             self.best.distance = self.best.distance.min(least.max(0.0));
             return;
         }

@@ -1,13 +1,14 @@
-//! Assigns places to bodies with the least sum of distances, or the shortest longest distance.
+//! Assigns places to bodies with the least sum of distances, or with the least longest distance.
 //!
-//! Each problem has as many rows as columns: surplus starts take their own columns, and rows are added for unused places.
+//! Each problem has as many rows (starts) as columns (places): surplus starts have their own columns, and unused places have their own
+//! rows.
 
 use super::auction::{COMPARED_MAX, Sold, sell};
 use super::bottleneck;
 use super::columns::{Columns, Cost, Row};
 use crate::formation::{Point, metres_between};
 
-/// The quantity to minimize.
+/// The quantity that an assignment minimizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Least {
     /// The sum of the distances.
@@ -17,36 +18,37 @@ pub enum Least {
     Longest,
 }
 
-/// The place of each start; `None` for surplus starts if there are fewer places.
+/// For each start, the index of its place; `None` for a surplus start without a place.
 pub type Assignment = Vec<Option<usize>>;
 
-/// An assignment, and the share of its sum that is a proven lower bound for all assignments.
+/// An assignment with its quality: `proven` is the share of its sum that is a proven lower bound for all assignments.
 pub struct Cheapest {
     pub assignment: Assignment,
     pub proven: f64,
 }
 
-/// The price of a distance: a power of it. The sum of prices is minimized.
+/// The price of a distance: a power of the distance. An assignment minimizes the sum of prices.
 #[derive(Clone, Copy, Debug)]
 pub struct Price {
-    /// Sixteenths by which the exponent exceeds 1, at most 16.
+    /// Excess of the exponent over 1, in sixteenths, at most 16.
     pub sixteenths: u8,
-    /// Longer distances are not permitted, in metres.
+    /// Longest permitted distance, in metres.
     pub longest: f64,
 }
 
-/// The possible distances.
+/// An assignment problem: starts and places, with the distances between them.
 pub struct Ways<'a> {
-    /// The starts, followed by rows for unused places.
+    /// Starts, followed by rows for unused places.
     rows: Vec<Row>,
     places: &'a [Point],
     starts: usize,
-    /// Upper bound of all distances, in metres.
+    /// Upper bound on all distances, in metres.
     unit: f64,
 }
 
 impl<'a> Ways<'a> {
-    /// Gives each start a place, or each place a start. Surplus starts move to their place in `spare`, in the order of `starts`.
+    /// Creates the problem that gives each start a place or, if there are fewer places, each place a start. Surplus starts move to their
+    /// place in `spare`, which is in the order of `starts`.
     pub fn between(starts: &[Point], places: &'a [Point], spare: &[Point]) -> Self {
         let row = |(start, spare): (&Point, &Point)| Row {
             at: Some(*start),
@@ -63,12 +65,12 @@ impl<'a> Ways<'a> {
         Columns::new(self.places, self.rows.len() - self.places.len())
     }
 
-    /// Returns the assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
+    /// Returns the assignment with the least sum of prices. As many starts as possible get a place; each place is taken at most once.
     pub fn cheapest(&self, price: Price) -> Cheapest {
         self.cheapest_within(price, COMPARED_MAX)
     }
 
-    /// Same as `cheapest`, with another number of comparisons after which a large group may stop early.
+    /// Like [`Self::cheapest`], with another number of comparisons after which a large group may stop early.
     pub(super) fn cheapest_within(&self, price: Price, compared_max: u64) -> Cheapest {
         if self.rows.is_empty() {
             return Cheapest { assignment: Vec::new(), proven: 1.0 };
@@ -81,8 +83,8 @@ impl<'a> Ways<'a> {
         Cheapest { assignment: assignment.collect(), proven }
     }
 
-    /// Moves the starts to the middle of the places if that keeps the order of all sums, and returns the longest distance, too: near
-    /// places are found faster. With squares, this adds the same amount to each sum.
+    /// Moves the starts to the middle of the places, where near places are found faster, if that keeps the order of all sums. Also
+    /// returns the longest distance. With squares as prices, this adds the same amount to each sum.
     #[expect(clippy::cast_precision_loss, reason = "there are few points")]
     fn centred(&self, price: Price) -> Option<(Vec<Row>, f64)> {
         if price.sixteenths < 16 || price.longest.is_finite() || self.starts != self.places.len() {
@@ -99,7 +101,7 @@ impl<'a> Ways<'a> {
         Some((starts.into_iter().map(|start| Row { at: Some(start), left_over: 0.0 }).collect(), unit))
     }
 
-    /// Returns the least length, in metres, for which there is an assignment without a longer distance.
+    /// Returns the least length, in metres, for which an assignment without a longer distance exists.
     pub fn shortest_longest(&self) -> f64 {
         if self.rows.is_empty() {
             return 0.0;

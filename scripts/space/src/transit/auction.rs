@@ -1,50 +1,51 @@
 //! The cheapest assignment by auction: rows bid for columns, whose prices rise (Bertsekas, Annals of Operations Research 14, 1988).
 //!
-//! Each row bids for its cheapest column, and raises the price until the second best costs the same, plus a step. When each row has a
-//! column, the sum exceeds the least one by at most one step per row. The steps get finer from phase to phase, down to the resolution of
-//! costs. In a large group, the auction may stop after much work, as soon as the prices prove that the sum is close to the least one.
+//! Each row bids for its cheapest column, and raises its price until the second best column costs the same, plus a step. When each row
+//! has a column, the sum exceeds the least sum by at most one step per row. The steps get finer from phase to phase, down to the
+//! resolution of costs. In a large group, the auction may stop after much work, as soon as the prices prove that the sum is close to the
+//! least one.
 
 use std::collections::VecDeque;
 
 use super::columns::{Columns, Cost, Row};
 
-/// The steps of the first and of the last phase.
+/// Steps of the first and of the last phase, in units of cost.
 const STEPS: [f64; 2] = [1.0 / 16.0, 1e-10];
 /// Factor by which the steps of a phase are finer than those of the previous one.
 const FINER: f64 = 6.0;
-/// Number of cheapest columns kept for each row.
+/// Number of cheapest columns that are stored for each row.
 const KEPT: usize = 16;
-/// In larger groups than this, an auction may stop before its last phase.
+/// Largest group whose auction always runs to its last phase; with more rows, it may stop earlier.
 const EXACT_MAX: usize = 1_000;
-/// Number of comparisons of rows with columns after which it may stop.
+/// Number of comparisons of rows with columns after which the auction of a large group may stop early.
 pub(super) const COMPARED_MAX: u64 = 50_000_000;
-/// Permitted excess over the least sum in this case, as a share of it.
+/// Permitted excess over the least sum if the auction stops early, as a share of the least sum.
 const EXCESS_MAX: f64 = 1e-3;
 /// Amount by which a row raises the price of the only column that it can take.
 const ONLY: f64 = 1.0;
 
-/// Result of an auction.
+/// Result of an auction: which row has which column.
 pub(super) struct Sold {
-    /// The column of each row.
+    /// Column of each row.
     pub(super) columns: Vec<usize>,
     /// The share of the sum of costs that is a proven lower bound for all assignments.
     pub(super) proven: f64,
 }
 
-/// The cheapest columns of a row at its last search. Prices never fall, so every other column still costs at least `beyond`.
+/// The cheapest columns of a row at the row's last search. Prices never fall, so every other column still costs at least `beyond`.
 #[derive(Clone, Default)]
 struct Known {
-    /// Costs without prices, and positions.
+    /// Costs without prices, and positions of the columns.
     columns: Vec<(f64, usize)>,
     beyond: f64,
 }
 
-/// The cheapest column for a row.
+/// The cheapest column for a row, and how much cheaper it is than the others.
 struct Best {
     position: usize,
-    /// Its cost including its price.
+    /// Cost of the column including its price.
     value: f64,
-    /// The value of the second best; infinite if the row can take only one column.
+    /// Value of the second best column; infinite if the row can take only one column.
     second: f64,
 }
 
@@ -53,14 +54,14 @@ struct Auction<'a> {
     columns: Columns,
     cost: Cost,
     known: Vec<Known>,
-    /// The position of each row's column.
+    /// Position of each row's column; `None` if the row has none.
     of_row: Vec<Option<usize>>,
-    /// The row that owns the column at each position.
+    /// Row that owns the column at each position; `None` if the column is free.
     of_column: Vec<Option<usize>>,
 }
 
-/// Sells the columns to as many rows, so that the sum of costs is minimal. An assignment within the longest permitted distance must
-/// exist.
+/// Sells the columns to the same number of rows, so that the sum of costs is minimal. An assignment within the longest permitted
+/// distance must exist.
 pub(super) fn sell(rows: &[Row], columns: Columns, cost: Cost, compared_max: u64) -> Sold {
     assert_eq!(rows.len(), columns.count());
     let known = Known { columns: Vec::new(), beyond: f64::NEG_INFINITY };
@@ -82,7 +83,7 @@ pub(super) fn sell(rows: &[Row], columns: Columns, cost: Cost, compared_max: u64
 }
 
 impl Auction<'_> {
-    /// Sells all columns with this step. Rows keep a column whose value exceeds the best one by at most the step.
+    /// Sells all columns with the given step. Rows keep a column whose value exceeds that of their best column by at most the step.
     fn phase(&mut self, step: f64) {
         let mut waiting = VecDeque::new();
         for row in 0..self.rows.len() {
@@ -135,7 +136,7 @@ impl Auction<'_> {
         Best { position: found[0].1, value: found[0].0, second: found[1].0 }
     }
 
-    /// Returns the share of the sum of costs that is a lower bound: the sum if each row took its best column, and paid for all.
+    /// Returns a proven lower bound on the sum of costs, as a share of the sum: the sum of each row's best value, minus all prices.
     fn proven(&mut self) -> f64 {
         let (mut sum, mut excess) = (0.0, 0.0);
         for row in 0..self.rows.len() {

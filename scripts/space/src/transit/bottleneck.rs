@@ -1,16 +1,16 @@
-//! The shortest longest distance, by a search for the length with which each row can have a column.
+//! The least longest distance of an assignment, by a search for the length within which each row can have a column.
 //!
-//! A length is tested by augmenting paths from all rows without a column at once. A k-d tree returns the columns that no path has reached
-//! yet, so a search reaches each column once (Efrat, Itai and Katz, Algorithmica 31, 2001).
+//! A length is tested by augmenting paths from all rows without a column at once. A k-d tree returns the columns that no path has
+//! reached yet, so each search reaches a column only once (Efrat, Itai and Katz, Algorithmica 31, 2001).
 
 use super::assignment::Price;
 use super::columns::{Columns, Cost, Row};
 
-/// The price of occupied columns: more than any distance costs, so that paths end at free ones.
+/// Price of occupied columns. It exceeds the cost of any distance, so that paths prefer free columns.
 const TAKEN: f64 = 2.0;
 
-/// Returns the least length, in metres, for which each row gets a column without a longer distance. There are as many columns as rows,
-/// and `unit` is at least as long as any distance.
+/// Returns the least length, in metres, within which each row can have a column. There are as many columns as rows, and `unit` is at
+/// least as long as any distance.
 pub(super) fn shortest_longest(rows: &[Row], columns: Columns, unit: f64) -> f64 {
     assert_eq!(rows.len(), columns.count());
     let none = vec![None; rows.len()];
@@ -32,7 +32,7 @@ pub(super) fn shortest_longest(rows: &[Row], columns: Columns, unit: f64) -> f64
     most
 }
 
-/// The assignment of rows and columns, by positions in the tree.
+/// The assignment of rows to columns and vice versa; columns are given by their positions in the tree.
 #[derive(Clone)]
 struct Taken {
     of_row: Vec<Option<usize>>,
@@ -47,7 +47,7 @@ struct Matching<'a> {
 }
 
 impl Matching<'_> {
-    /// Gives each row a column within `length`, and returns the longest distance. On failure, the error is the least length that could
+    /// Gives each row a column within `length`, and returns the longest distance. On failure, returns the least length that might
     /// suffice for one more row.
     fn complete(&mut self, length: f64) -> Result<f64, f64> {
         for row in 0..self.rows.len() {
@@ -65,7 +65,8 @@ impl Matching<'_> {
         Ok(ways.fold(0.0, f64::max))
     }
 
-    /// Searches paths from all rows without a column to free ones, and assigns columns along the found paths.
+    /// Searches for paths from rows without a column to free columns, and assigns columns along these paths. On failure, returns the
+    /// least length that might suffice.
     fn augment(&mut self, length: f64) -> Result<(), f64> {
         let Self { columns, taken, .. } = self;
         columns.set_prices(|position| if taken.of_column[position].is_some() { TAKEN } else { 0.0 });
@@ -103,7 +104,7 @@ impl Matching<'_> {
         Err(reached.into_iter().map(|(row, _)| self.nearest(row)).fold(f64::INFINITY, f64::min))
     }
 
-    /// Returns a column within `length` of a row that is not removed, preferably a free one.
+    /// Returns the position of a column within `length` of a row, preferably a free column. Ignores removed columns.
     fn within(&mut self, row: usize, length: f64) -> Option<usize> {
         let cost = Cost::new(Price { sixteenths: 0, longest: length }, self.unit);
         let mut found = [(0.0, 0)];
@@ -112,7 +113,7 @@ impl Matching<'_> {
         value.is_finite().then_some(position)
     }
 
-    /// Returns the distance to the nearest column that is not removed, in metres; infinite if all are removed.
+    /// Returns the distance of a row to its nearest column, in metres; infinite if all columns are removed.
     fn nearest(&mut self, row: usize) -> f64 {
         let found = self.within(row, f64::INFINITY);
         found.map_or(f64::INFINITY, |position| self.columns.way(&self.rows[row], position))
@@ -120,7 +121,7 @@ impl Matching<'_> {
 }
 
 impl Taken {
-    /// Moves each row of the path to the next column, starting with the free one.
+    /// Moves each row of a path to the path's next column, starting with the row that takes the free column.
     fn shift(&mut self, from: &[usize], free: usize) {
         let mut next = Some(free);
         while let Some(position) = next {

@@ -1,6 +1,7 @@
-//! The columns of an assignment in a k-d tree, searched by their cost for a row: the price of the distance plus the column's own price.
+//! The columns of an assignment in a k-d tree, which is searched for the cheapest columns of a row. A cost is the price of the distance
+//! plus the column's own price.
 //!
-//! Columns are places, followed by one column for each surplus start. The cost of the latter depends on the row alone.
+//! Columns are places, followed by one column for each surplus start. The cost of such an extra column depends on the row alone.
 
 use super::assignment::Price;
 use crate::formation::{Point, metres_between};
@@ -8,16 +9,16 @@ use crate::formation::{Point, metres_between};
 /// Maximum number of columns per leaf.
 const LEAF: usize = 16;
 
-/// A bidder for a column.
+/// A bidder for a column: a start, or an extra row that takes an unused place.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row {
-    /// Its start; `None` if it only takes an unused place, at no cost.
+    /// Position of the start; `None` for an extra row, which takes an unused place at no cost.
     pub(super) at: Option<Point>,
-    /// Its distance without a place, in metres.
+    /// Distance that the start moves if it gets no place, in metres.
     pub(super) left_over: f64,
 }
 
-/// The cost of distances: 1 for the longest possible one.
+/// The cost of distances: 1 for the longest possible distance.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cost {
     price: Price,
@@ -25,18 +26,18 @@ pub(super) struct Cost {
 }
 
 impl Cost {
-    /// `unit`: the distance that costs 1, in metres.
+    /// Creates costs from prices. `unit` is the distance that costs 1, in metres.
     pub(super) fn new(price: Price, unit: f64) -> Self {
         Self { price, per_metre: if unit > 0.0 { 1.0 / unit } else { 0.0 } }
     }
 
-    /// Returns the cost of a distance in metres; infinite if it is too long.
+    /// Returns the cost of a distance in metres; infinite if the distance exceeds the longest permitted one.
     pub(super) fn of(&self, way: f64) -> f64 {
         if way > self.price.longest {
             return f64::INFINITY;
         }
         let share = way * self.per_metre;
-        // Unlike powers, products and square roots are the same on every machine.
+        // Products and square roots are the same on every machine, unlike powers.
         match self.price.sixteenths {
             0 => share,
             16.. => share * share,
@@ -59,38 +60,38 @@ enum Extent {
     /// The least and the largest coordinates of places.
     Box([Point; 2]),
     LeftOver,
-    /// Places and columns for surplus starts.
+    /// A node with places and with columns for surplus starts.
     Both,
 }
 
 struct Node {
     extent: Extent,
-    /// Its columns: positions in the order of the tree.
+    /// Range of the node's columns, as positions in the order of the tree.
     from: usize,
     to: usize,
-    /// Index of its second child; the first child follows the node itself. `None` for a leaf.
+    /// Index of the second child; the first child follows the node itself. `None` for a leaf.
     second: Option<usize>,
     parent: Option<usize>,
-    /// The lowest price of its columns.
+    /// Lowest price of the node's columns.
     price: f64,
 }
 
 /// Columns with their prices, which start at 0. An infinite price removes a column.
 pub(super) struct Columns {
     nodes: Vec<Node>,
-    /// The column at each position of the tree.
+    /// Column at each position of the tree.
     order: Vec<usize>,
-    /// In the order of the tree.
+    /// Positions of places in space, in the order of the tree.
     points: Vec<Point>,
     prices: Vec<f64>,
-    /// The leaf of each position.
+    /// Index of the leaf that contains each position of the tree.
     leaves: Vec<usize>,
-    /// Number of columns compared with rows.
+    /// Number of comparisons of columns with rows so far.
     pub(super) compared: u64,
 }
 
 impl Columns {
-    /// Builds the tree of places, followed by `left_over` columns for starts without a place. Requires at least one column.
+    /// Builds the tree of places, followed by `left_over` columns for surplus starts. At least one column is required.
     pub(super) fn new(places: &[Point], left_over: usize) -> Self {
         let count = places.len() + left_over;
         let mut columns = Self {
@@ -175,7 +176,7 @@ impl Columns {
         }
     }
 
-    /// Returns the lowest price of a node's columns, using its children.
+    /// Returns the lowest price of a node's columns. The prices of its children must be current.
     fn lowest(&self, index: usize) -> f64 {
         let node = &self.nodes[index];
         node.second.map_or_else(
@@ -184,7 +185,7 @@ impl Columns {
         )
     }
 
-    /// Sets the prices of all columns, given by their positions.
+    /// Sets the price of each column; `price` receives the column's position.
     pub(super) fn set_prices(&mut self, price: impl Fn(usize) -> f64) {
         self.prices.iter_mut().enumerate().for_each(|(position, old)| *old = price(position));
         for index in (0..self.nodes.len()).rev() {
@@ -198,8 +199,8 @@ impl Columns {
         self.points.get(position).map_or(row.left_over, |point| metres_between(at, *point))
     }
 
-    /// Finds the columns with the lowest cost for a row, including prices, as costs and positions in increasing order. If there are not
-    /// enough columns, the remaining costs are infinite.
+    /// Finds the columns with the lowest cost for a row, including prices. Writes costs and positions to `found`, by increasing cost. If
+    /// there are too few columns, the remaining costs are infinite.
     pub(super) fn cheapest(&mut self, row: &Row, cost: Cost, found: &mut [(f64, usize)]) {
         found.fill((f64::INFINITY, 0));
         self.search(0, row, cost, found);
@@ -232,7 +233,7 @@ impl Columns {
         }
     }
 
-    /// Returns a lower bound for the columns of a node.
+    /// Returns a lower bound on the cost of a node's columns for a row.
     fn bound(&self, index: usize, row: &Row, cost: Cost) -> f64 {
         let node = &self.nodes[index];
         let way = match (row.at, node.extent) {

@@ -1,4 +1,4 @@
-//! Routes for a whole group: the assignment that needs no detour if it is nearly the shortest, otherwise delays and arcs.
+//! Routes for a whole group: an assignment without detours if its sum is close to the least one, otherwise delays and arcs.
 
 use super::approach::{Approach, SLACK, closest, may_meet, meet};
 use super::assignment::{Assignment, Cheapest, Least, Price, Ways};
@@ -6,41 +6,41 @@ use super::way::{CURVATURE, SLOPE, Way};
 use crate::formation::{Point, ROUNDING, metres_between, pairs_within};
 use downbeat_yaml::budget::Budget;
 
-/// Prices tried one after another, as powers of the distances: the number of sixteenths by which the exponent exceeds 1. The least sum of
-/// squares keeps straight routes apart if starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics
-/// Research 33, 2014).
+/// Prices to try one after another, as powers of the distances: each number is the excess of the exponent over 1, in sixteenths. The
+/// least sum of squares keeps straight routes apart if starts and places are far enough from each other (Turpin, Michael and Kumar, Int.
+/// J. Robotics Research 33, 2014).
 const SIXTEENTHS: [u8; 5] = [0, 1, 2, 6, 16];
-/// Fewer prices for larger groups, the most promising ones first.
+/// Like [`SIXTEENTHS`], for large groups: fewer prices, the most promising ones first.
 const SIXTEENTHS_OF_LARGE: [u8; 3] = [0, 16, 6];
-/// Groups with more bodies than this are large.
+/// Largest number of bodies in a group that is not large.
 const LARGE: usize = 300;
-/// Largest permitted ratio of the sum of all distances to the least sum.
+/// Largest permitted ratio of an assignment's sum of distances to the least sum.
 const TOTAL_MAX: f64 = 1.01;
-/// Number of parts into which the time is divided for delays.
+/// Number of parts into which the duration is divided for delays.
 const DELAY_PARTS: u8 = 8;
-/// Maximum number of these parts that a body waits.
+/// Maximum number of parts of the duration that a body waits.
 const WAITS_MAX: u8 = 5;
-/// Maximum number of layers above and below the straight route.
+/// Maximum number of layers of arcs above, and below, the straight route.
 const LAYERS_MAX: u8 = 4;
-/// Maximum number of passes over all routes that come too close.
+/// Maximum number of passes over all routes on which bodies come too close.
 const ROUNDS_MAX: usize = 40;
-/// Maximum number of pairs that the search for detours checks; in larger groups, the second limit applies per body.
+/// Maximum number of pairs that the search for detours checks. For larger groups, the limit is [`PAIRS_PER_BODY_MAX`] per body.
 const PAIRS_MAX: usize = 5_000_000;
 const PAIRS_PER_BODY_MAX: usize = 2_000;
-/// Rounding error of a distance, in metres.
+/// Rounding error of a distance, in metres, and of a ratio of distances.
 const DUST: f64 = 1e-9;
 
-/// Limits of a body, in metres per second and per second squared; infinite if there is no limit.
+/// Limits of a body's speed and acceleration, in m/s and m/s²; infinite for no limit.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Speed and acceleration along x, y and z.
+    /// Largest speed and acceleration along each of x, y and z.
     pub axes: [[f64; 2]; 3],
-    /// Speed and acceleration in any direction.
+    /// Largest speed and acceleration in any direction.
     pub body: [f64; 2],
 }
 
 impl Limits {
-    /// Returns the shortest time for a route, in seconds.
+    /// Returns the shortest time in which the body can take a route, in seconds.
     fn time_for(&self, way: &Way) -> f64 {
         let time = |reach: f64, lift: f64, [speed, acceleration]: [f64; 2]| {
             let bend = CURVATURE * (reach + 4.0 * lift) + SLOPE * SLOPE * 8.0 * lift;
@@ -54,63 +54,64 @@ impl Limits {
     }
 }
 
-/// A body in transit.
+/// A body on its way to a place.
 #[derive(Clone, Copy, Debug)]
 pub struct Body {
-    /// The start of the body, in metres.
+    /// Start of the body, in metres.
     pub from: Point,
-    /// The distance that another body keeps from its middle, in metres: half of the required distance plus its own radius.
+    /// This body's share of the least distance between its middle and that of another body, in metres: half of the required distance
+    /// plus its own radius.
     pub keep: f64,
-    /// Possible deviation of its steps, in metres.
+    /// Possible deviation of the body's steps from its route, in metres.
     pub error: f64,
-    /// Possible deviation of its last place because of the grids of its devices, in metres.
+    /// Possible deviation of the body's last place because of the grids of its devices, in metres.
     pub rounding: f64,
-    /// The beginning of its time, in seconds.
+    /// Earliest start of the body's movement, in seconds.
     pub begin: f64,
-    /// Limits of its speed and acceleration.
+    /// Limits of the body's speed and acceleration.
     pub limits: Limits,
-    /// Range of heights for an arc; `None` if it cannot change its height.
+    /// Range of heights in which the body may fly an arc, in metres; `None` if it cannot change its height.
     pub heights: Option<[f64; 2]>,
 }
 
 /// The destinations of bodies.
 pub enum Goals<'a> {
-    /// Each body moves to the place with its own index.
+    /// Each body moves to the place at its own index.
     Own(&'a [Point]),
-    /// Each body moves to one of the first places; surplus bodies move to their place in the second list.
+    /// Each body moves to one of the places in the first list; surplus bodies move to the place at their own index in the second list.
     Any(&'a [Point], &'a [Point]),
 }
 
-/// The task of a group.
+/// The task of a group: to move all bodies to their places without collisions.
 pub struct Crossing<'a> {
-    /// The bodies that take part.
+    /// Bodies that take part.
     pub bodies: &'a [Body],
-    /// The destinations of the bodies.
+    /// Destinations of the bodies.
     pub goals: Goals<'a>,
-    /// The quantity to minimize.
+    /// The quantity that the assignment minimizes.
     pub least: Least,
-    /// The time for each body, in seconds.
+    /// Time that each body has for its movement, in seconds.
     pub over: f64,
 }
 
-/// The distance that two bodies must keep, in metres.
+/// The distance that two bodies must keep, from middle to middle, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Required {
-    /// The regular distance, including the deviation of their steps.
+    /// The regular distance, including the deviation of both bodies' steps.
     Apart(f64),
-    /// The distance of their starts or ends, which is smaller than the regular distance.
+    /// The distance between the bodies' starts or ends, which is smaller than the regular distance.
     AsAtEnds(f64),
     /// The ends of two bodies are closer to each other than permitted.
     AtEnd {
-        /// The distance between their ends.
+        /// Distance between the ends.
         end: f64,
-        /// The minimum distance between them.
+        /// Minimum distance between the ends.
         least: f64,
     },
 }
 
 impl Required {
-    /// Returns the distance below which routes are rejected.
+    /// Returns the distance below which two routes are rejected, in metres.
     fn metres(self) -> f64 {
         let (Self::Apart(metres) | Self::AsAtEnds(metres) | Self::AtEnd { least: metres, .. }) = self;
         metres - DUST
@@ -120,26 +121,26 @@ impl Required {
 /// Two bodies that cannot pass each other.
 #[derive(Clone, Debug)]
 pub struct Blocked {
-    /// Their indices.
+    /// Indices of the two bodies.
     pub pair: [usize; 2],
-    /// The time at which they are closest, in seconds.
+    /// Time at which the bodies are closest, in seconds.
     pub at: f64,
-    /// From middle to middle, in metres.
+    /// Distance at that time, from middle to middle, in metres.
     pub distance: f64,
-    /// The required distance, in metres.
+    /// Distance that the bodies must keep.
     pub required: Required,
-    /// Number of pairs that come too close.
+    /// Number of pairs of bodies that come too close.
     pub pairs: usize,
 }
 
-/// The reason why there are no routes.
+/// The reason why no routes were found.
 #[derive(Clone, Debug)]
 pub enum Refused {
-    /// The time is too short for a body.
+    /// A body cannot move so far in the given duration.
     TooShort {
         /// Index of the body.
         body: usize,
-        /// The shortest time that suffices for all bodies, in seconds.
+        /// The shortest duration that suffices for all bodies, in seconds.
         seconds: f64,
     },
     /// Two bodies cannot pass each other.
@@ -149,18 +150,18 @@ pub enum Refused {
 /// Tolerance factor for rounding errors in the computed time.
 const ENOUGH: f64 = 1.0 + 1e-9;
 
-/// Routes that keep all bodies apart, with the permitted deviation of the steps of each body, in metres. The latter is less than the
-/// body's `error` if two bodies begin or end close to each other.
+/// Routes that keep all bodies apart, with the permitted deviation of each body's steps, in metres. This is less than [`Body::error`]
+/// for bodies that begin or end close to each other.
 #[derive(Clone, Debug)]
 pub struct Crossed {
     pub ways: Vec<Way>,
     pub errors: Vec<f64>,
 }
 
-/// Finds routes that keep all bodies apart, in their order.
+/// Finds routes that keep all bodies apart. The routes are in the order of the bodies.
 ///
 /// # Errors
-/// The time is too short, or no route was found on which certain bodies can pass each other.
+/// Returns the reason if the duration is too short, or if no route was found on which certain bodies can pass each other.
 pub fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
     let mut best: Option<(Vec<Way>, Vec<Near>)> = None;
     let mut needed = (0, f64::INFINITY);
@@ -198,7 +199,7 @@ fn ends(a: &Way, b: &Way) -> [f64; 2] {
     [metres_between(a.from, b.from), metres_between(a.to, b.to)]
 }
 
-/// Two bodies that come too close.
+/// Two bodies that come too close, with their closest approach.
 #[derive(Clone, Copy, Debug)]
 struct Near {
     pair: [usize; 2],
@@ -206,7 +207,7 @@ struct Near {
 }
 
 impl Crossing<'_> {
-    /// Returns the goals of all bodies, one assignment after another.
+    /// Returns candidate assignments one after another, each as the goals of all bodies.
     fn candidates(&self) -> Box<dyn Iterator<Item = Vec<Point>> + '_> {
         let (places, spare) = match self.goals {
             Goals::Own(own) => return Box::new(std::iter::once(own.to_vec())),
@@ -229,7 +230,7 @@ impl Crossing<'_> {
             let goals = goals(assignment);
             let total: f64 =
                 starts.iter().zip(&goals).map(|(start, goal)| metres_between(*start, *goal)).sum();
-            // The first price is the distance itself.
+            // The first price is the distance itself, so its sum gives the optimum.
             let optimum = *optimum.get_or_insert(total * proven);
             (self.least == Least::Longest || total <= optimum * TOTAL_MAX).then_some(goals)
         });
@@ -241,7 +242,8 @@ impl Crossing<'_> {
         self.bodies.iter().zip(goals).map(way).collect()
     }
 
-    /// Returns the required distance between the middles of two bodies. If they begin or end closer, the route cannot avoid that.
+    /// Returns the required distance between the middles of two bodies. If the bodies begin or end closer to each other, a smaller
+    /// distance is required.
     fn required(&self, ways: &[Way], a: usize, b: usize) -> Required {
         let [begin, end] = ends(&ways[a], &ways[b]);
         let [least, apart] = [self.least(a, b), self.apart(a, b)];
@@ -253,17 +255,17 @@ impl Crossing<'_> {
         }
     }
 
-    /// Returns the least distance between the middles of two bodies, in metres.
+    /// Returns the least permitted distance between the middles of two bodies, in metres.
     fn least(&self, a: usize, b: usize) -> f64 {
         self.bodies[a].keep + self.bodies[b].keep
     }
 
-    /// Returns this distance plus the deviations of their steps.
+    /// Returns the least permitted distance plus the deviations of both bodies' steps, in metres.
     fn apart(&self, a: usize, b: usize) -> f64 {
         self.least(a, b) + self.bodies[a].error + self.bodies[b].error + SLACK
     }
 
-    /// Distributes the excess distance between the ends of two bodies over the errors of both.
+    /// Reduces the permitted errors of bodies that begin or end close to each other: each gets half of the pair's excess distance.
     fn crossed(&self, ways: Vec<Way>) -> Crossed {
         let mut errors: Vec<f64> = self.bodies.iter().map(|body| body.error).collect();
         let (starts, ends): (Vec<Point>, Vec<Point>) = ways.iter().map(|way| (way.from, way.to)).unzip();
@@ -278,12 +280,13 @@ impl Crossing<'_> {
         Crossed { ways, errors }
     }
 
-    /// Returns the largest radius of a body including its error, in metres.
+    /// Returns the largest sum of a body's `keep` and `error`, in metres.
     fn reach_max(&self) -> f64 {
         self.bodies.iter().map(|body| body.keep + body.error).fold(0.0, f64::max)
     }
 
-    /// Returns the pairs that come too close, in their order; with `changed`, only those of changed bodies.
+    /// Returns the pairs of bodies that come too close, in order of their indices. With `changed`, returns only pairs with a changed
+    /// body.
     fn near(&self, ways: &[Way], changed: Option<&[bool]>) -> Vec<Near> {
         let mut order: Vec<usize> = (0..ways.len()).collect();
         let bounds: Vec<[Point; 2]> = ways.iter().map(Way::bounds).collect();
@@ -306,19 +309,19 @@ impl Crossing<'_> {
         near
     }
 
-    /// Returns the number of other bodies that come too close to a body, at most `most`.
+    /// Returns the number of other bodies that come too close to `body`; stops counting at `most`.
     fn conflicts(&self, ways: &[Way], body: usize, most: usize) -> usize {
         let others = (0..ways.len()).filter(|other| *other != body);
         let too_close = |other: &usize| {
-            // The required distance never exceeds this.
+            // The required distance never exceeds `apart`.
             may_meet(&ways[body], &ways[*other], self.apart(body, *other))
                 && meet(&ways[body], &ways[*other], self.required(ways, body, *other).metres())
         };
         others.filter(too_close).take(most).count()
     }
 
-    /// Delays single bodies or leads them in an arc until all bodies keep apart; otherwise returns the closest pair. Each body that comes
-    /// too close to others takes the route on which it comes too close to the fewest (Minton et al., Artificial Intelligence 58, 1992).
+    /// Delays single bodies or leads them in arcs until all bodies keep apart; otherwise returns the closest pair. Each body that comes
+    /// too close to others takes the route with the fewest conflicts (Minton et al., Artificial Intelligence 58, 1992).
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
         let mut room = Budget::new(PAIRS_MAX.max(PAIRS_PER_BODY_MAX * ways.len()));
         let mut fewest = (near.clone(), ways.to_vec());
@@ -362,8 +365,8 @@ impl Crossing<'_> {
         })
     }
 
-    /// Leads a body along the route on which it comes too close to the fewest others. In later rounds, an equally good route is accepted
-    /// as well, a different one in each round, so that bodies leave local minima.
+    /// Leads a body along the route on which it comes too close to the fewest others. Later rounds also accept an equivalent route, a
+    /// different one in each round, so that bodies leave local minima.
     fn avoid(&self, ways: &mut [Way], body: usize, round: usize, room: &mut Budget) {
         let mut best = ways[body];
         let mut fewest = self.conflicts(ways, body, usize::MAX);
@@ -385,7 +388,7 @@ impl Crossing<'_> {
         ways[body] = best;
     }
 
-    /// Returns other routes to the same place: first shifted in time, then above or below the others, then both.
+    /// Returns other routes of a body to the same place: first shifted in time, then above or below the others, then both.
     fn alternatives(&self, straight: &Way, index: usize) -> Vec<Way> {
         let body = &self.bodies[index];
         let mut windows = vec![(straight.begin, straight.length)];
@@ -396,7 +399,7 @@ impl Crossing<'_> {
         }
         let mut lifts = vec![0.0];
         for layer in 1..=LAYERS_MAX {
-            // The middle half of an arc is at least this much higher.
+            // In its middle half, an arc is at least 3/4 of its height away from the straight route.
             let height = 2.0 * (body.keep + body.error) * f64::from(layer) * 4.0 / 3.0;
             lifts.extend([height, -height]);
         }

@@ -1,7 +1,7 @@
 //! Moves a group of bodies from their places to the places of a formation without collisions.
 //!
-//! `assignment` determines which body takes which place: `auction` finds the least sum of distances and `bottleneck` the shortest longest
-//! distance, both with the places in the k-d tree of `columns`. `way` describes the movement of one body, `approach` finds how close two
+//! `assignment` determines which body takes which place: `auction` finds the least sum of distances, and `bottleneck` the least longest
+//! distance. Both have the places in the k-d tree of `columns`. `way` describes the movement of one body, `approach` finds how close two
 //! bodies come to each other, and `crossing` combines them. Lengths are in metres, times in seconds. This module does not depend on
 //! robots and devices.
 

@@ -13,7 +13,7 @@ use crate::formation::{Point, metres_between, nearest_pair};
 const FREE: Limits = Limits { axes: [[f64::INFINITY; 2]; 3], body: [f64::INFINITY; 2] };
 const WAYS: Price = Price { sixteenths: 0, longest: f64::INFINITY };
 
-/// Returns the assignment with the least sum of distances; surplus bodies stay.
+/// Returns the assignment with the least sum of distances; surplus bodies do not move.
 fn cheapest(starts: &[Point], places: &[Point]) -> Assignment {
     Ways::between(starts, places, starts).cheapest(WAYS).assignment
 }
@@ -26,7 +26,7 @@ fn points(count: impl Into<prop::collection::SizeRange>) -> impl Strategy<Value 
     prop::collection::vec(prop::array::uniform3(-10.0..10.0f64), count)
 }
 
-/// Returns every order of the numbers below `count`, by exchanging the last one with each.
+/// Returns all permutations of the numbers below `count`, by exchanging the last number with each.
 fn orders(count: usize) -> Vec<Vec<usize>> {
     match count {
         0 => vec![Vec::new()],
@@ -47,7 +47,7 @@ fn ways(starts: &[Point], places: &[Point], order: &[usize]) -> Vec<f64> {
     starts.iter().zip(order).map(|(start, place)| metres_between(*start, places[*place])).collect()
 }
 
-/// Returns the order of an assignment that has a place for every start.
+/// Returns the places in the order of the starts, for an assignment that has a place for every start.
 fn order_of(assignment: &[Option<usize>]) -> Vec<usize> {
     let order: Vec<usize> = assignment.iter().map(|place| place.expect("a place for every start")).collect();
     let mut sorted = order.clone();
@@ -57,8 +57,8 @@ fn order_of(assignment: &[Option<usize>]) -> Vec<usize> {
     order
 }
 
-/// Whether no exchange of places in any ring of bodies decreases the sum, which proves that the sum is the least one. The shortest
-/// exchanges are found by the Bellman-Ford algorithm.
+/// Whether no exchange of places in any ring of bodies decreases the sum of distances, which proves that the sum is the least one. The
+/// Bellman-Ford algorithm finds the shortest exchanges.
 fn is_least(starts: &[Point], places: &[Point], order: &[usize]) -> bool {
     let count = starts.len();
     let gain = |a: usize, b: usize| {
@@ -82,7 +82,7 @@ fn is_least(starts: &[Point], places: &[Point], order: &[usize]) -> bool {
     false
 }
 
-/// Returns the least of many sampled distances of two routes.
+/// Returns the least of many sampled distances between two routes.
 fn sampled(a: &Way, b: &Way) -> f64 {
     let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
     let at = |i: u32| from + (to - from) * f64::from(i) / 4_000.0;
@@ -171,7 +171,7 @@ fn the_places_of_three_hundred_bodies_on_a_circle_are_those_of_the_shortest_ways
 fn bodies_in_equal_arcs_are_as_far_apart_all_the_time() {
     let way = |x: f64| Way { lift: 3.0, ..Way::straight([x, 0.0, 0.0], [x + 5.0, 2.0, 1.0], 0.0, 4.0) };
     let found = closest(&way(0.0), &way(0.5), 0.6).unwrap();
-    // A search that gives up returns a much lower bound.
+    // A search that stops at its limit returns a much lower bound.
     assert!((found.distance - 0.5).abs() <= SLACK + 1e-9, "{found:?}");
     assert!(closest(&way(0.0), &way(0.5), 0.4).is_none());
 }
@@ -193,7 +193,7 @@ fn bodies_go_from_a_close_grid_to_a_close_circle_with_the_shortest_longest_way()
     }
 }
 
-/// Returns the least sum of distances by the Hungarian algorithm, in metres; it adds integers of nanometres.
+/// Returns the least sum of distances by the Hungarian algorithm, in metres. It adds integers of nanometres.
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "ways are short")]
 fn hungarian(starts: &[Point], places: &[Point], spare: &[Point]) -> f64 {
     let left_over = starts.len().saturating_sub(places.len());
@@ -205,7 +205,7 @@ fn hungarian(starts: &[Point], places: &[Point], spare: &[Point]) -> f64 {
     total as f64 / 1e9
 }
 
-/// Compares an assignment with the least sum.
+/// Checks that an assignment has the least sum of distances.
 #[track_caller]
 fn check_sum(starts: &[Point], places: &[Point], spare: &[Point]) {
     let assignment = Ways::between(starts, places, spare).cheapest(WAYS).assignment;
@@ -226,7 +226,7 @@ fn grid(count: usize, columns: usize, at: Point) -> Vec<Point> {
 
 #[test]
 fn the_sum_is_least_where_many_ways_are_equal() {
-    // Two grids have few different distances. If a grid is only raised, all assignments along a line are equally good.
+    // Two grids have few different distances. If a grid is only raised, all assignments along a line are equivalent.
     check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 10, [7.0, 3.0, 5.0]), &[[0.0; 3]; 400]);
     check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 20, [0.0, 0.0, 9.0]), &[[0.0; 3]; 400]);
     check_sum(&grid(300, 300, [0.0; 3]), &grid(300, 300, [120.0, 0.0, 0.0]), &[[0.0; 3]; 300]);
@@ -305,8 +305,8 @@ proptest! {
     }
 }
 
-/// Whether each start has a place within `length`, or each place a start, by successive augmenting paths. With fewer places, the other
-/// starts need their spare place within it.
+/// Whether each start can have a place within `length`, or each place a start, by successive augmenting paths. If there are fewer
+/// places, the other starts need their spare place within `length`.
 fn fits(starts: &[Point], places: &[Point], spare: &[Point], length: f64) -> bool {
     let left_over = starts.len().saturating_sub(places.len());
     let columns = places.len() + left_over;
@@ -376,7 +376,7 @@ proptest! {
             let goals = assignment.iter().enumerate().map(goal);
             starts.iter().zip(goals).map(|(start, goal)| metres_between(*start, goal)).collect()
         };
-        // Missing places are taken in any order: their bodies are left over.
+        // Places that do not exist may be taken in any order: their bodies are left over.
         let all = orders(starts.len().max(places.len()));
         let all: Vec<Vec<f64>> = all.iter().map(|order| {
             ways(&order[..starts.len()].iter().map(|place| Some(*place).filter(|place| *place < places.len())).collect::<Vec<_>>())

@@ -1,19 +1,19 @@
-//! The route of one body: straight with a time law, or in an arc above or below the others.
+//! The route of one body: a straight line with a time law, or an arc above or below the other bodies.
 
 use crate::formation::Point;
 use downbeat_motion::motion::Easing;
 
-/// The largest slope of the time law, which is minimum jerk.
+/// Largest slope of the time law, which is minimum jerk.
 pub const SLOPE: f64 = 1.875;
-/// Its largest second derivative, 10/sqrt(3).
+/// Largest second derivative of the time law: 10/sqrt(3).
 pub const CURVATURE: f64 = 5.773_502_691_896_258;
 
-/// from + (to - from) u + lift 4 u (1 - u) upwards, where u is the time law of the time since the start.
+/// A route: from + (to - from) u + lift 4 u (1 - u) upwards, where u is the time law of the share of the duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Way {
-    /// The start of the route, in metres.
+    /// Start of the route, in metres.
     pub from: Point,
-    /// The end of the route, in metres.
+    /// End of the route, in metres.
     pub to: Point,
     /// Start time, in seconds.
     pub begin: f64,
@@ -34,12 +34,12 @@ impl Way {
         self.begin + self.length
     }
 
-    /// Returns the vector from its start to its end, in metres.
+    /// Returns the vector from the route's start to its end, in metres.
     pub fn vector(&self) -> Point {
         std::array::from_fn(|axis| self.to[axis] - self.from[axis])
     }
 
-    /// Returns the place of the body at a time in seconds.
+    /// Returns the place of the body at a time, in seconds.
     pub fn at(&self, time: f64) -> Point {
         let u = Easing::Smooth.at(((time - self.begin) / self.length).clamp(0.0, 1.0));
         let vector = self.vector();
@@ -48,20 +48,20 @@ impl Way {
         at
     }
 
-    /// Returns an upper bound of the movement per unit of the time law, in metres.
+    /// Returns an upper bound on the movement per unit of the time law, in metres.
     pub fn reach(&self) -> f64 {
         let [x, y, z] = self.vector();
         x.hypot(y).hypot(z.abs() + 4.0 * self.lift.abs())
     }
 
-    /// Returns an upper bound of its speed between two times, in metres per second; the time law is fastest in its middle.
+    /// Returns an upper bound on the body's speed between two times, in m/s; the time law is fastest in its middle.
     pub(super) fn speed_max(&self, from: f64, to: f64) -> f64 {
         let share = |time: f64| ((time - self.begin) / self.length).clamp(0.0, 1.0);
         let s = 0.5f64.clamp(share(from), share(to));
         self.reach() * 30.0 * (s * (1.0 - s)).powi(2) / self.length
     }
 
-    /// Returns the least and the largest x, y and z.
+    /// Returns the least and the largest x, y and z of the route.
     pub(super) fn bounds(&self) -> [Point; 2] {
         let mut least: Point = std::array::from_fn(|axis| self.from[axis].min(self.to[axis]));
         let mut most: Point = std::array::from_fn(|axis| self.from[axis].max(self.to[axis]));
@@ -70,7 +70,7 @@ impl Way {
         [least, most]
     }
 
-    /// Whether both are straight and have the same time law.
+    /// Whether both routes are straight and have the same time law.
     pub(super) fn is_even_with(&self, other: &Self) -> bool {
         (self.begin, self.length) == (other.begin, other.length) && self.lift == 0.0 && other.lift == 0.0
     }

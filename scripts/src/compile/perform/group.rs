@@ -1,4 +1,4 @@
-//! Turns group movements of a cue into movements of the devices of body coordinates. `ensemble` computes the movements.
+//! Turns group movements of a cue into movements of the devices that are coordinates of bodies. `ensemble` computes the movements.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use fixes::Fixes;
 mod fixes;
 mod told;
 
-/// The context of groups beyond their cues.
+/// What the movement of a group depends on apart from its cue.
 #[derive(Clone, Copy)]
 pub(in crate::compile) struct Ground<'g> {
     pub(in crate::compile) of_scenario: ensemble::Ground<'g>,
@@ -41,14 +41,14 @@ struct Grouped<'g> {
     time: &'g CueTime,
 }
 
-/// The next group to be processed.
+/// A group in the order in which groups are processed.
 struct Turn<'g> {
     grouped: Grouped<'g>,
-    /// Whether all groups that move one of its robots earlier have already been processed.
+    /// Whether all groups that move one of this group's robots earlier are processed before it.
     is_known: bool,
 }
 
-/// Orders the groups: among groups that share a robot, the one in which the robot begins first comes first.
+/// Orders the groups of an act. Of two groups that share a robot, the one in which the robot begins first comes first.
 fn in_turn(mut groups: Vec<Grouped<'_>>) -> Vec<Turn<'_>> {
     groups.sort_by_key(|grouped| grouped.time.start);
     let mut of_robot: HashMap<usize, Vec<(Span, usize)>> = HashMap::new();
@@ -85,7 +85,7 @@ fn in_turn(mut groups: Vec<Grouped<'_>>) -> Vec<Turn<'_>> {
 }
 
 impl<'a> Performer<'_, 'a> {
-    /// Processes the groups of an act in order of time: each begins where the previous movements end.
+    /// Processes the groups of an act in order of time, since each group begins where the previous movements end.
     pub(in crate::compile) fn groups(
         &mut self,
         act: &Act,
@@ -119,11 +119,11 @@ impl<'a> Performer<'_, 'a> {
         }
     }
 
-    /// Computes the movements of a group. Returns whether they are possible.
+    /// Computes the movements of a group. Returns `false` if they are impossible.
     fn group(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> bool {
         let Some(dancers) = self.dancers(grouped, ground) else { return false };
         let Grouped { cue, group, time, .. } = grouped;
-        // A formation determines each coordinate, even if it does not move.
+        // A formation sets every coordinate of its robots, even those that do not change.
         let is_formed = matches!(group.action, Action::Form(_));
         if is_formed && self.tell_moving(grouped, &dancers, |_, _| true) {
             return false;
@@ -144,10 +144,10 @@ impl<'a> Performer<'_, 'a> {
                     .collect();
                 self.fit_ahead(&all);
                 all.into_iter().for_each(|dance| self.dance(cue, time, &dance));
-                // Later movements would begin at impossible places, and their findings would have the same cause.
+                // If hints were added, later movements would begin at impossible places, and their findings would have the same cause.
                 !self.hint_within_limits(grouped, &dancers, &ways, ground, before)
             }
-            // More time does not help a movement that leaves the limits of the devices.
+            // A longer time does not help if the movement leaves the limits of the devices.
             Err(fault @ Fault::TooShort { .. }) if self.leads_out(grouped, &dancers, &fault, ground) => false,
             Err(fault) => {
                 let robots: Vec<usize> = dancers.iter().map(|dancer| dancer.robot).collect();
@@ -158,7 +158,8 @@ impl<'a> Performer<'_, 'a> {
         }
     }
 
-    /// Reports places beyond the limits of the devices to which a group with too little time would move. Returns whether there are any.
+    /// If a group with too little time would move to places beyond the limits of devices, reports these places. Returns whether there
+    /// are any.
     fn leads_out(
         &mut self,
         grouped: Grouped<'_>,
@@ -184,7 +185,7 @@ impl<'a> Performer<'_, 'a> {
         self.hint_within_limits(grouped, dancers, &ways, ground, before)
     }
 
-    /// Adds one hint to all places beyond the limits found since `before`. Returns whether there are any.
+    /// Sets the same hint for all findings since `before` about places beyond the limits. Returns whether there are such places.
     fn hint_within_limits(
         &mut self,
         Grouped { cue, group, .. }: Grouped<'_>,
@@ -196,7 +197,7 @@ impl<'a> Performer<'_, 'a> {
         let is_out = |found: &Pending| found.code == Code::OutOfRange;
         let fixes = Fixes::of(cue, group, dancers, ground);
         if !self.findings.found.iter().skip(before).any(is_out) {
-            // They may have been merged into a finding about another cue with the same formation.
+            // The findings may have been merged into a finding about another cue with the same formation.
             return !fixes.are_within(ways);
         }
         let fix = fixes.within_limits(ways);
@@ -212,7 +213,7 @@ impl<'a> Performer<'_, 'a> {
         true
     }
 
-    /// Returns the robots with their places at their own starts.
+    /// Returns the robots of a group, each with its place at its own start.
     fn dancers(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> Option<Vec<Dancer<'a>>> {
         let Grouped { cue, group, members, time } = grouped;
         let cast = self.cast;
@@ -241,7 +242,7 @@ impl<'a> Performer<'_, 'a> {
         (without.is_empty() && unknown.is_empty()).then_some(dancers)
     }
 
-    /// Reports coordinates selected by `counts` that still move when the cue begins. Returns whether there are any.
+    /// Reports coordinates that still move when the cue begins, if `counts` selects them. Returns whether there are any.
     fn tell_moving(
         &mut self,
         grouped: Grouped<'_>,
@@ -269,7 +270,7 @@ impl<'a> Performer<'_, 'a> {
         is_moving
     }
 
-    /// Returns the coordinate at a time of the act, in metres: the end of the last preceding movement.
+    /// Returns a coordinate of a robot at the time `at` of the act, in metres, where the last preceding movement has left it.
     fn standing(&self, robot: usize, axis: &Axis<'_>, at: Span, positions: &Positions<'_>) -> Option<f64> {
         let (index, scale, offset) = match *axis {
             Axis::Fixed(value) => return Some(value),
@@ -287,7 +288,7 @@ impl<'a> Performer<'_, 'a> {
         Some(offset + scale * value)
     }
 
-    /// Fits many movements on all processors.
+    /// Fits the movements on all processors if there are many.
     fn fit_ahead(&mut self, dances: &[Dance<'_>]) {
         if dances.len() < WAYS_MIN {
             return;
@@ -326,13 +327,13 @@ impl<'a> Performer<'_, 'a> {
     }
 }
 
-/// The movement of a device in a group.
+/// The movement of one device in the movement of a group.
 struct Dance<'a> {
     robot: usize,
-    /// Index of the device in the robot.
+    /// Index of the device in the robot's list of devices.
     index: usize,
     device: &'a Device,
-    /// Relative to the cue's start.
+    /// Start of the movement, since the cue's start.
     begin: Span,
     length: Span,
     track: Track,

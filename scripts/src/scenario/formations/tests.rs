@@ -1,4 +1,4 @@
-//! Formations as written.
+//! Tests of formations as written.
 
 use super::*;
 use crate::files::NoFiles;

@@ -1,4 +1,4 @@
-//! Limits that are wider by less than the grid, more steps, and scripts of another length.
+//! Metamorphic tests of devices: limits that are wider by less than the grid, more steps, and scripts of another length.
 
 use proptest::prelude::*;
 
@@ -49,7 +49,7 @@ fn told(compiled: &Compiled) -> (Option<Steps>, Vec<crate::Code>) {
     (act, compiled.findings.iter().map(|finding| finding.code).collect())
 }
 
-/// A change of a movement, without `every`.
+/// Draws a change of a movement, without the key `every`.
 fn written() -> impl Strategy<Value = String> {
     changes().prop_map(|change| change.yaml).prop_filter("turn to turn", |yaml| !yaml.contains(EVERY))
 }
@@ -65,7 +65,7 @@ fn wish(tolerance: Option<f64>) -> String {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(100) })]
 
-    /// Both limits are between the same two multiples, so that the device can be set to no other values.
+    /// Both limits are between the same two multiples of the granularity, so that the device can be set to the same values.
     #[test]
     fn limits_wider_by_less_than_the_grid_change_no_step(
         (moves, movement) in moving(), change in written(), tolerance in tolerances(),

@@ -1,5 +1,5 @@
-//! Metamorphic tests: they change a scenario in a way that determines the change of its findings and its plan, so that no test needs to
-//! know either of them. The shows are those of the second reading of transitions.
+//! Metamorphic tests. They change a scenario in a way that determines how its findings and its plan change, so that no test needs to
+//! know either of them. The shows are those of the second evaluation of transitions.
 
 mod grid;
 mod order;
@@ -11,10 +11,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::ways::{Show, compiled, fleet_of, observed};
 use crate::{Act, Compiled, Fleet};
 
-/// Steps of each device: nanoseconds from the start of the act, and values.
+/// Steps of each device: nanoseconds since the act's start, and values.
 type Steps = BTreeMap<(String, String), Vec<(i64, f64)>>;
 
-/// Returns the steps of the devices in an act, regardless of their division into scripts.
+/// Returns the steps of the devices in an act, regardless of how they are divided into scripts.
 fn steps(act: &Act) -> Steps {
     let mut steps = Steps::new();
     for robot in &act.plan.robots {
@@ -37,7 +37,7 @@ fn all_steps(compiled: &Compiled) -> Option<Vec<Steps>> {
     Some(compiled.choreography.as_ref()?.acts.iter().map(steps).collect())
 }
 
-/// Returns the reported facts with changed lines.
+/// Returns the facts that findings report, with each line number replaced by the result of `line`.
 fn facts(compiled: &Compiled, line: impl Fn(usize) -> usize) -> BTreeSet<String> {
     let mut findings = compiled.findings.clone();
     for finding in &mut findings {

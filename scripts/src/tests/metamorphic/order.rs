@@ -1,4 +1,4 @@
-//! Another order of a list, or additional items in it, changes nothing.
+//! Metamorphic tests: another order of a list, or additional items in it, change nothing.
 
 use proptest::prelude::*;
 
@@ -21,7 +21,7 @@ proptest! {
         same(&show, &fleet_of(&order))?;
     }
 
-    /// The robot does not take part in the mission, so it cannot fail.
+    /// The additional robot does not take part in the mission, so it cannot fail.
     #[test]
     fn a_robot_that_does_nothing_changes_nothing(show in shows(), at in 0usize..4) {
         let mut robots = ROBOTS.to_vec();

@@ -1,4 +1,4 @@
-//! Shows that begin later, are split into two acts, or are played faster.
+//! Metamorphic tests of shows that begin later, are split into two acts, or are played faster.
 
 use std::collections::BTreeSet;
 
@@ -15,7 +15,7 @@ fn of_movements(facts: BTreeSet<String>) -> BTreeSet<String> {
     facts.into_iter().filter(|fact| !of_lengths.iter().any(|code| fact.starts_with(code.as_str()))).collect()
 }
 
-/// Changes the speed of the show: divides all times of the file by a factor, and multiplies speeds by it.
+/// Changes the speed of a show: divides all written times by a factor, and multiplies speeds by it.
 fn faster(show: &Show, factor: i64) -> Show {
     let mut fast = show.clone();
     for cue in fast.acts.iter_mut().flat_map(|act| &mut act.cues) {
@@ -28,7 +28,7 @@ fn faster(show: &Show, factor: i64) -> Show {
     fast
 }
 
-/// Splits an act into two; the second one begins with this cue.
+/// Splits an act into two acts; the second one begins with the cue at this index.
 fn split(show: &Show, act: usize, cue: usize) -> Show {
     let mut parts = show.clone();
     let behind = |target: &mut Target| {
@@ -84,7 +84,7 @@ proptest! {
         prop_assert_eq!(written.clone().at_speed(1.0, &three()), Ok(written), "{}", show.yaml());
     }
 
-    /// The checks of a linear device between cues and between acts are equivalent.
+    /// Checks between cues and checks between acts are equivalent for a linear device.
     #[test]
     fn an_act_is_the_same_as_its_two_parts(show in shows(), act in 0usize..6, cue in 1usize..5) {
         let act = act % show.acts.len();
@@ -93,14 +93,15 @@ proptest! {
         prop_assume!(cue < show.acts[act].cues.len());
         let parts = split(&show, act, cue);
         let second = parts.line_of_act(act + 1);
-        // New are the first line of the second part, which corresponds to that of the first part, and the last line of the first part.
+        // Two lines are new: the first line of the second part, which corresponds to the first line of the first part, and the last line
+        // of the first part.
         let line = |line: usize| match line {
             line if line == second => parts.line_of_act(act),
             line if line > second => line - 2,
             line => line,
         };
         let (before, after) = (of(&show, &three()), of(&parts, &three()));
-        // Both parts may leave a device in motion that the whole act continues to move.
+        // Each part may leave a device in motion that the whole act continues to move.
         let kept = |facts: BTreeSet<String>| {
             of_movements(facts).into_iter().filter(|fact| !fact.starts_with(Code::LeftInMotion.as_str())).collect::<BTreeSet<_>>()
         };

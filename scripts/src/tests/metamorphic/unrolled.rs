@@ -1,5 +1,5 @@
-//! Acts in a loop are equivalent to the same acts written one after another. An act after others is equivalent to a single act of a fleet
-//! that begins where they leave it.
+//! Metamorphic tests of loops: acts in a loop are equivalent to the same acts written one after another. An act after other acts is
+//! equivalent to a single act of a fleet that begins where these leave the devices.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,7 +10,7 @@ use super::super::ways::{Act, Show, Target, Waits};
 use super::{facts, of, three};
 use crate::{Code, Fleet, Severity};
 
-/// Writes the acts one after another, `times` times.
+/// Writes the acts of a show one after another, `times` times.
 fn rounds(show: &Show, times: usize) -> Show {
     let plain =
         |act: &Act| Act { otherwise: None, next: None, then: None, waits: Waits::Operator, ..act.clone() };
@@ -21,7 +21,7 @@ fn rounds(show: &Show, times: usize) -> Show {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(80) })]
 
-    /// A transition from the last act back to the first; the mission ends if the operator does not give the go.
+    /// The last act leads back to the first one; the mission ends if the operator does not give the go.
     #[test]
     fn a_loop_has_the_findings_of_its_rounds(show in shows()) {
         let once = rounds(&show, 1);
@@ -41,7 +41,7 @@ proptest! {
                 facts(&one, line)
             }).collect()
         };
-        // Where the first round has a warning about the beginning, a later round may have an error for the same place.
+        // Where the first round has a warning about the initial position, a later round may have an error at the same place.
         let surest = |facts: BTreeSet<String>| {
             let sure: BTreeSet<String> = facts.iter().filter_map(|fact| Some(fact.strip_prefix(Code::TooFast.as_str())?.to_owned())).collect();
             facts.into_iter().filter(|fact| fact.strip_prefix(Code::Jump.as_str()).is_none_or(|rest| !sure.contains(rest))).collect::<BTreeSet<_>>()

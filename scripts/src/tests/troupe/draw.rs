@@ -1,4 +1,4 @@
-//! Draws random shows, and writes them as text.
+//! Draws random shows of groups, and writes them as text.
 
 use std::fmt::Write as _;
 
@@ -37,7 +37,7 @@ fn formations() -> impl Strategy<Value = Formation> {
 fn paths() -> impl Strategy<Value = Path> {
     let shape = prop_oneof![
         1 => (5i64..30).prop_map(|radius| PathShape::Circle(radius * 100)),
-        // Always forward along x, so that no bend is too sharp.
+        // Each point is further along x than the previous one, so that no bend is too sharp.
         2 => prop::collection::vec([5i64..20, -8i64..8, -3i64..4], 1..5).prop_map(|steps| {
             let mut points = vec![[0; 3]];
             for [on, aside, up] in steps {
@@ -69,7 +69,7 @@ fn sweeps() -> impl Strategy<Value = Sweep> {
 }
 
 fn forms() -> impl Strategy<Value = Does> {
-    // Without a choice, most shows are rejected.
+    // Without a choice between too many and too few places, most shows are rejected.
     let choice = || prop::option::weighted(0.8, any::<bool>());
     (formations(), any::<bool>(), choice(), choice())
         .prop_map(|(formation, longest, spare, evenly)| Does::Form { formation, longest, spare, evenly })

@@ -1,4 +1,4 @@
-//! The expected places of robots, compared with the actual ones.
+//! Computes the expected places of robots, and compares them with the actual places.
 
 use proptest::prelude::*;
 
@@ -7,17 +7,17 @@ use super::path::Laid;
 use super::{Along, Cue, Does, Formation, GAP, Point, ROBOTS, Shape, Show, Steps, Sweep, fleet, steps_of};
 use crate::{Act, Code, Compiled};
 
-/// Permitted deviation of steps: the error of the devices on each axis, plus their grid.
+/// Permitted deviation of steps in metres: the error of the devices on each axis, plus their grid.
 const OFF: f64 = 0.002 * 1.733 + 0.001;
-/// Required distance of bodies from middle to middle, in metres.
+/// Required distance between two bodies from middle to middle, in metres.
 const CLEAR: f64 = 0.4;
 const SPEED: f64 = 5.0;
 /// Number of sampled times of each cue.
 const LOOKS: u32 = 60;
-/// Bodies that must wait or evade take routes of other lengths.
+/// Permitted ratio of the distances to the least ones, because bodies that must wait or evade take routes of other lengths.
 const LONGER: f64 = 1.01;
 
-/// Progress of a movement from rest to rest: minimum jerk.
+/// Returns the progress of a movement from rest to rest: minimum jerk.
 fn gone(share: f64) -> f64 {
     let s = share.clamp(0.0, 1.0);
     s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
@@ -27,7 +27,7 @@ fn metres(point: [i64; 3]) -> Point {
     point.map(|part| part as f64 / 1_000.0)
 }
 
-/// Roll, pitch and yaw about fixed axes.
+/// Rotates a point by roll, pitch and yaw in degrees about fixed axes.
 fn rotated([roll, pitch, yaw]: [f64; 3], [x, y, z]: Point) -> Point {
     let about = |degrees: f64, a: f64, b: f64| {
         let (sine, cosine) = degrees.to_radians().sin_cos();
@@ -40,7 +40,7 @@ fn rotated([roll, pitch, yaw]: [f64; 3], [x, y, z]: Point) -> Point {
 }
 
 impl Formation {
-    /// Returns its places for `count` robots.
+    /// Returns the formation's places for `count` robots, in metres.
     fn places(&self, count: usize) -> Vec<Point> {
         let number = count as f64;
         let length = |value: i64| value as f64 / 1_000.0;
@@ -73,7 +73,7 @@ impl Formation {
             Shape::Vee(spacing, angle) => (0..count)
                 .map(|index| {
                     let side = if index % 2 == 1 { 0.5 } else { -0.5 };
-                    // An arm along y, turned to its side.
+                    // An arm lies along y and is then turned to its side.
                     let arm = [0.0, length(*spacing) * (index as f64 / 2.0).ceil(), 0.0];
                     rotated([0.0, 0.0, side * *angle as f64], arm)
                 })
@@ -101,7 +101,7 @@ impl Formation {
     }
 }
 
-/// The expected places of a cue's robots at a share of their own time, if known.
+/// The expected places of a cue's robots at a share of their own time, if they are known.
 struct Course<'a> {
     sweep: &'a Sweep,
     center: Point,
@@ -137,7 +137,7 @@ impl<'a> Course<'a> {
     }
 }
 
-/// Returns all assignments of places to robots: as many as possible, each place at most once.
+/// Returns all assignments of places to robots. Each assigns as many places as possible, and each place at most once.
 fn assignments(robots: usize, places: usize) -> Vec<Vec<Option<usize>>> {
     fn more(
         robot: usize,
@@ -183,7 +183,8 @@ fn home(robot: usize) -> Point {
 }
 
 impl Cue {
-    /// Returns all sets of possible ends of the cue; `None` if it has no choice for its number of robots.
+    /// Returns all possible sets of final places of the cue; `None` if the numbers differ and the cue does not choose how to handle
+    /// this.
     fn ends(&self, from: &[Point]) -> Option<Vec<Vec<Point>>> {
         let Does::Form { formation, spare, evenly, .. } = &self.does else { return Some(Vec::new()) };
         let count = self.robots.len();
@@ -209,7 +210,7 @@ impl Cue {
     }
 }
 
-/// Checks that the ends are those of an assignment, and that no assignment is much better.
+/// Checks that the final places are those of an assignment, and that no assignment is much better.
 fn formed(cue: &Cue, from: &[Point], ends: &[Point]) -> Result<(), TestCaseError> {
     let Does::Form { longest, .. } = cue.does else { return Ok(()) };
     let Some(all) = cue.ends(from) else { return Err(TestCaseError::fail("a choice that was not made")) };
@@ -225,7 +226,7 @@ fn formed(cue: &Cue, from: &[Point], ends: &[Point]) -> Result<(), TestCaseError
     Ok(())
 }
 
-/// Checks that all robots of the fleet are at their expected places from the start of a cue to its end. Returns their places afterwards.
+/// Checks that all robots of the fleet are at their expected places from the start of a cue to its end. Returns their final places.
 fn compare_cue(cue: &Cue, start: f64, steps: &Steps, before: &[Point]) -> Result<Vec<Point>, TestCaseError> {
     let now = places(steps, start);
     for robot in 0..ROBOTS {
@@ -280,7 +281,7 @@ fn compare_cue(cue: &Cue, start: f64, steps: &Steps, before: &[Point]) -> Result
     Ok(after)
 }
 
-/// Checks distances and speeds during a cue.
+/// Checks the distances between robots and their speeds during a cue.
 fn within_limits(start: f64, end: f64, steps: &Steps) -> Result<(), TestCaseError> {
     let many = 4 * LOOKS;
     let every = (end - start) / f64::from(many);
@@ -300,7 +301,7 @@ fn within_limits(start: f64, end: f64, steps: &Steps) -> Result<(), TestCaseErro
     Ok(())
 }
 
-/// Checks that the steps of one act match the meaning of its cues.
+/// Checks that the steps of an act match the meaning of its cues.
 fn compare_act(written: &[Cue], planned: &Act, before: &[Point]) -> Result<Vec<Point>, TestCaseError> {
     let steps = steps_of(planned, &fleet(), before);
     let mut now = before.to_vec();
@@ -322,12 +323,12 @@ fn compare_act(written: &[Cue], planned: &Act, before: &[Point]) -> Result<Vec<P
     Ok(now)
 }
 
-/// Whether a reason to reject a show is plausible.
+/// Whether a show can have the fault for which it was rejected.
 fn may_be(show: &Show, code: Code) -> bool {
     let cues = || show.acts.iter().flatten();
     match code {
         Code::PlacesCount => cues().any(|cue| cue.ends(&[[0.0; 3]; ROBOTS]).is_none()),
-        // Nothing moves.
+        // Nothing moves the robot.
         Code::NotInGroup => {
             let stays = |sweep: &Sweep| sweep.shift == [0; 3] && sweep.along.is_none();
             cues().any(|cue| matches!(&cue.does, Does::Sweep(sweep) if stays(sweep)))
@@ -343,7 +344,7 @@ fn may_be(show: &Show, code: Code) -> bool {
         }),
         // Devices reach up to 50 m.
         Code::OutOfRange => cues().any(|cue| matches!(&cue.does, Does::Sweep(sweep) if sweep.grow > 1_000)),
-        // Drones hold one script, and an act may move them until its end.
+        // Each device of a drone holds one script, and an act may move the device until the act's end.
         Code::ActHasToWait => show.acts.len() > 1,
         Code::TooClose | Code::NoWayPast | Code::BodyTooFast => true,
         _ => false,

@@ -1,9 +1,9 @@
-//! The second reading of groups: random shows of bodies that form, turn, grow, shift and move along paths, with cues of their own or of a
-//! sequence, and with formations and paths of an included file. The expected place of each robot follows from the text and from the
-//! previous places; the actual place follows from the steps of the plan. The compiler chooses which robot takes which place, but the
+//! A second evaluation of groups, with random shows. Their bodies form, turn, grow, shift and move along paths, with cues of their own
+//! or of a sequence, and with formations and paths of an included file. The expected place of each robot follows from the text and from
+//! the previous places; the actual place follows from the steps of the plan. The compiler chooses which robot takes which place, but the
 //! places must be those of the formation, and the distances as short as in the best assignment.
 //!
-//! It checks a fifth of the scenarios that `whole` checks.
+//! The number of scenarios is a fifth of the number that `whole` checks.
 
 mod draw;
 mod meaning;
@@ -23,7 +23,7 @@ use crate::{Compiled, Files, Finding, Fleet, FleetRobot, Source, compile};
 
 type Point = [f64; 3];
 
-/// Number of robots, and their initial distance in metres.
+/// Number of robots; `GAP` is their initial distance in metres.
 const ROBOTS: usize = 5;
 const GAP: f64 = 1.0;
 /// Length of a beat at the tempo of all shows, in milliseconds.
@@ -32,28 +32,28 @@ const BEAT: i64 = 500;
 #[derive(Clone, Debug)]
 struct Show {
     acts: Vec<Vec<Cue>>,
-    /// Whether the cues of an act are those of a sequence, which receives the duration of each as a parameter.
+    /// Whether the cues of an act are those of a sequence, which receives the duration of each cue as a parameter.
     by_sequence: bool,
     /// Whether formations and paths are in a file that is included under a name, with their size as a parameter.
     by_include: bool,
 }
 
-/// Each cue follows the previous one.
+/// A cue that follows the previous one.
 #[derive(Clone, Debug)]
 struct Cue {
     robots: Vec<usize>,
     does: Does,
-    /// Milliseconds.
+    /// Duration in milliseconds.
     over: i64,
     in_beats: bool,
     lag: i64,
-    /// Delay from each robot to the next.
+    /// Delay from each robot to the next, in milliseconds.
     canon: i64,
 }
 
 #[derive(Clone, Debug)]
 enum Does {
-    /// Each robot separately, to places in millimetres.
+    /// Each robot moves separately, to places in millimetres.
     Go(Vec<[i64; 3]>),
     Home,
     Form {
@@ -61,13 +61,13 @@ enum Does {
         longest: bool,
         /// Whether surplus robots stay or go home.
         spare: Option<bool>,
-        /// Whether places are chosen at even steps or by distance, if there are fewer robots.
+        /// Whether places are chosen at even steps instead of by distance, if there are fewer robots.
         evenly: Option<bool>,
     },
     Sweep(Sweep),
 }
 
-/// Angles are in degrees, other numbers in thousandths.
+/// A movement as one body. Angles are in degrees, other numbers in thousandths.
 #[derive(Clone, Debug)]
 struct Sweep {
     turn: i64,
@@ -101,12 +101,12 @@ enum PathShape {
 struct Formation {
     shape: Shape,
     at: [i64; 3],
-    /// About the vertical, or as roll, pitch and yaw.
+    /// Rotation in degrees: about the vertical, or as roll, pitch and yaw.
     rotate: Result<i64, [i64; 3]>,
     scale: i64,
 }
 
-/// Lengths are in millimetres.
+/// The shape of a formation. Lengths are in millimetres.
 #[derive(Clone, Debug)]
 enum Shape {
     Points(Vec<[i64; 3]>),
@@ -125,7 +125,7 @@ fn fleet() -> Fleet {
     Fleet { robots, space, ..Fleet::default() }
 }
 
-/// The included file.
+/// Returns the text of the included file.
 struct Shapes(String);
 
 impl Files for Shapes {
@@ -143,7 +143,7 @@ impl Show {
     }
 }
 
-/// Counts of the compared items.
+/// Counts of compared shows and items.
 #[derive(Debug, Default)]
 struct Tally {
     planned: usize,
@@ -189,7 +189,7 @@ fn whole_groups_are_where_a_second_reading_finds_them() {
     });
     looked_at.unwrap_or_else(|error| panic!("{error}"));
     let tally = tally.into_inner();
-    // For rejected shows, only the reasons are checked.
+    // Only the reasons are checked for rejected shows, so these must be few.
     assert!(2 * tally.planned > tally.refused, "{tally:?}");
     drop(writeln!(std::io::stderr(), "{tally:?}"));
 }

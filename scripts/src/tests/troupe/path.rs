@@ -1,14 +1,14 @@
-//! A path, evaluated at a large number of places.
+//! A path, represented by a large number of places.
 
 use super::{Path, PathShape, Point};
 
-/// Number of parts of the whole, or of the section between two points.
+/// Number of parts into which a circle, or the section between two points, is divided.
 const PARTS: usize = 4_000;
 
-/// Places along a path, each with its distance along the path.
+/// Places along a path, each with its distance from the start along the path.
 pub(super) struct Laid {
     places: Vec<(f64, Point)>,
-    /// Whether the distances are degrees of a circle.
+    /// Whether the distances are in degrees of a circle.
     is_circle: bool,
 }
 
@@ -16,7 +16,7 @@ fn distance(a: Point, b: Point) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Second derivatives of a natural cubic spline at its knots, by successive elimination of all unknowns.
+/// Returns the second derivatives of a natural cubic spline at its knots, by successive elimination of all unknowns.
 fn bends(times: &[f64], values: &[f64]) -> Vec<f64> {
     let count = times.len();
     let mut rows = vec![vec![0.0; count + 1]; count];
@@ -43,7 +43,7 @@ fn bends(times: &[f64], values: &[f64]) -> Vec<f64> {
 }
 
 impl Path {
-    /// Returns its points, turned and scaled about 0, since only their differences matter.
+    /// Returns the places along the path, turned and scaled about the origin, since only their differences matter.
     pub(super) fn laid(&self) -> Laid {
         let (sine, cosine) = (self.rotate as f64).to_radians().sin_cos();
         let scale = self.scale as f64 / 1_000.0;
@@ -76,7 +76,7 @@ impl Path {
     }
 }
 
-/// Returns a spline whose parameter is the sum of the square roots of the distances.
+/// Returns points of a spline whose parameter is the sum of the square roots of the distances between points.
 fn splined(points: &[Point]) -> Vec<Point> {
     let mut times = vec![0.0];
     for pair in points.windows(2) {
@@ -101,7 +101,7 @@ fn splined(points: &[Point]) -> Vec<Point> {
 }
 
 impl Laid {
-    /// Returns the displacement from its first point at a share of all laps, and the change of the heading in degrees.
+    /// Returns the displacement from the first place when a share of all laps has passed, and the change of the heading in degrees.
     pub(super) fn gone(&self, share: f64, laps: i64) -> (Point, f64) {
         let length = self.places[self.places.len() - 1].0;
         let far = share * length * laps as f64;
@@ -116,7 +116,7 @@ impl Laid {
         (gone, turned)
     }
 
-    /// Returns the heading over the ground in the section before this place.
+    /// Returns the heading over the ground, in degrees, in the section that ends at place `after`.
     fn heading(&self, after: usize) -> f64 {
         let (from, to) = (self.places[after - 1].1, self.places[after].1);
         (to[1] - from[1]).atan2(to[0] - from[0]).to_degrees()

@@ -1,11 +1,11 @@
-//! Finds the fewest values that can follow a movement of a holding device, by trying all of them in many short intervals.
+//! Finds the fewest values with which a holding device can follow a movement, by trying all values in many short intervals.
 
 use proptest::prelude::*;
 
 use super::{Change, Ease, Form, Movement, final_value};
 use crate::DeviceUse;
 
-/// Number of intervals of a section, and of samples in each of them.
+/// Number of intervals of a section; `PLACES` is the number of samples in each interval.
 const CUTS: usize = 48;
 const PLACES: usize = 4;
 
@@ -29,7 +29,7 @@ impl Values {
         ((value / self.2).rem_euclid(1.0) - 0.5).abs() < 1e-6
     }
 
-    /// All values between two values.
+    /// Returns all possible values between two values.
     fn all(self, low: f64, high: f64) -> Vec<f64> {
         let (low, high) = (self.nearest(low), self.nearest(high));
         let count = ((high - low) / self.2).round() as usize;
@@ -40,14 +40,14 @@ impl Values {
 /// A movement, with the least and the largest value in each short interval.
 pub(in crate::tests) struct Held {
     times: Vec<(f64, f64)>,
-    /// Possible deviation beyond these values.
+    /// Possible deviation of the movement beyond these values.
     missed: f64,
-    /// The value of the first step, unless the movement begins with a level.
+    /// The value of the first step; `None` if the movement begins with a level.
     first: Option<f64>,
     last: f64,
-    /// Deviation of the last value from the written one.
+    /// Deviation of the device's last value from the written one.
     off_at_end: f64,
-    /// Whether rounding determines the first or the last value.
+    /// Whether rounding decides which first or last value the device takes.
     is_unclear: bool,
     values: Values,
 }
@@ -75,7 +75,7 @@ impl Held {
                     held.first = Some(values.nearest(all[0]));
                     held.is_unclear |= values.is_between(all[0]);
                 }
-                // Between two samples, a curve exceeds both by an eighth of its bend there, or little more.
+                // Between two samples, a curve exceeds both by about an eighth of its bend there.
                 let bends = all.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
                 held.missed = bends.fold(held.missed, |most, bend| most.max(bend / 5.0));
                 for places in all.windows(PLACES + 1).step_by(PLACES) {
@@ -97,7 +97,7 @@ impl Held {
         self.times.push((low, high));
     }
 
-    /// Returns the fewest steps within a tolerance among those that change the value between two of the times; `None` if there are none.
+    /// Returns the fewest steps within a tolerance, among those that change the value between two intervals; `None` if there are none.
     pub(in crate::tests) fn suffice(&self, tolerance: f64) -> Option<usize> {
         if self.is_unclear || self.off_at_end > tolerance {
             return None;
@@ -126,8 +126,8 @@ impl Held {
     }
 }
 
-/// Checks a movement of a holding device whose keyframes are not sent one by one: neither its steps nor their bound exceed the sufficient
-/// number, and no other `most` steps are closer by more than three percent.
+/// Checks a movement of a holding device whose keyframes are not sent one by one. Neither its steps nor their bound may exceed the
+/// sufficient number, and no other `most` steps may be closer by more than three percent.
 pub(in crate::tests) fn as_few_as_can_be(
     used: &DeviceUse,
     held: &Held,

@@ -1,9 +1,9 @@
-//! Faults found by the second reading, each as one scenario.
+//! Faults that the second evaluation found, each as one scenario.
 
 use super::{ROBOTS, compiled, fleet_of};
 use crate::{Choreography, Code, Fleet, RateLimits};
 
-/// Returns codes and lines of the findings.
+/// Returns the codes and the lines of the findings.
 fn found(text: &str, fleet: &Fleet) -> Vec<(Code, usize)> {
     let text = format!("scenario: s\n{text}");
     compiled(&text, fleet).findings.iter().map(|finding| (finding.code, finding.line)).collect()
@@ -44,7 +44,7 @@ cues: [{at: 0s, robots: a, tracks: {joint: {control: speed, keyframes: [{at: 0s,
 ";
     let fleet = fleet_of(&ROBOTS);
     assert_eq!(found(&text.replace("SPEED", "0"), &fleet), []);
-    // The default position is 10.
+    // The default position of the device is 10.
     assert_eq!(found(&text.replace("SPEED", "10"), &fleet), [(Code::LeftInMotion, 3)]);
 }
 
@@ -71,7 +71,7 @@ fn at_another_speed_accelerations_and_ways_into_acts_are_checked_again() {
     let limits = RateLimits { speed: None, acceleration: Some(40.0) };
     let mut fleet = fleet_of(&ROBOTS);
     fleet.robots[0].limits.insert("slide".to_owned(), limits);
-    // The largest acceleration is six times the distance divided by the square of the time: 12.
+    // The largest acceleration of `cubic` is six times the distance divided by the square of the time: 12.
     let smooth =
         "cues: [{at: 0s, robots: a, tracks: {slide: [{at: 0s, to: 8}, {at: 2s, to: 16, ease: cubic}]}}]\n";
     let show = choreography(smooth, &fleet);

@@ -1,4 +1,4 @@
-//! Draws random shows.
+//! Draws random shows of acts.
 
 use proptest::prelude::*;
 
@@ -8,7 +8,7 @@ fn words() -> impl Strategy<Value = Word> {
     prop::sample::select(vec![Word::Stop, Word::Home, Word::Without])
 }
 
-/// Usually one of the acts, of which there may be fewer.
+/// Draws a target: usually one of the acts, of which there may be fewer.
 fn targets() -> impl Strategy<Value = Target> {
     prop_oneof![
         40 => (0usize..6).prop_map(Target::Act),
@@ -17,7 +17,7 @@ fn targets() -> impl Strategy<Value = Target> {
     ]
 }
 
-/// Values of a device: on its grid, rarely off it, and very rarely outside the limits.
+/// Draws a value of a device: on its grid, rarely off it, and very rarely outside the limits.
 fn values(device: usize) -> impl Strategy<Value = f64> {
     let kind = &DEVICES[device];
     let ([min, max], step) = (kind.limits, kind.granularity);
@@ -36,7 +36,7 @@ fn cue() -> impl Strategy<Value = Cue> {
     let moving = (device, prop::bool::weighted(0.15)).prop_flat_map(|(device, by_speed)| {
         let by_speed = by_speed && DEVICES[device].speed.is_some();
         let value = match by_speed {
-            // The limits of scripts also bound speeds.
+            // The limits of scripts bound speeds as well.
             true if device == 0 => prop::sample::select(vec![0.0, 0.0, 5.0, -10.0, 20.0]).boxed(),
             true => prop::sample::select(vec![0.0, 5.0, 20.0]).boxed(),
             false => values(device).boxed(),
@@ -76,7 +76,7 @@ fn act() -> impl Strategy<Value = Act> {
             words.dedup_by_key(|(robot, _)| *robot);
             let mut now = 0;
             for cue in &mut cues {
-                // A single value takes a while, so that no two are set at the same time.
+                // A single value occupies some time, so that no two values are set at the same time.
                 cue.at += now;
                 now = cue.end() + if cue.keyframes.len() == 1 { 100 } else { 0 };
             }

@@ -8,18 +8,18 @@ use crate::Code;
 
 const LINE_OF_LEASE: usize = 3;
 
-/// A position of a device, and whether a movement has left it there.
+/// The position of a device, and whether a movement has left the device there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pose {
     pub(super) value: f64,
     pub(super) is_sure: bool,
 }
 
-/// The completeness of a prediction.
+/// Which faults a prediction contains.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Completeness {
     All,
-    /// Excludes movements with invalid values, and transitions to acts that do not exist.
+    /// The prediction excludes movements with invalid values, and transitions to acts that do not exist.
     WithoutMovements,
 }
 
@@ -36,7 +36,7 @@ impl Kind {
     }
 
     fn multiple(&self, value: f64) -> f64 {
-        // As people write it.
+        // Rounded as people write it.
         let multiple = (value / self.granularity).round() * self.granularity;
         (multiple * 1e9).round() / 1e9 + 0.0
     }
@@ -45,7 +45,7 @@ impl Kind {
         (self.multiple(value) - value).abs() < 1e-6
     }
 
-    /// The nearest multiple within the limits, found by stepping inward.
+    /// Returns the nearest multiple of the granularity within the limits, found by stepping inward.
     fn nearest(&self, value: f64) -> f64 {
         let mut nearest = self.multiple(value);
         while nearest > self.limits[1] + 1e-9 {
@@ -57,7 +57,7 @@ impl Kind {
         nearest
     }
 
-    /// Returns the fault of a position.
+    /// Returns the fault of a position; `None` if it is valid.
     fn fault(&self, value: f64, snap: bool) -> Option<Code> {
         match (self.contains(value), self.is_on_grid(value)) {
             (true, true) => None,
@@ -70,7 +70,7 @@ impl Kind {
 }
 
 impl Cue {
-    /// Returns the value to which the device is set.
+    /// Returns the value to which the device is set; `snap` moves positions to the grid.
     pub(super) fn set(&self, value: f64, snap: bool) -> f64 {
         if snap && !self.by_speed { self.kind().nearest(value) } else { value }
     }
@@ -84,7 +84,7 @@ impl Cue {
         self.set(self.keyframes[self.keyframes.len() - 1].1, snap)
     }
 
-    /// Returns the speed of the movement to each keyframe but the first, with the number of the keyframe from 1.
+    /// Returns the speed of the movement to each keyframe but the first, with the number of the keyframe, counted from 1.
     pub(super) fn speeds(&self, snap: bool) -> Vec<(usize, f64)> {
         let speed = |(index, pair): (usize, &[(i64, f64)])| {
             let way = (self.set(pair[1].1, snap) - self.set(pair[0].1, snap)).abs();
@@ -93,7 +93,7 @@ impl Cue {
         self.keyframes.windows(2).enumerate().map(speed).collect()
     }
 
-    /// Returns the speed from a position to the first keyframe, if the device moves there over time.
+    /// Returns the speed of the movement from a position to the first keyframe; `None` if the device does not move there over time.
     pub(super) fn approach(&self, from: f64, snap: bool) -> Option<f64> {
         let (at, first) = self.first(snap);
         let moves_there = at > 0 && self.kind().moves && !self.by_speed;
@@ -102,13 +102,13 @@ impl Cue {
 }
 
 impl Act {
-    /// Returns its cues for a device of a robot, in order.
+    /// Returns the act's cues for one device of a robot, in order, each with its index.
     pub(super) fn cues_of(&self, device: usize, robot: usize) -> impl Iterator<Item = (usize, &Cue)> {
         let own = move |(_, cue): &(usize, &Cue)| cue.device == device && cue.robots.contains(&robot);
         self.cues.iter().enumerate().filter(own)
     }
 
-    /// Returns the final position of a device with this initial position.
+    /// Returns the position in which the act leaves a device that begins at this position.
     pub(super) fn leaves(
         &self,
         device: usize,
@@ -138,7 +138,7 @@ impl Show {
         }
     }
 
-    /// Whether a robot moves, or reads the sensor for which an act waits.
+    /// Whether a robot takes part in the mission: it moves, or reads the sensor for which an act waits.
     fn takes_part(&self, robot: usize) -> bool {
         let waits = |act: &Act| ROBOTS[robot] == "b" && matches!(act.waits, Waits::Above(_) | Waits::Nothing);
         self.acts.iter().any(|act| waits(act) || act.cues.iter().any(|cue| cue.robots.contains(&robot)))
@@ -151,7 +151,7 @@ impl Show {
         std::iter::once(self.next(act)).chain(otherwise).chain(then).collect()
     }
 
-    /// Returns all faults.
+    /// Returns all predicted faults.
     pub(super) fn facts(&self) -> (BTreeSet<String>, Completeness) {
         let (mut facts, mut values) = (BTreeSet::new(), BTreeSet::new());
         if !self.unknown(&mut facts) {
@@ -177,7 +177,7 @@ impl Show {
         (facts, Completeness::All)
     }
 
-    /// Adds names of acts and sensors that do not exist, and impossible readings. Returns whether there are any.
+    /// Adds faults about acts and sensors that do not exist, and about impossible readings. Returns whether there are any.
     fn unknown(&self, facts: &mut BTreeSet<String>) -> bool {
         for (index, act) in self.acts.iter().enumerate() {
             let at = self.line_of_act(index);
@@ -193,7 +193,7 @@ impl Show {
         !facts.is_empty()
     }
 
-    /// Adds acts that are unreachable, and acts from which the end is unreachable.
+    /// Adds faults about acts that are unreachable, and about acts from which the end is unreachable.
     fn graph(&self, facts: &mut BTreeSet<String>) {
         let count = self.acts.len();
         let leads: Vec<Vec<Option<usize>>> = (0..count).map(|act| self.ways(act)).collect();
@@ -210,7 +210,7 @@ impl Show {
         }
         let ends = |act: usize| {
             let is_end = |by: usize| {
-                // The end after a failure is not an end of the show.
+                // The end after a failure is not an end of the show, unlike the end after a timeout.
                 let otherwise = self.acts[by].otherwise == Some(Target::End);
                 self.next(by).is_none() || otherwise
             };
@@ -249,7 +249,7 @@ impl Show {
         }
     }
 
-    /// Adds faults of movements between keyframes and between cues.
+    /// Adds faults of movements between keyframes, and between cues of an act.
     fn within_acts(&self, facts: &mut BTreeSet<String>) {
         for (index, act) in self.acts.iter().enumerate() {
             for (number, cue) in act.cues.iter().enumerate().filter(|(_, cue)| !cue.by_speed) {
@@ -271,7 +271,7 @@ impl Show {
         }
     }
 
-    /// Returns the fault of a device that begins a movement at this position.
+    /// Returns the fault of a device that is at this position when its movement begins.
     fn arrives(&self, (kind, robot): (&Kind, &str), cue: &Cue, at: usize, from: Pose) -> Option<String> {
         let is_fault = match cue.approach(from.value, self.snap) {
             Some(speed) => speed > kind.speed? * (1.0 + 1e-6),
@@ -281,7 +281,7 @@ impl Show {
         (is_fault && !cue.by_speed).then(|| arrival(code, at, (kind.name, robot), from.value))
     }
 
-    /// Returns the possible positions of a device of a robot at the beginning of each act, by following every transition from every
+    /// Returns the possible positions of one device of a robot at the start of each act, by following every transition from every
     /// position.
     pub(super) fn poses(&self, device: usize, robot: usize) -> Vec<Vec<Pose>> {
         let default = |is_sure: bool| DEVICES[device].default.map(|value| Pose { value, is_sure });
@@ -339,7 +339,7 @@ impl Show {
         }
     }
 
-    /// Adds speeds that nothing ends, and leases without effect.
+    /// Adds faults about speeds that nothing ends, and about leases without effect.
     fn at_the_end(&self, facts: &mut BTreeSet<String>) {
         let longest = self.acts.iter().map(Act::end).max().unwrap_or(0);
         match self.lease {

@@ -1,10 +1,10 @@
-//! The second reading of transitions between acts: random acts with `next`, `wait`, `otherwise` and `on_failure`, in which devices move
-//! from keyframe to keyframe. It determines the possible positions of each device at the beginning of an act by following every
+//! A second evaluation of transitions between acts, with random acts that have `next`, `wait`, `otherwise` and `on_failure` and move
+//! devices from keyframe to keyframe. It determines the possible positions of each device at the start of an act by following every
 //! transition. It predicts the faults (errors and warnings) of positions, values and the graph of acts, and compares them with the
 //! findings. For valid scenarios, it also predicts the first positions and the limits of selections (`--act`, `--from`, `--only`,
 //! `--speed`).
 //!
-//! It checks twice as many scenarios as `whole`.
+//! The number of scenarios is twice the number that `whole` checks.
 
 mod cases;
 pub(super) mod draw;
@@ -26,19 +26,19 @@ use crate::{Compiled, Fleet, FleetRobot, NoFiles, Source, compile};
 
 pub(super) const ROBOTS: [&str; 3] = ["a", "b", "c"];
 
-/// A device that every robot has.
+/// A kind of device that every robot has.
 pub(super) struct Kind {
     pub(super) name: &'static str,
-    /// Whether it moves linearly. Otherwise it holds each value.
+    /// Whether the device moves linearly; otherwise it holds each value.
     pub(super) moves: bool,
-    /// The largest speed. If set, the device can also be driven by speed.
+    /// Largest speed. If it is set, the device can also be driven by speed.
     pub(super) speed: Option<f64>,
     pub(super) limits: [f64; 2],
     pub(super) granularity: f64,
     pub(super) default: Option<f64>,
-    /// Number of scripts that it holds.
+    /// Number of scripts that the device holds.
     queue: usize,
-    /// Values that are frequently drawn.
+    /// Values that are drawn frequently.
     pub(super) values: [f64; 4],
 }
 
@@ -53,7 +53,7 @@ const DEVICES: [Kind; 5] = [
         queue: 100,
         values: [10.0, 0.0, 20.0, 30.0],
     },
-    // The limits are off the grid.
+    // The limits of this device are off its grid.
     Kind {
         name: "slide",
         moves: true,
@@ -112,9 +112,9 @@ pub(super) enum Waits {
     Done,
     Operator,
     Time,
-    /// A reading above this.
+    /// The sensor has a reading above this value.
     Above(u32),
-    /// A sensor that does not exist.
+    /// The act waits for a sensor that does not exist.
     Nothing,
 }
 
@@ -128,13 +128,13 @@ pub(super) enum Word {
 #[derive(Clone, Debug)]
 pub(super) struct Act {
     pub(super) waits: Waits,
-    /// After a timeout.
+    /// Target of the transition after a timeout.
     pub(super) otherwise: Option<Target>,
     pub(super) next: Option<Target>,
     pub(super) default: Option<Word>,
     pub(super) words: Vec<(usize, Word)>,
     pub(super) then: Option<usize>,
-    /// One after another, each starting after the end of the previous one.
+    /// Cues in order; each starts after the end of the previous one.
     pub(super) cues: Vec<Cue>,
 }
 
@@ -142,19 +142,19 @@ pub(super) struct Act {
 pub(super) struct Cue {
     pub(super) robots: Vec<usize>,
     pub(super) device: usize,
-    /// Milliseconds from the start of the act.
+    /// Start in milliseconds since the act's start.
     pub(super) at: i64,
-    /// Milliseconds from the start of the cue, and values: positions, or speeds.
+    /// Keyframes as milliseconds since the cue's start, and values: positions or speeds.
     pub(super) keyframes: Vec<(i64, f64)>,
     pub(super) by_speed: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Lease {
-    /// The default of the language.
+    /// The default of the scenario language.
     Usual,
     None,
-    /// Milliseconds.
+    /// A lease in milliseconds.
     Of(i64),
 }
 
@@ -183,7 +183,7 @@ impl Act {
     }
 }
 
-/// Creates these robots.
+/// Creates a fleet of robots with these names.
 pub(super) fn fleet_of(robots: &[&str]) -> Fleet {
     let device = |kind: &Kind| {
         let [min, max] = kind.limits;
@@ -217,7 +217,7 @@ pub(super) fn compiled(text: &str, fleet: &Fleet) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, fleet, &NoFiles)
 }
 
-/// Counts of the compared items.
+/// Counts of compared shows and items.
 #[derive(Debug, Default)]
 struct Tally {
     shows: usize,

@@ -1,15 +1,15 @@
-//! Turns findings into facts, one for each affected robot.
+//! Turns findings into facts: texts with one affected robot each.
 
 use std::collections::BTreeSet;
 
 use crate::{Code, Finding};
 
-/// A jump, or too little time to move to a first keyframe.
+/// Returns the fact of a jump, or of too little time to move to a first keyframe.
 pub(super) fn arrival(code: Code, line: usize, (device, robot): (&str, &str), from: f64) -> String {
     format!("{} line {line}: `{device}` of `{robot}` from {from:.3}", code.as_str())
 }
 
-/// A device of a robot.
+/// Returns the fact of a fault of one device of a robot.
 pub(super) fn device(code: Code, line: usize, (device, robot): (&str, &str)) -> String {
     format!("{} line {line}: `{device}` of `{robot}`", code.as_str())
 }
@@ -26,7 +26,7 @@ pub(super) fn line(code: Code, line: usize) -> String {
     format!("{} line {line}", code.as_str())
 }
 
-/// Returns the names in backticks.
+/// Returns the texts between back-ticks.
 fn named(text: &str) -> Vec<&str> {
     text.split('`').skip(1).step_by(2).collect()
 }
@@ -72,7 +72,7 @@ fn of(finding: &Finding) -> Vec<String> {
     }
 }
 
-/// Returns all facts, and checks that each is reported once.
+/// Returns all facts in these findings, and checks that each fact is reported once.
 pub(in crate::tests) fn facts(findings: &[Finding]) -> Result<BTreeSet<String>, String> {
     let mut facts = BTreeSet::new();
     for finding in findings {

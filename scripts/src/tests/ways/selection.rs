@@ -1,4 +1,4 @@
-//! Selections of a show: one act, all acts from one on, some robots, another speed.
+//! Selections of a show: a single act, all acts from one on, some of the robots, or another speed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::{DEVICES, ROBOTS, Show};
 use crate::{Choreography, Fleet};
 
-/// Returns the first position of each device in a choreography, starting with an act.
+/// Returns the first position of each device in a choreography that starts with the act `first`.
 fn stated(choreography: &Choreography, first: usize) -> BTreeMap<(String, String), f64> {
     let uses = choreography.first_uses(first);
     let positions = uses.iter().filter_map(|first| choreography.first_position(*first));
@@ -18,7 +18,7 @@ fn stated(choreography: &Choreography, first: usize) -> BTreeMap<(String, String
 }
 
 impl Show {
-    /// Returns the first position of each device in these acts; excludes devices that are driven by speed first.
+    /// Returns the first position of each device in these acts. Excludes devices that are first driven by speed.
     fn first_positions(&self, acts: &[usize]) -> BTreeMap<(String, String), f64> {
         let mut positions = BTreeMap::new();
         for (device, kind) in DEVICES.iter().enumerate() {
@@ -32,7 +32,7 @@ impl Show {
         positions
     }
 
-    /// Returns the acts that follow each other from one on without failures or timeouts.
+    /// Returns the acts that follow each other without failures or timeouts, starting with `first`.
     fn from(&self, first: usize) -> Vec<usize> {
         let mut acts = vec![first];
         while let Some(next) = self.next(acts[acts.len() - 1]).filter(|next| !acts.contains(next)) {
@@ -41,7 +41,7 @@ impl Show {
         acts
     }
 
-    /// Returns the largest `--speed` factor that no device exceeds.
+    /// Returns the largest `--speed` factor at which all devices stay within their speed limits.
     fn fastest(&self) -> f64 {
         let mut factor = f64::INFINITY;
         for (device, kind) in DEVICES.iter().enumerate() {
@@ -68,7 +68,7 @@ impl Show {
     }
 }
 
-/// Compares all selections. Returns their number.
+/// Compares all selections of a show. Returns their number.
 pub(super) fn compare(
     show: &Show,
     choreography: &Choreography,

@@ -1,4 +1,4 @@
-//! Finds the acts that must wait until a device has room for their scripts: acts that follow each other immediately form a line.
+//! Finds the acts that must wait until a device has room for their scripts. Acts that follow each other immediately form a line.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,12 +7,12 @@ use super::written::name;
 use super::{Act, DEVICES, ROBOTS, Show, Target, Waits};
 use crate::Code;
 
-/// Times for sending a script and for sending an act, in milliseconds.
+/// Time for sending a script; `PREPARING` is the time for sending an act; both in milliseconds.
 const SENDING: i64 = 100;
 const PREPARING: i64 = 500;
 
 impl Act {
-    /// Time of the last step of a holding device.
+    /// Returns the time of a device's last step in the act, in milliseconds. Applies to devices that hold their values.
     fn script_ends(&self, device: usize, robot: usize, snap: bool) -> Option<i64> {
         let (_, last) = self.cues_of(device, robot).last()?;
         // A value that does not change is not set again.
@@ -29,7 +29,7 @@ impl Show {
         self.next(act).filter(|next| self.acts[*next].waits == Waits::Done)
     }
 
-    /// Acts that begin with empty devices.
+    /// Returns the acts that begin with empty devices.
     fn begins(&self) -> BTreeSet<usize> {
         let mut begins = BTreeSet::from([0]);
         begins.extend((0..self.acts.len()).filter(|act| self.acts[*act].waits != Waits::Done));
@@ -54,7 +54,7 @@ impl Show {
         }
     }
 
-    /// Adds an act after one that has ended. Returns its start.
+    /// Adds an act to a line, after another act has ended. Returns the start of the added act.
     fn line_up(
         &self,
         index: usize,

@@ -69,7 +69,7 @@ impl Act {
 }
 
 impl Show {
-    /// The lines before the first act.
+    /// Returns the lines of the scenario before the first act.
     fn head(&self) -> Vec<String> {
         let mut lines = vec!["scenario: s".to_owned()];
         lines.push(format!("off_grid: {}", if self.snap { "snap" } else { "refuse" }));

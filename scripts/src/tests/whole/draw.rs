@@ -1,4 +1,4 @@
-//! Draws random shows.
+//! Draws random shows of acts, cues and relations.
 
 use proptest::prelude::*;
 
@@ -6,14 +6,14 @@ use super::super::verified::{Change, Movement, changes, movements, tolerances};
 use super::spread::{By, Direction, Each, Ease, Share};
 use super::{Canon, Cue, DEVICES, LAMP, Lag, NAMES, ROBOTS, Relation, Show, Tempo, When, Word};
 
-/// The position of a robot among those of its cue can be used in several ways.
+/// Draws how the position of a robot among the robots of its cue is used.
 fn orders() -> impl Strategy<Value = (By, Direction)> {
     let by = prop_oneof![2 => Just(By::Index), 1 => Just(By::X), 1 => (-9i64..15).prop_map(|x| By::Point(100 * x))];
     let directions = [Direction::Forward, Direction::Backward, Direction::Outward, Direction::Inward];
     (by, prop::sample::select(directions.to_vec()))
 }
 
-/// A number that differs between robots. Times are fractions that are short enough for all calculations with them.
+/// Draws a number that differs between robots. Times are fractions that are short enough for all calculations with them.
 fn differing(range: std::ops::Range<i64>, is_time: bool) -> impl Strategy<Value = Each> {
     let shares = prop_oneof![
         Just(Share::Index),
@@ -39,7 +39,7 @@ fn differing(range: std::ops::Range<i64>, is_time: bool) -> impl Strategy<Value 
     prop_oneof![1 => expression, 2 => spread]
 }
 
-/// Keyframes at quarters of a beat, which are played as written.
+/// Draws keyframes at quarters of a beat, which are played as written.
 fn musical() -> impl Strategy<Value = Vec<(Each, Each)>> {
     let value = prop_oneof![3 => (-80i64..80).prop_map(Each::Same), 1 => differing(-80..80, false)];
     let last = prop_oneof![4 => (1i64..9).prop_map(Each::Same), 1 => differing(1..9, true)];
@@ -54,12 +54,12 @@ fn musical() -> impl Strategy<Value = Vec<(Each, Each)>> {
     })
 }
 
-/// A value that is set without a movement.
+/// Draws a value that is set without a movement.
 fn instant() -> impl Strategy<Value = Vec<(Each, Each)>> {
     (-9i64..9).prop_map(|value| vec![(Each::Same(0), Each::Same(8 * value))])
 }
 
-/// Several values at once.
+/// Draws keyframes with several values each.
 fn colourful() -> impl Strategy<Value = (Movement, Vec<(i64, [f64; 3])>)> {
     let part = || (0i32..256).prop_map(f64::from);
     prop::collection::vec((1i64..900, [part(), part(), part()]), 2..9).prop_map(|all| {
@@ -92,7 +92,7 @@ fn tempos() -> impl Strategy<Value = Vec<Tempo>> {
     )
 }
 
-/// If the tempo changes, times in beats require a fixed start.
+/// Gives a cue a fixed start if it has times in beats, because these require one if the tempo changes.
 fn with_fixed_start(cue: &mut Cue, bar: i64) {
     for relation in &mut cue.relations {
         if matches!(relation.lag, Lag::Beats(_)) {
@@ -183,7 +183,7 @@ fn cue() -> impl Strategy<Value = Cue> {
                 (relations, zone, apart, (by_move, composed, parameters), reads),
             )| {
                 let mut change = change;
-                // Here, the length is that of the cue.
+                // The duration applies to the cue instead.
                 change.yaml = change.yaml.split(", duration").next().unwrap_or_default().to_owned();
                 change.duration = None;
                 // Several values cannot be scaled or repeated.
@@ -197,7 +197,7 @@ fn cue() -> impl Strategy<Value = Cue> {
                 }
                 let stretch = stretch.filter(|_| !is_instant);
                 let when = match when {
-                    // Makes several of them coincide.
+                    // Multiples of 500 ms make several of these cues coincide.
                     When::At(millis) if is_instant => When::At(millis / 3_000 * 500),
                     _ => when,
                 };
@@ -235,7 +235,7 @@ fn acts() -> impl Strategy<Value = Vec<Vec<Cue>>> {
     let act = prop::collection::vec(cue(), 1..6).prop_map(|mut cues| {
         let count = cues.len();
         for (index, cue) in cues.iter_mut().enumerate() {
-            // Relations to existing cues. Forward ones are rare, because a cycle is seldom wanted.
+            // Relations refer to existing cues. Relations to later cues are rare, because they often create a cycle.
             cue.relations.retain_mut(|relation| {
                 relation.other = if relation.other == 5 && index % 2 == 0 {
                     (index + 1) % count

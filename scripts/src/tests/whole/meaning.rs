@@ -1,4 +1,4 @@
-//! The meaning of a cue: its length, the starts of its robots, and its steps if they are played as written.
+//! The meaning of a cue: its length, the starts of its robots, and, if they are played as written, its steps.
 
 use num_rational::Ratio;
 
@@ -18,7 +18,7 @@ fn millis(millis: i64) -> Ratio<i128> {
     Ratio::from_integer(i128::from(millis) * MS)
 }
 
-/// Rounds the end of a length that starts at a cue's start, relative to that start.
+/// Rounds the end of a length that begins at a cue's start. Returns the rounded length.
 fn laid(start: Option<Ratio<i128>>, length: Ratio<i128>) -> Nanos {
     match start {
         Some(start) if !length.is_integer() => rounded(start + length) - rounded(start),
@@ -27,7 +27,7 @@ fn laid(start: Option<Ratio<i128>>, length: Ratio<i128>) -> Nanos {
 }
 
 impl Show {
-    /// Returns the nanoseconds of this many quarters of a beat from the very beginning, tempo by tempo.
+    /// Returns the nanoseconds that this many quarters of a beat from the very beginning take, tempo by tempo.
     fn of_beats(&self, quarters: Ratio<i128>) -> Ratio<i128> {
         let mut time = Ratio::from_integer(0);
         let mut left = quarters;
@@ -39,7 +39,7 @@ impl Show {
         time
     }
 
-    /// Returns the quarters of a beat that have elapsed at a time.
+    /// Returns the number of quarters of a beat that have elapsed at a time.
     fn beats_at(&self, time: Ratio<i128>) -> Ratio<i128> {
         let mut quarters = Ratio::from_integer(0);
         let mut left = time;
@@ -52,7 +52,7 @@ impl Show {
         quarters
     }
 
-    /// Returns the length of each tempo in quarters of a beat; the last one lasts forever.
+    /// Returns the length of each tempo in quarters of a beat; `None` for the last tempo, which never ends.
     fn lengths(&self) -> Vec<Option<Ratio<i128>>> {
         let mut upper = 4;
         let length = |(index, tempo): (usize, &Tempo)| {
@@ -63,7 +63,7 @@ impl Show {
         self.tempos.iter().enumerate().map(length).collect()
     }
 
-    /// Returns the start of a bar, counted from 1.
+    /// Returns the start of a bar, counted from 1, in nanoseconds.
     pub(super) fn bar(&self, bar: i64) -> Ratio<i128> {
         let (mut quarters, mut upper) = (0, 4);
         for (index, tempo) in self.tempos.iter().enumerate() {
@@ -74,14 +74,14 @@ impl Show {
         self.of_beats(Ratio::from_integer(i128::from(quarters)))
     }
 
-    /// Returns the nanoseconds of this many quarters of a beat after `start`, which may be `None` if the tempo never changes.
+    /// Returns the nanoseconds of this many quarters of a beat after `start`. It may be `None` if the tempo never changes.
     pub(super) fn beats(&self, start: Option<Ratio<i128>>, quarters: Ratio<i128>) -> Ratio<i128> {
         let start = start.unwrap_or_default();
         self.of_beats(self.beats_at(start) + quarters) - start
     }
 }
 
-/// Nanoseconds of a quarter of a beat at `bpm` hundredths of beats per minute.
+/// Returns the nanoseconds of a quarter of a beat at `bpm` hundredths of beats per minute.
 fn quarter(bpm: i64) -> Ratio<i128> {
     Ratio::new(60_000_000_000 * 100, 4 * i128::from(bpm))
 }
@@ -99,14 +99,14 @@ impl Cue {
         NAMES[self.who].1
     }
 
-    /// Returns all its numbers that differ between robots.
+    /// Returns all numbers of the cue that differ between robots.
     pub(super) fn differing(&self) -> Vec<Each> {
         let keyframes = self.beats.iter().flatten().flat_map(|(at, to)| [*at, *to]);
         let all = keyframes.chain(self.scale.map(|(by, _)| by)).chain(self.change.pause.map(|_| self.pause));
         all.filter(|each| each.differs()).collect()
     }
 
-    /// Returns the keyframes of the robot at this index: quarters of a beat, and values.
+    /// Returns the keyframes of the robot at `index`: quarters of a beat, and values.
     fn own_keyframes(&self, index: usize) -> Option<Vec<(Ratio<i128>, f64)>> {
         let own = |(at, to): &(Each, Each)| {
             (at.of(self.robots(), index), double(to.of(self.robots(), index)) / 4.0)
@@ -114,7 +114,7 @@ impl Cue {
         Some(self.beats.as_ref()?.iter().map(own).collect())
     }
 
-    /// Returns the movement of the robot at this index, before changes.
+    /// Returns the movement of the robot at `index`, before changes.
     pub(super) fn movement(&self, show: &Show, index: usize) -> Movement {
         let Some(keyframes) = self.own_keyframes(index) else { return self.movement.clone() };
         let millis = |quarters: Ratio<i128>| double(show.beats(self.start(show), quarters)) / 1e6;
@@ -122,7 +122,7 @@ impl Cue {
         Movement::of_keyframes("", DEVICES[self.device].1, &keyframes)
     }
 
-    /// Returns the changes of this movement.
+    /// Returns the changes of the movement of the robot at `index`.
     pub(super) fn change(&self, show: &Show, index: usize) -> Change {
         let mut change = match self.scale {
             Some((by, about)) => self.change.scaled(double(by.of(self.robots(), index)) / 4.0, about as f64),
@@ -133,7 +133,7 @@ impl Cue {
         change
     }
 
-    /// Returns the length of one repetition.
+    /// Returns the length of one repetition for the robot at `index`, in nanoseconds.
     fn lap(&self, show: &Show, index: usize) -> Ratio<i128> {
         match self.own_keyframes(index) {
             Some(keyframes) => show.beats(self.start(show), keyframes[keyframes.len() - 1].0),
@@ -141,7 +141,7 @@ impl Cue {
         }
     }
 
-    /// Returns the interval between repetitions.
+    /// Returns the interval between repetitions for the robot at `index`, in nanoseconds.
     fn cycle(&self, show: &Show, index: usize) -> Ratio<i128> {
         if self.change.pause.is_none() {
             return self.lap(show, index);
@@ -156,18 +156,18 @@ impl Cue {
         longest + self.pause.of(self.robots(), index) * MS
     }
 
-    /// Returns the length of the movement as written of the robot at this index, with repetitions.
+    /// Returns the length of the movement of the robot at `index` as written, with repetitions.
     pub(super) fn own_length(&self, show: &Show, index: usize) -> Nanos {
         let waits = Ratio::from_integer(i128::from(self.change.turns) - 1);
         laid(self.start(show), self.cycle(show, index) * waits + self.lap(show, index))
     }
 
-    /// Returns the length for the slowest robot.
+    /// Returns the length of the cue, which is that for the slowest robot.
     pub(super) fn length(&self, show: &Show) -> Nanos {
         (0..self.robots().len()).map(|index| self.own_length(show, index)).max().unwrap_or(0)
     }
 
-    /// Returns the delay of each of its robots.
+    /// Returns each robot of the cue with its delay.
     pub(super) fn delays(&self, show: &Show) -> Vec<(usize, Nanos)> {
         let robots = self.robots();
         let delay = |(index, robot): (usize, &usize)| {
@@ -186,15 +186,16 @@ impl Cue {
         self.delays(show).iter().map(|(_, delay)| *delay).max().unwrap_or(0)
     }
 
-    /// Whether doubles represent all values exactly. Otherwise, the rounding of a value in the middle between two grid values is unknown.
+    /// Whether doubles represent all values exactly. Otherwise, it is unknown how a value in the middle between two grid values is
+    /// rounded.
     fn is_held_by_doubles(&self, index: usize) -> bool {
         let values = self.beats.iter().flatten().map(|(_, to)| *to);
         let mut all = values.chain(self.scale.map(|(by, _)| by));
         all.all(|each| each.of(self.robots(), index).denom().count_ones() == 1)
     }
 
-    /// Returns the steps of the robot at this index from its start, each with its written value, if the device plays the movement as
-    /// written.
+    /// Returns the steps of the robot at `index` since its start: time, value, and written value. `None` if the device does not play the
+    /// movement as written.
     pub(super) fn as_written(&self, show: &Show, index: usize) -> Option<Vec<(Nanos, f64, f64)>> {
         let keyframes = self.own_keyframes(index)?;
         let (_, moves, granularity, _) = DEVICES[self.device];
@@ -210,7 +211,7 @@ impl Cue {
         for turn in 0..self.change.turns {
             let begin = laid(start, cycle * i128::from(turn));
             let end = laid(start, cycle * i128::from(turn) + lap);
-            // A device that moves does not creep to its next repetition.
+            // An additional step keeps a device that moves from creeping to its next repetition.
             if let Some(last) = steps.last().copied()
                 && moves
                 && begin > last.0
@@ -222,7 +223,7 @@ impl Cue {
                 let at = if index + 1 == keyframes.len() {
                     end
                 } else {
-                    // Repetitions differ by a nanosecond.
+                    // The lengths of repetitions differ by a nanosecond.
                     (begin + laid(start, show.beats(start, *quarters))).min(end)
                 };
                 let written = change.of(*value);
@@ -233,7 +234,8 @@ impl Cue {
                 let before = steps.last().copied();
                 let seam = before.is_some_and(|before| before.0 == at);
                 match before {
-                    // Of two keyframes at one time, a device that holds takes the later one. A device that moves drops a duplicate.
+                    // If two keyframes have the same time, a device that holds takes the later one. A device that moves drops a
+                    // duplicate.
                     Some(_) if seam && !moves => *steps.last_mut()? = (at, set, written),
                     Some(before) if seam && before.1 == set => {
                         let worse = (set - written).abs() > (before.1 - before.2).abs();
@@ -257,10 +259,10 @@ impl Cue {
 }
 
 impl Canon {
-    /// Returns the delay of the robot at this index, in nanoseconds.
+    /// Returns the delay of the robot at `index`, in nanoseconds.
     fn delay(self, robots: &[usize], index: usize) -> Ratio<i128> {
         let (count, place) = (robots.len() as i128, index as i128);
-        // Twice the distance of a robot from the middle of the row.
+        // Twice the distance of a place from the middle of the row.
         let off = |place: i128| (2 * place - (count - 1)).abs();
         let least = (0..count).map(off).min().unwrap_or(0);
         let x = |robot: &usize| PLACES[*robot];

@@ -1,8 +1,8 @@
-//! The second reading for whole scenarios: acts, groups, related cues, zones, tempos, readings, values one or several at a time, numbers
-//! that differ between robots, and changes of movements. Times are integers and fractions, solved by the simplest possible method.
+//! A second evaluation of whole scenarios: acts, groups, related cues, zones, tempos, readings, values one or several at a time, numbers
+//! that differ between robots, and changes of movements. Times are integers and fractions, computed by the simplest possible method.
 //! Movements are evaluated point by point, and step by step if a device plays them as written.
 //!
-//! It checks 150 scenarios, or `DOWNBEAT_SCENARIOS` of them if that is set.
+//! The number of scenarios is 150, or `DOWNBEAT_SCENARIOS` if that is set.
 
 mod draw;
 mod meaning;
@@ -30,7 +30,7 @@ use crate::{Code, Compiled, Files, Finding, Fleet, FleetRobot, Severity, Source,
 type Nanos = i128;
 const MS: Nanos = 1_000_000;
 
-/// The devices of every robot: name, whether it moves, granularity, and number of steps per script.
+/// The devices of every robot: name, whether the device moves linearly, granularity, and number of steps per script.
 const DEVICES: [(&str, bool, f64, usize); 7] = [
     ("pole", true, 0.001, 100_000),
     ("crane", true, 0.5, 100_000),
@@ -40,9 +40,9 @@ const DEVICES: [(&str, bool, f64, usize); 7] = [
     ("gate", false, 4.0, 100_000),
     ("lamp", false, 1.0, 100_000),
 ];
-/// The device that takes three values at once.
+/// Index of the device that takes three values at once.
 const LAMP: usize = 6;
-/// The possible values of a device. If its grid is coarse, the ends are off the grid.
+/// Returns the possible values of a device. If its grid is coarse, the limits are off the grid.
 fn settable(device: usize) -> Values {
     match DEVICES[device] {
         (_, _, granularity, _) if granularity > 1.0 => Values(-50.2, 47.3, granularity),
@@ -50,12 +50,12 @@ fn settable(device: usize) -> Values {
     }
 }
 
-/// The sensor of every robot.
+/// Name of the sensor that every robot has.
 const SENSOR: &str = "eye";
 const ROBOTS: [&str; 4] = ["a", "b", "c", "d"];
-/// Places of the robots, in millimetres along x.
+/// Place of each robot along x, in millimetres.
 const PLACES: [i128; 4] = [700, -500, 700, 1_300];
-/// Names for sets of robots.
+/// Names of robots and groups, with the robots to which they refer.
 const NAMES: [(&str, &[usize]); 8] = [
     ("a", &[0]),
     ("b", &[1]),
@@ -73,14 +73,14 @@ struct Cue {
     who: usize,
     device: usize,
     movement: Movement,
-    /// Position of each keyframe in quarters of a beat, and its value in quarters. Such keyframes are played as written.
+    /// Keyframes that are played as written: position in quarters of a beat, and value in quarters.
     beats: Option<Vec<(Each, Each)>>,
-    /// Keyframes with three values each: milliseconds, and the values.
+    /// Keyframes with three values each: milliseconds, and values.
     colours: Option<Vec<(i64, [f64; 3])>>,
-    /// Times at which its robots read their sensor, in milliseconds from its start.
+    /// Times at which the cue's robots read their sensor, in milliseconds from the cue's start.
     reads: Vec<i64>,
     change: Change,
-    /// Milliseconds by which `every` is longer than the longest movement of its robots, if it is written.
+    /// Milliseconds by which `every`, if it is written, is longer than the longest movement of the cue's robots.
     pause: Each,
     /// Replaces the `scale` of the change: factor in quarters, and reference value.
     scale: Option<(Each, i64)>,
@@ -92,31 +92,32 @@ struct Cue {
     relations: Vec<Relation>,
     zone: Option<usize>,
     apart: Option<usize>,
-    /// Whether it uses a move with parameters instead of its own tracks.
+    /// Whether the cue uses a move with parameters instead of its own tracks.
     by_move: bool,
-    /// Whether this move plays others: with a fixed start, two moves that share its keyframes.
+    /// Whether this move plays others: with a fixed start, two moves that divide its keyframes between them.
     composed: bool,
-    /// Whether the varying numbers are passed as parameters, and whether by their defaults.
+    /// Whether the numbers that differ are passed by the defaults of parameters instead of by arguments; `None` if they are no
+    /// parameters.
     parameters: Option<bool>,
 }
 
 impl Cue {
-    /// Whether it sets a value without a movement.
+    /// Whether the cue sets a value without a movement.
     fn is_instant(&self) -> bool {
         self.beats.as_ref().is_some_and(|beats| beats.len() == 1)
     }
 }
 
-/// Delays of robots, in milliseconds; `Speed` is in quarters of a metre per second.
+/// Delays of robots in milliseconds; `Speed` is in quarters of a metre per second.
 #[derive(Clone, Copy, Debug)]
 enum Canon {
     Even(i64),
-    /// A gap that grows by this amount from robot to robot.
+    /// A delay to the next robot that grows by this amount from robot to robot.
     Growing(i64),
     Backward(i64),
     Outward(i64),
     Inward(i64),
-    /// In the order of the robots' places.
+    /// The robots begin in the order of their places.
     Ranked(i64),
     Speed(i64),
     Over(i64),
@@ -126,7 +127,7 @@ enum Canon {
 enum When {
     Free,
     At(i64),
-    /// A start, and the delay from each robot to the next.
+    /// A start, and the delay from each robot to the next, in milliseconds.
     Each(i64, i64),
     Between(i64, i64),
     Bar(i64),
@@ -138,7 +139,7 @@ enum When {
 struct Relation {
     word: Word,
     other: usize,
-    /// `start of`, `end of`, or neither.
+    /// Whether `end of` is written instead of `start of`; `None` if neither is written.
     end: Option<bool>,
     lag: Lag,
 }
@@ -150,7 +151,7 @@ enum Word {
     Before,
 }
 
-/// Lag in milliseconds, or in quarters of a beat.
+/// Time between two cues, in milliseconds or in quarters of a beat.
 #[derive(Clone, Copy, Debug)]
 enum Lag {
     None,
@@ -161,11 +162,11 @@ enum Lag {
 
 #[derive(Clone, Debug)]
 struct Show {
-    /// In order of their bars.
+    /// Tempos in the order of their bars.
     tempos: Vec<Tempo>,
     auto: bool,
     acts: Vec<Vec<Cue>>,
-    /// Whether cues of an act without positions in the music are those of a sequence.
+    /// Whether the cues of an act without positions in the music are those of a sequence.
     by_sequence: bool,
     /// Whether moves are in a file that is included under a name, with the unit of their values as a parameter.
     by_include: bool,
@@ -173,11 +174,11 @@ struct Show {
 
 #[derive(Clone, Copy, Debug)]
 struct Tempo {
-    /// First bar, from 1.
+    /// Bar in which the tempo begins, from 1.
     bar: i64,
-    /// Hundredths of beats per minute.
+    /// Tempo in hundredths of beats per minute.
     bpm: i64,
-    /// Beats per bar and their note value, if they are written.
+    /// Beats per bar, and the note value of a beat; `None` if they are not written.
     signature: Option<(i64, i64)>,
 }
 
@@ -189,7 +190,7 @@ impl Files for Csvs {
     }
 }
 
-/// A point that never moves.
+/// Returns a point that never moves.
 fn standing(x: f64) -> Body {
     Body {
         coordinates: [x, 0.0, 0.0, 0.0].map(Coordinate::Fixed),
@@ -246,10 +247,10 @@ pub(super) fn scenarios() -> u32 {
     std::env::var("DOWNBEAT_SCENARIOS").ok().and_then(|text| text.parse().ok()).unwrap_or(150)
 }
 
-/// Counts of the compared items.
+/// Counts of compared scenarios and items.
 #[derive(Debug, Default)]
 struct Tally {
-    /// Scenarios with a plan, with contradictory times, and with other errors.
+    /// Numbers of scenarios with a plan, with contradictory times, and with other errors.
     planned: usize,
     contradictory: usize,
     refused: usize,
@@ -257,19 +258,19 @@ struct Tally {
     cues: usize,
     devices: usize,
     steps: usize,
-    /// Cues that could start later, and devices for which every step is known.
+    /// Numbers of cues that could start later, and of devices for which every step is known.
     slack: usize,
     to_the_step: usize,
-    /// Sensor readings, tracks of several values, values set without a movement, and acts with a change of tempo.
+    /// Numbers of sensor readings, tracks of several values, values set without a movement, and acts with a change of tempo.
     readings: usize,
     colours: usize,
     instants: usize,
     tempo_changes: usize,
-    /// Numbers that are spread over the robots or calculated for each of them, and cues with `every`.
+    /// Numbers of values that are spread over the robots, values calculated for each robot, and cues with `every`.
     spreads: usize,
     expressions: usize,
     everys: usize,
-    /// Cues whose move comes from an included file.
+    /// Number of cues whose move comes from an included file.
     included: usize,
 }
 
@@ -306,7 +307,7 @@ impl Tally {
     }
 }
 
-/// Renames the cues of sequences to their names there, and removes the cue that plays the sequence.
+/// Renames the cues of sequences to their names within the sequence, and removes the cue that plays the sequence.
 fn without_sequences(mut compiled: Compiled) -> Compiled {
     for act in compiled.choreography.iter_mut().flat_map(|choreography| &mut choreography.acts) {
         act.cues.retain(|cue| cue.name != written::SEQUENCE);

@@ -4,7 +4,7 @@ use num_rational::Ratio;
 
 use super::PLACES;
 
-/// A number, in the unit in which it is drawn.
+/// A number, which may differ between robots, in the unit in which it is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Each {
     Same(i64),
@@ -23,13 +23,13 @@ pub(super) enum Each {
     },
 }
 
-/// The function of the robot's number in an expression.
+/// The function of the robot's index that an expression contains.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Share {
     Index,
     Part,
     Left,
-    /// With a seed.
+    /// A random number with this seed.
     Random(u64),
 }
 
@@ -37,7 +37,7 @@ pub(super) enum Share {
 pub(super) enum By {
     Index,
     X,
-    /// A point on the x axis, in millimetres.
+    /// The distance from a point on the x axis, in millimetres.
     Point(i64),
     Random(u64),
 }
@@ -63,7 +63,7 @@ impl Each {
         !matches!(self, Self::Same(_))
     }
 
-    /// Adds a constant for all robots.
+    /// Adds the same constant for all robots.
     pub(super) fn plus(self, more: i64) -> Self {
         match self {
             Self::Same(value) => Self::Same(value + more),
@@ -74,7 +74,7 @@ impl Each {
         }
     }
 
-    /// Returns the maximum over at most four robots, unless `by` is negative.
+    /// Returns the maximum over at most four robots; not valid if `by` is negative.
     pub(super) fn most(self) -> i64 {
         match self {
             Self::Same(value) => value,
@@ -83,7 +83,7 @@ impl Each {
         }
     }
 
-    /// Returns the value for the robot at this index.
+    /// Returns the value for the robot at `index`.
     pub(super) fn of(self, robots: &[usize], index: usize) -> Ratio<i128> {
         let whole = |value: i64| Ratio::from_integer(i128::from(value));
         match self {
@@ -109,7 +109,7 @@ impl Each {
         }
     }
 
-    /// Returns the number as written after a `base`, each part with its unit.
+    /// Returns the number as written after a `base`. Each part has its unit.
     pub(super) fn yaml(self, base: &str, unit: impl Fn(i64) -> String) -> String {
         match self {
             Self::Same(value) => format!("{base}{}", unit(value)),
@@ -148,9 +148,9 @@ impl Each {
     }
 }
 
-/// Returns the position between the first robot and the last one, from 0 to 1.
+/// Returns the position of a robot between the first robot and the last one, from 0 to 1.
 fn part(by: By, direction: Direction, robots: &[usize], index: usize) -> Ratio<i128> {
-    // Doubled, so that the middle is a whole number.
+    // Positions are doubled, so that the middle is a whole number.
     let place = |(number, robot): (usize, &usize)| {
         2 * match by {
             By::X => PLACES[*robot],
@@ -183,7 +183,7 @@ fn eased(ease: Ease, s: Ratio<i128>) -> Ratio<i128> {
     }
 }
 
-/// SplitMix64 for the seed, then for the index.
+/// Returns a random number: SplitMix64, applied to the seed and then to the index.
 fn random(seed: u64, index: usize) -> Ratio<i128> {
     let next = |state: u64, number: u64| {
         let mut z = state.wrapping_add(number).wrapping_add(0x9e37_79b9_7f4a_7c15);

@@ -1,4 +1,4 @@
-//! Checks the steps of devices: every step if it is known, otherwise the error at hundreds of places.
+//! Checks the steps of devices: every step if it is known, otherwise the error at hundreds of times.
 
 use std::collections::BTreeMap;
 
@@ -15,17 +15,17 @@ use crate::{Act, Code, Compiled, Severity};
 /// The movement of one device in one cue.
 struct Segment<'a> {
     cue: &'a Cue,
-    /// The index of the robot in the cue.
+    /// Index of the robot in the cue.
     index: usize,
     begin: Nanos,
     movement: Movement,
-    /// The change, with the length to which the movement is stretched.
+    /// The cue's change, with the length to which the movement is stretched.
     change: Change,
     length: Nanos,
 }
 
 impl Segment<'_> {
-    /// Returns the first value to which the device is set.
+    /// Returns the first value to which the segment sets the device.
     fn first(&self) -> f64 {
         settable(self.cue.device).nearest(meant(&self.movement, &self.change, 0.0))
     }
@@ -90,7 +90,7 @@ fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -
         let start = script.start.span();
         let all = script.script.steps();
         if let Some((end, left_at)) = end {
-            // A pause between scripts has no effect: the device keeps its value until the first step.
+            // A pause between scripts has no effect if the device keeps its value until the first step.
             let keeps = all[0].offset.get() == 0.0 && (!moves || all[0].setpoint.value == left_at);
             prop_assert!(end == start || end < start && keeps, "{who}: a gap between scripts");
         }
@@ -171,7 +171,7 @@ fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -
     Ok(())
 }
 
-/// Several values at once: compares every step if none is omitted, otherwise the deviation of each value.
+/// Compares tracks with several values at once: every step if none is omitted, otherwise the deviation of each value.
 fn compare_colours(act: &Act, robot: &str, segments: &[Segment<'_>]) -> Result<(), TestCaseError> {
     let scripts =
         act.plan.robots.iter().filter(|plan| plan.robot.as_str() == robot).flat_map(|plan| &plan.scripts);
@@ -218,7 +218,7 @@ fn compare_colours(act: &Act, robot: &str, segments: &[Segment<'_>]) -> Result<(
     Ok(())
 }
 
-/// Compares the sensors that are read, and the times.
+/// Compares the planned sensor readings and their times.
 fn compare_readings(show: &Show, planned: &Act, act: &[Cue], times: &Times) -> Result<(), TestCaseError> {
     let of_cue = |(cue, start): (&Cue, &Nanos)| {
         let of_robot = |(robot, delay): (usize, Nanos)| {
@@ -239,7 +239,7 @@ fn compare_readings(show: &Show, planned: &Act, act: &[Cue], times: &Times) -> R
     Ok(())
 }
 
-/// If all cues are played as written, compares every step to the nanosecond.
+/// If all cues of a device are played as written, compares every step to the nanosecond.
 fn as_written(
     show: &Show,
     segments: &[Segment<'_>],
@@ -252,7 +252,7 @@ fn as_written(
     let mut worst: f64 = 0.0;
     for segment in segments {
         let Some(mut own) = segment.cue.as_written(show, segment.index) else { return Ok(()) };
-        // A device that moves does not creep to the next cue.
+        // An additional step keeps a device that moves from creeping to the next cue.
         if let Some((at, value)) = expected.last().copied()
             && moves
             && segment.begin > at

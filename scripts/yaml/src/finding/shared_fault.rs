@@ -1,4 +1,4 @@
-//! One cause, one finding: joins robots that have a fault for the same reason.
+//! Joins the faults of several robots that have the same cause into one finding.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -9,42 +9,42 @@ use urrcp::RobotId;
 use super::{Code, Place, robots_named};
 
 /// A fault of some robots, or of one of their devices. Faults with the same code and cause are joined into one finding, which describes
-/// the largest of them.
+/// the largest fault.
 pub struct SharedFault {
     /// The kind of the finding.
     pub code: Code,
     /// The key by which faults are joined into one finding.
     pub cause: String,
-    /// The magnitude of the fault; the finding describes the largest.
+    /// The magnitude of the fault; the finding describes the fault with the largest one.
     pub size: f64,
-    /// Empty for a fault of the robots themselves.
+    /// The name of the device with the fault; empty if the robots themselves have it.
     pub device: String,
     /// The robots that have the fault.
     pub robots: Arc<[RobotId]>,
     /// The place that the user must edit.
     pub place: Place,
-    /// The message before and after the names of the robots. The second part may begin with the verb in singular and plural:
+    /// The parts of the message before and after the names of the robots. The second part may begin with the verb in singular and plural:
     /// ` moves|move at 2 m/s`.
     pub message: [String; 2],
     /// The expected value or form.
     pub expected: String,
-    /// How to fix it.
+    /// How to fix the fault; `None` if there is no hint.
     pub hint: Option<String>,
 }
 
-/// The parts of a finding that depend on the robots that it concerns.
+/// The robots and devices that a shared finding concerns, and its message.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Affected {
     size: f64,
-    /// The device of the largest fault.
+    /// The device with the largest fault; empty if the robots themselves have it.
     device: String,
     message: [String; 2],
-    /// Devices in the order of the faults, each with the robots of all its faults.
+    /// Devices in the order of their first faults, each with the robots of all its faults.
     devices: Vec<(String, Vec<Arc<[RobotId]>>)>,
 }
 
 impl Affected {
-    /// Starts with the robots of a first fault.
+    /// The affected robots of a first fault.
     pub fn by(fault: &SharedFault) -> Self {
         let mut affected = Self {
             size: fault.size,
@@ -95,7 +95,7 @@ impl Affected {
     }
 }
 
-/// Each robot once, in order.
+/// The ids of all robots of the faults, each once, in order.
 fn distinct(faults: &[Arc<[RobotId]>]) -> Vec<&str> {
     let mut seen = HashSet::new();
     let robots = faults.iter().flat_map(|robots| robots.iter()).map(RobotId::as_str);

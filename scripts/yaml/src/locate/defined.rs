@@ -6,10 +6,10 @@ use super::{LineStarts, Wanted};
 use crate::finding::{Code, Part, Pending, Place};
 use crate::source::Source;
 
-/// The largest number of definitions that one finding shows.
+/// Maximum number of definitions that one finding shows.
 const SHOWN_MAX: usize = 2;
 
-/// Adds the definitions of its variables to each finding about a value.
+/// Adds to each finding about a value the places that define the variables in that value.
 pub(super) fn relate<S: Borrow<Source>>(sources: &[S], pending: &mut [Pending]) {
     let mut named: Vec<(usize, Vec<String>)> = Vec::new();
     for (file, source) in sources.iter().enumerate() {
@@ -63,7 +63,7 @@ fn is_about_value(found: &Pending) -> bool {
     is_value && found.related.is_empty() && !found.place.key
 }
 
-/// The names of the variables that are used at places of one file. Places without variables are left out.
+/// For each place in one file, its index and the names of the variables that are used there. Places without variables are left out.
 fn variables<'p>(text: &str, places: impl Iterator<Item = (usize, &'p Place)>) -> Vec<(usize, Vec<String>)> {
     let mut wanted = Wanted::default();
     let places: Vec<(usize, usize)> = places.map(|(index, place)| (index, wanted.add(place))).collect();

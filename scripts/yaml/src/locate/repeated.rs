@@ -1,4 +1,4 @@
-//! One cause, one finding: joins the same mistake at several places of a file, such as a misspelt name.
+//! Joins the findings for one mistake at several places of a file, such as a misspelt name.
 
 use std::collections::HashMap;
 
@@ -10,8 +10,8 @@ const LISTED_MAX: usize = 5;
 /// The hint for a decimal comma, in numbers and times of any kind.
 const DECIMAL_POINT: &str = "write a decimal point";
 
-/// Joins findings about the same mistake into the first one. Its message names the lines of the others, and its related places list them
-/// for editors. Each finding is paired with the text of the uses that led to it, for the end of its message.
+/// Joins findings about the same mistake into the first one. Its message names the lines of the other findings, and its related places
+/// list them for editors. Each finding is paired with the text of the uses that led to it, which is appended to its message.
 pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
     let mut first: HashMap<Mistake, usize> = HashMap::new();
     let mut joined: Vec<Finding> = Vec::with_capacity(findings.len());
@@ -34,25 +34,25 @@ pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
     joined
 }
 
-/// The place of a mistake that another finding reports.
+/// Converts a finding to a related place of the first finding of the same mistake.
 fn repeat(finding: Finding) -> Related {
     let Finding { line, column, width, source_line, .. } = finding;
     Related { line, column, width, message: "the same mistake".to_owned(), source_line, is_repeat: true }
 }
 
-/// The common part of equal mistakes.
+/// The parts in which two findings must agree to be the same mistake.
 #[derive(PartialEq, Eq, Hash)]
 struct Mistake {
     code: Code,
     message: String,
     expected: String,
     hint: Option<String>,
-    /// The definitions of the variables in the value.
+    /// Line and column of the definitions of the variables in the value.
     definitions: Vec<(usize, usize)>,
 }
 
 impl Mistake {
-    /// `None` for mistakes that involve several places, and for those that have a separate cause at each place.
+    /// The mistake of a finding. `None` if it involves several places, or has a separate cause at each place.
     fn of(finding: &Finding) -> Option<Self> {
         let Finding { code, message, expected, hint, .. } = finding;
         let hint = hint.as_deref();
@@ -116,7 +116,7 @@ fn any_number(text: &str) -> String {
     plain
 }
 
-/// A message without the robot, or the device of an initialization block, that ends it.
+/// A message without the robot, or the device of an initialization block, at its end.
 fn of_no_owner(message: &str) -> &str {
     let ends = [" in robot `", ", for `", ", for the device `"];
     let end = ends.iter().filter_map(|begin| message.find(begin)).min();
@@ -129,7 +129,7 @@ fn of_any_keyframe(message: &str) -> &str {
     rest.map_or(message, |(_, rest)| rest)
 }
 
-/// The end of the message that lists the other places of the mistake, in order.
+/// The end of the message, which lists the lines of the other places of the mistake in order.
 fn others(own: usize, mut lines: Vec<usize>) -> String {
     let here = lines.iter().filter(|line| **line == own).count();
     lines.retain(|line| *line != own);

@@ -1,16 +1,16 @@
-//! Finds characters of a text in its YAML spelling: in quotes, with escapes, over several lines.
+//! Finds the characters of a text in the YAML source, where it may have quotes and escapes or extend over several lines.
 
 /// How a scalar is written.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Style {
-    /// Without quotes, or as a block.
+    /// The scalar is written without quotes, or as a block.
     Plain,
     Single,
     Double,
 }
 
-/// The byte offsets of the characters `from` and `to` of `text` in `source`, which begins at the scalar. `None` if the source contains
-/// something else there, such as an alias.
+/// The byte offsets in `source` of the characters `from` and `to` of `text`. `source` begins at the YAML scalar that spells the text.
+/// `None` if it begins with something else, such as an alias.
 pub(super) fn offsets(source: &str, text: &str, (from, to): (usize, usize)) -> Option<(usize, usize)> {
     let begin = after_properties(source);
     let style = match source[begin..].chars().next()? {
@@ -42,7 +42,7 @@ pub(super) fn offsets(source: &str, text: &str, (from, to): (usize, usize)) -> O
     Some((first.unwrap_or(end), end))
 }
 
-/// The offset after an anchor and a tag.
+/// The byte offset after an anchor and a tag, if there are any.
 fn after_properties(source: &str) -> usize {
     let mut at = 0;
     while source[at..].starts_with(['&', '!']) {
@@ -115,7 +115,7 @@ impl Walk<'_> {
         Some(())
     }
 
-    /// `\"`, `\\`, `\/`.
+    /// Skips the rest of an escape sequence that stands for its own character: `\"`, `\\`, `\/`.
     fn plainly_escaped(&mut self, kind: char, c: char) -> Option<()> {
         (kind == c).then_some(())?;
         self.at += 1 + kind.len_utf8();

@@ -6,10 +6,10 @@ use super::lines_of;
 use crate::finding::{Pending, Place};
 use crate::source::Source;
 
-/// Maximum number of uses that a message lists: the nearest ones.
+/// Maximum number of uses that a message lists, from the place of the finding outwards.
 const USES_MAX: usize = 8;
 
-/// The text of the uses of each finding; empty for most findings.
+/// For each finding, the text that lists its uses; empty for most findings.
 pub(super) fn told<S: Borrow<Source>>(sources: &[S], pending: &[Pending]) -> Vec<String> {
     let places: Vec<&Place> = pending.iter().flat_map(mentioned).collect();
     if places.is_empty() {
@@ -46,12 +46,12 @@ fn uses(place: &Place) -> impl Iterator<Item = &crate::finding::Use> {
     std::iter::successors(place.used.as_deref(), |used| used.place.used.as_deref()).take(USES_MAX)
 }
 
-/// Related places of other files, which cannot be shown next to the finding.
+/// Related places in other files than the finding's own. They cannot be shown next to the finding.
 fn elsewhere(finding: &Pending) -> impl Iterator<Item = &(Place, String)> {
     finding.related.iter().filter(|(place, _)| place.file != finding.place.file)
 }
 
-/// The places that the message lists, in order.
+/// The places that the text of a finding lists, in order.
 fn mentioned(finding: &Pending) -> impl Iterator<Item = &Place> {
     uses(&finding.place).map(|used| &used.place).chain(elsewhere(finding).map(|(place, _)| place))
 }

@@ -1,4 +1,5 @@
-//! From the decision to the start: the leases end before it unless the act is committed, and it is committed only for good reasons.
+//! Tests of an act from its decision to its start: the leases end before the start unless the act is committed, and it is committed only
+//! for valid reasons.
 
 use downbeat_plan::OnDoubt;
 
@@ -77,7 +78,7 @@ fn what_cannot_wait_is_let_through_to_a_member_as_long_as_a_lease_can_still_end_
 
 #[test]
 fn the_commitment_needs_every_answer_to_one_of_the_last_two_rounds() {
-    // Silent long enough before the critical instant to miss both of the last rounds.
+    // The robot is silent long enough before the critical instant to miss both of the last rounds.
     for (periods, committed) in [(0, true), (1, true), (4, false)] {
         let mut bench = Bench::pair();
         bench.decide(Leases::Shortened);
@@ -290,7 +291,7 @@ fn a_script_that_follows_another_and_is_sent_too_late_to_be_asked_about_does_not
     bench.decide(Leases::Shortened);
     assert_eq!(bench.sent_to(0).len(), 1);
     bench.run_until(bench.timing().critical() - Span::from_micros(100));
-    // An earlier act has just ended there: there is room, and the sent script waits for the commitment.
+    // An earlier act has just ended on the robot: there is room, and the sent script waits for the commitment.
     bench.act.sent(bench.now, bench.scripts_of(0)[1]);
     bench.run_until(bench.start());
     assert_eq!((bench.act.progress(), &bench.failed), (Progressed::Committed, &Vec::new()));

@@ -54,7 +54,7 @@ struct Question {
     named: Vec<NamedScripts>,
 }
 
-/// Reaction to a failure.
+/// How the mission reacts to a failure of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Policy {
     Abort,
@@ -68,7 +68,7 @@ struct Bench {
     act: Act,
     options: MissionOptions,
     policy: Policy,
-    /// Duration of a write; `None`: it never finishes.
+    /// Duration of a write to the disk; `None`: it never finishes.
     disk: Option<Span>,
     /// How much later than planned the last robot may start.
     late: Span,
@@ -76,7 +76,7 @@ struct Bench {
     silent: Vec<usize>,
     /// Robots that play but do not report by themselves, whatever they support.
     mum: Vec<usize>,
-    /// The state that those robots report for all their scripts, instead of the true one.
+    /// The state that the robots in `mum` report for all their scripts, instead of the true one.
     says_always: Option<RequestState>,
     arrivals: Vec<(Timestamp<Server>, Arrival)>,
     recorded: Vec<(Timestamp<Server>, Record)>,
@@ -278,7 +278,7 @@ impl Bench {
         self.arrivals.push((self.now + ROUND_TRIP, Arrival::Answer { robot, asked: self.now }));
     }
 
-    /// Takes the answer to a question: the times, and the states of the scripts.
+    /// Passes the answer to a question to the act: the times, and the states of the scripts.
     fn answer(&mut self, robot: usize, asked: Timestamp<Server>) {
         let there = by_robot(asked + ROUND_TRIP / 2);
         self.robots[robot].clock.add(ClockSample::from_exchange(asked, there, there, self.now));

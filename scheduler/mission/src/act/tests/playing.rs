@@ -1,4 +1,4 @@
-//! From the start to the last step.
+//! Tests of an act from its start to its last step.
 
 use downbeat_plan::PlannedReading;
 
@@ -181,7 +181,7 @@ fn an_overdue_report_is_asked_for_and_then_its_robot_has_failed() {
     bench.run_to_the_end();
     let due = bench.start() + grace;
     assert!(bench.asked_of(1).any(|question| question.at >= due && question.at < due + ms(2)));
-    // Later by the possible lateness of its clock.
+    // The end is later by the possible lateness of the robot's clock.
     assert!(
         matches!(bench.failed.as_slice(), [(when, 1, FailureKind::Silent { .. })]
             if *when >= due + grace && *when < due + grace + ms(1)),
@@ -417,7 +417,7 @@ fn sent_a_third_script() -> (Bench, ScriptRef) {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 5_000)]];
     let mut bench = Bench::of(&[Tells::Nothing], 2, bench::played(&scripts));
     bench.play(Leases::Fixed);
-    // From here, scripts are accepted only by the test itself.
+    // In what follows, only the test itself makes the robot accept scripts.
     bench.silent = vec![0];
     while bench.sent_to(0).len() < 3 {
         bench.run_until(bench.now + ms(1));

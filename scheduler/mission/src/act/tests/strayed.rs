@@ -68,7 +68,7 @@ fn what_is_known_of_a_clock_counts_though_nothing_is_known_of_another() {
     for leases in [Leases::Shortened, Leases::Fixed] {
         let mut bench = Bench::of_three(Policy::Abort);
         bench.decide(leases);
-        // As in a process that took over and has not received anything from it yet.
+        // The robot's state is as in a process that took over and has not received anything from the robot yet.
         bench.robots[2] = bench::robot("r2", Tells::Everything, 2);
         let (now, there) = (bench.now, by_robot(bench.now) + ms(6));
         bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));

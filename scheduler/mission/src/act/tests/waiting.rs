@@ -15,7 +15,7 @@ fn waits_for(wait: Wait) -> Bench {
     Bench::of(&[Tells::Everything], 2, choreography.into())
 }
 
-/// The same, while an earlier act still plays.
+/// An act with this condition, while an earlier act still plays.
 fn behind_another(wait: Wait) -> Bench {
     let bench = waits_for(wait);
     let act = Act::new(Arc::clone(&bench.act.choreography), 0, 1, &bench.robots, at(0), Some(at(500)));

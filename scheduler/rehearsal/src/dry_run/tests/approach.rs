@@ -1,4 +1,4 @@
-//! The act that moves devices to their first positions before a show.
+//! Tests of the act that moves devices to their first positions before a show.
 
 use downbeat_scripts::{Address, Approach, Fleet, FleetRobot, NoFiles, Source, add_approach, compile};
 use urrcp::Interpolation;
@@ -19,7 +19,7 @@ fn linear(id: usize) -> InitializationBlock {
     block
 }
 
-/// Plays a show of two arms after an approach. The second arm disconnects once it has accepted the approach.
+/// Plays a show of two arms that starts with an approach. The second arm disconnects once it has accepted the approach.
 fn approached(on_failure: &str) -> Played {
     let robot = |id| FleetRobot::new(linear(id).id, Address::Simulated, Some(linear(id)));
     let fleet = Fleet { robots: vec![robot(0), robot(1)], ..Fleet::default() };

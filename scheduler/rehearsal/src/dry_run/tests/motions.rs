@@ -1,4 +1,4 @@
-//! Motions that sensors verify, in virtual time: two robots whose bodies follow with a delay, and their known latencies.
+//! Tests of motions that sensors verify, in virtual time: the bodies of two robots follow with a delay, and their latencies are known.
 
 use downbeat_scripts::{Folder, Source, compile, read_fleet};
 
@@ -59,7 +59,7 @@ fn motions(known: [&str; 2], measured: &str) -> (Vec<MotionReport>, Option<Motio
     (act.motions, act.motion_spread)
 }
 
-/// In milliseconds.
+/// The error of a motion in milliseconds.
 fn error(motion: &MotionReport) -> f64 {
     motion.error.unwrap_or_else(|| panic!("{motion:?}")).as_millis_f64()
 }

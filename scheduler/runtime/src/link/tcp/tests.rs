@@ -7,7 +7,7 @@ use super::*;
 use crate::link::{Endpoint, Link, LinkEncoding, Security};
 use downbeat_mission::drive::{Happened, LinkNumber, Urgency};
 
-/// Maximum wait for an expected event, even on a busy machine.
+/// Maximum time to wait for an expected event, long enough for a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[tokio::test]
@@ -28,7 +28,7 @@ async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
         let request = ControlRequest::immediate(device.parse().unwrap(), Command::Script(Script::cancel()));
         Message::ControlRequest(request)
     };
-    // Far more than any socket buffers.
+    // This is far more than any socket buffers.
     for _ in 0..39_000 {
         link.send(stop("x".repeat(250)), Urgency::InOrder).unwrap();
     }
@@ -43,7 +43,7 @@ async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
 async fn behind_a_long_upload_that_the_robot_may_still_be_reading_a_stop_comes_by_a_connection_of_its_own() {
     for (messages, overtakes) in [(400, true), (100, false)] {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        // A limit that even a slow reader does not reach.
+        // Even a slow reader does not reach this limit.
         let long_upload = crate::link::LongUpload(Span::from_millis(3_600_000));
         let of_robot = crate::link::OfRobot { long_upload, ..Default::default() };
         let (link, _happened) = linked_as(of_robot, listener.local_addr().unwrap().port());
@@ -51,7 +51,7 @@ async fn behind_a_long_upload_that_the_robot_may_still_be_reading_a_stop_comes_b
             let cancel = Command::Script(Script::cancel());
             Message::ControlRequest(ControlRequest::immediate(device.parse().unwrap(), cancel))
         };
-        // All of them are queued before the link is up, and are written as one.
+        // All messages are queued before the link is up, and are written as one batch.
         for _ in 0..messages {
             link.send(cancel(&"x".repeat(250)), Urgency::InOrder).unwrap();
         }
@@ -103,7 +103,7 @@ async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
         let asked = Message::InitializationRequest(urrcp::InitializationRequest::default());
         link.send(asked, Urgency::InOrder).unwrap();
         links.push(link);
-        // Ends when the link is dropped at the end of the test.
+        // The task ends when the link is dropped at the end of the test.
         tokio::spawn(async move {
             let (mut stream, _) = listener.accept().await.unwrap();
             let mut asked = [0; 256];
@@ -165,13 +165,13 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
     );
 }
 
-/// Returns the number of events from a robot that never stops writing these bytes, and the last event.
+/// Returns the number of events from a robot that writes these bytes endlessly, and the last event.
 async fn flooded_by(bytes: &'static [u8]) -> (u64, Event) {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (link, mut happened) = linked(listener.local_addr().unwrap().port());
     let asked = urrcp::AvailabilityRequest::default();
     link.send(Message::AvailabilityRequest(asked), Urgency::InOrder).unwrap();
-    // Ends when the link is closed.
+    // The task ends when the link is closed.
     let flooding = tokio::spawn(async move {
         let (mut stream, _) = listener.accept().await.unwrap();
         while stream.write_all(bytes).await.is_ok() {}
@@ -231,14 +231,14 @@ async fn one_link_takes_no_more_of_the_queue_than_its_places() {
     // The test holds all places, so none becomes free.
     assert!(tokio::time::timeout(Duration::from_millis(300), happened.recv()).await.is_err());
     drop(waiting);
-    // One event for the link, 900 for garbled lines.
+    // The queue contains one event for the link and 900 for invalid lines.
     for _ in 256..1 + 900 {
         tokio::time::timeout(PATIENCE, happened.recv()).await.unwrap().unwrap();
     }
     assert!(tokio::time::timeout(Duration::from_millis(300), happened.recv()).await.is_err());
 }
 
-/// Returns a link to this port and its events.
+/// Opens a link to this port of the local host. Returns the link and the receiver of its events.
 fn linked(port: u16) -> (Link, mpsc::Receiver<Happened>) {
     linked_as(crate::link::OfRobot::default(), port)
 }

@@ -1,4 +1,4 @@
-//! The acts and scripts of a report.
+//! Checks the acts and scripts in a report.
 
 use downbeat_robot::set_log::LogEntry;
 use urrcp::Span;
@@ -49,7 +49,7 @@ impl Said<'_> {
             wrong.push(format!("act {number} is reported with a lead of {}", said.lead.total()));
         }
         if !self.facts.was_resumed(act) {
-            // In the form of the journal, which omits derived values.
+            // The skew budgets are compared in the form of the journal, which omits derived values.
             let json = |skew: Option<&SkewBudget>| serde_json::to_value(skew).ok();
             if json(said.skew.as_ref()) != json(act.skew) {
                 wrong.push(format!(
@@ -75,7 +75,7 @@ impl Said<'_> {
         }
     }
 
-    /// Robots with an announced window have received the commitment within it.
+    /// Checks that robots with an announced window received the commitment within the window.
     fn window(&self, act: &SentAct<'_>, said: &ActReport, wrong: &mut Vec<String>) {
         let number = said.number;
         let Some(window) = said.window else { return };
@@ -129,7 +129,7 @@ impl Said<'_> {
             };
             match act.of(robot).find(same) {
                 Some(script) => self.script(act, script, device, wrong),
-                // It was left out before anything was promised to it.
+                // The robot was left out before anything was promised to it.
                 None if said.left_out && device.state == DeviceState::Planned => {}
                 None => {
                     wrong.push(format!("r{robot} is reported with a script that act {number} does not have"))
@@ -138,7 +138,7 @@ impl Said<'_> {
         }
     }
 
-    /// Compares a script with its robot's log.
+    /// Compares the report on a script with the robot's log.
     fn script(
         &self,
         act: &SentAct<'_>,
@@ -175,7 +175,8 @@ impl Said<'_> {
         if said_late > late || (said.state == DeviceState::Ended && known && said_late != late) {
             wrongly(format!("{said_late} late steps are reported, but {late} were late"));
         }
-        // An answer without a name is assigned to the next matching script; if one is lost, that is the wrong script.
+        // A response without a request id is assigned to the next matching script. If an earlier response was lost, that is the wrong
+        // script.
         let named = self.facts.counts_steps(robot);
         let lost = self.facts.offset_may_be_lost(act, script);
         if let Some(what) = wrong_start(act, script, said, lost).filter(|_| named) {
@@ -184,7 +185,8 @@ impl Said<'_> {
     }
 }
 
-/// The reported start is the one that the robot logged, by its own clock. If the script's offset may be lost, its error may be unknown.
+/// Describes a wrong start in the report, if any. The start must be the one that the robot logged by its own clock. If the script's
+/// offset may be lost, the reported error may be unknown.
 fn wrong_start(
     act: &SentAct<'_>,
     script: &SentScript<'_>,
@@ -209,13 +211,13 @@ fn wrong_start(
     })
 }
 
-/// Actual minus planned start, by the robot's own clock.
+/// Actual minus planned start of a script, by the robot's own clock.
 pub(super) fn error_by_its_clock(act: &SentAct<'_>, script: &SentScript<'_>, first: &LogEntry) -> Span {
     let planned = act.start_as_told(script) + script.starts_after + script.shift;
     first.set_at - planned.assume_clock()
 }
 
-/// The first script of every device: these start together.
+/// The first script of each device. These scripts start together.
 fn firsts(robot: &ActRobot) -> impl Iterator<Item = &DeviceReport> {
     let devices = robot.devices.iter().enumerate();
     let first = |(index, script): &(usize, &DeviceReport)| {

@@ -1,4 +1,4 @@
-//! The reported failures and their reasons: no robot is blamed for a fault outside of itself and its link.
+//! Checks the reported failures and their reasons: no robot is blamed for a fault outside of itself and its link.
 
 use downbeat_plan::{RefillKind, refills_of_robots};
 use downbeat_robot::set_log::{LogEntry, MotionKind};
@@ -34,7 +34,7 @@ impl Said<'_> {
     }
 
     /// If a robot is honest and without faults, and its link loses and delays nothing, then only its clock and the time to send may be
-    /// wrong. The latter is found by measurement or, if its link was faster at first than it can be, by a script that arrives late.
+    /// wrong. A lack of time to send is found by measurement or, if the link was unusually fast at first, by a script that arrives late.
     fn no_innocent(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let steady = drawn.network == Network::Stream && drawn.tail == 0.0;
@@ -62,9 +62,10 @@ impl Said<'_> {
         }
     }
 
-    /// In a mission that was resumed: whether an earlier process had stopped the robot, or never sent the script that the robot lacks.
-    /// The journal may lack this. If the clock of the scheduler was set between two processes, a script may seem older than a stop before
-    /// it, and a report too early. Silence is not compared yet: a robot that accepts no inquiries may be blamed without an inquiry.
+    /// In a mission that was resumed: whether an earlier process of the scheduler had stopped the robot, or never sent the script that
+    /// the robot lacks. The journal may not contain this. If the scheduler's clock was set between two processes, a script may seem older
+    /// than a stop before it, and a report may seem too early. Silence is not compared yet: a robot that accepts no inquiries may be
+    /// blamed without an inquiry.
     fn followed_another_process(&self, robot: usize, kind: &FailureKind) -> bool {
         let Some(resumed) = self.resumed_at else { return false };
         let mut faults = self.facts.drawn().faults.iter();
@@ -88,7 +89,8 @@ impl Said<'_> {
         }
     }
 
-    /// Whether the robot states its positions, and a device that has never moved is away from the first position of an act.
+    /// Whether the failure is that a device would jump. The robot states its positions, and a device that has never moved is away from
+    /// the first position of an act.
     fn would_jump(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Position { device, reading, expected, .. } = kind else { return false };
         let drawn = &self.facts.drawn().robots[robot];
@@ -99,7 +101,7 @@ impl Said<'_> {
             && jumps_from_the_beginning(drawn, device, *expected)
     }
 
-    /// Whether a stop may have left the device at this position, away from the expected one.
+    /// Whether the failure is a wrong position, and a stop may have left the device there.
     fn was_left_elsewhere(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Position { device, reading, expected, .. } = kind else { return false };
         let mut log = self.facts.ran.logs[robot].iter().filter(|entry| entry.device == *device);
@@ -112,8 +114,8 @@ impl Said<'_> {
         (reading - expected).abs() > JUMP && was_there && !self.facts.stopping.is_empty()
     }
 
-    /// Whether a script arrived late because its device has room for a shorter time than an exchange may take on this link. The few
-    /// exchanges of the greeting did not show that.
+    /// Whether a script arrived late because the time with free queue space on its device is shorter than an exchange on the link may
+    /// take. The few exchanges of the greeting did not show that.
     fn had_no_time(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Script { device, error } = kind else { return false };
         let drawn = &self.facts.drawn().robots[robot];
@@ -132,8 +134,8 @@ impl Said<'_> {
     }
 }
 
-/// Whether the robot itself reports that the scheduler was silent for too long, or too late. If the scheduler ended or stalled, that is
-/// true, and the only permitted failure.
+/// Whether the robot itself reports that the scheduler was silent for too long or late. If the scheduler ended or stalled, that report is
+/// true and the only permitted failure.
 fn blames_scheduler(kind: &FailureKind) -> bool {
     match kind {
         FailureKind::Script { error, .. } => matches!(error.code, ErrorCode::LinkLost | ErrorCode::Late),

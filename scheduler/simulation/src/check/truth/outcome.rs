@@ -1,4 +1,4 @@
-//! The reported outcome of a mission and the reported fates of its acts.
+//! Checks the reported outcome of a mission and the reported fates of its acts.
 
 use urrcp::{RobotId, Server, Span, Timestamp};
 
@@ -10,7 +10,7 @@ use crate::check::situation::off_its_plan;
 use downbeat_mission::report::RobotReport;
 use downbeat_mission::{ActFate, Outcome, Progress, Record, Standing};
 
-/// Maximum error of a measured clock, apart from the round trip: at the maximum drift, for a minute.
+/// Maximum error of a measured clock, in addition to the round trip: the maximum drift over one minute.
 const CLOCK_ERROR: Span = Span::from_millis(6);
 
 impl Said<'_> {
@@ -26,8 +26,8 @@ impl Said<'_> {
         self.course(wrong);
     }
 
-    /// Every step of every script of every act was set once, and on time: the start within the tolerance, by the robot's own clock, and
-    /// later steps on time or counted as late. That nothing is set twice is a separate invariant.
+    /// Checks that every step of every script of every act was set, and on time. By the robot's own clock, the start is within the
+    /// tolerance, and later steps are on time or counted as late. A separate invariant ensures that nothing is set twice.
     fn all_done(&self, wrong: &mut Vec<String>) {
         for act in self.facts.acts.iter().filter(|act| act.counts()) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
@@ -44,8 +44,8 @@ impl Said<'_> {
         }
     }
 
-    /// No robot with a measured clock deviated from its plan at the end of an act by more than the tolerance and the uncertainty of that
-    /// clock.
+    /// Checks robots with a measured clock: at the end of an act, none deviated from the plan by more than the tolerance plus the clock's
+    /// uncertainty.
     fn none_drifted(&self, wrong: &mut Vec<String>) {
         // In an act that was resumed, the mission compares robots only with each other.
         for act in self.facts.acts.iter().filter(|act| act.counts() && !self.facts.was_resumed(act)) {
@@ -113,7 +113,7 @@ impl Said<'_> {
         }
     }
 
-    /// A mission that failed states the reason: a failure of a robot, an act that waited for too long, or a text.
+    /// Checks that the report of a failed mission states the reason: a failure of a robot, an act that waited for too long, or a text.
     fn has_a_reason(&self, wrong: &mut Vec<String>) {
         let waited = self.report.course.iter().any(|act| matches!(act.fate, ActFate::TimedOut { .. }));
         if self.report.failures.is_empty() && self.report.because.is_none() && !waited {
@@ -121,7 +121,7 @@ impl Said<'_> {
         }
     }
 
-    /// No act begins beyond the bound, even after another process has resumed the mission.
+    /// Checks that no act begins beyond the maximum number of acts, even after another process has resumed the mission.
     fn bound(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let written = |act: &&SentAct<'_>| act.counts() && act.promise.act < drawn.choreography.acts.len();
@@ -158,7 +158,7 @@ impl Said<'_> {
                 self.has_one_left(act)
                     || self.has_lost_drops(act) && act.robots().iter().any(|robot| act.is_whole_on(*robot))
             };
-            // A process that died may have sent it, and its promise may have been lost with that process.
+            // A process that died may have sent the act, and the promise may have been lost with that process.
             let is_lost = last.is_some_and(|act| !self.facts.was_kept(act.at));
             let truth = match &course.fate {
                 ActFate::NotReached => sent.is_empty() || is_lost && !began,
@@ -194,8 +194,8 @@ impl Said<'_> {
         })
     }
 
-    /// Whether all robots of an act had been left out when it was skipped, or were absent: from the beginning, or because of their own
-    /// faults.
+    /// Whether all robots of an act had been left out or were absent when the act was skipped. They may be absent from the start or
+    /// because of their own faults.
     fn nobody_left(&self, act: usize, skipped: Timestamp<Server>) -> bool {
         let came_later = |robot: usize| {
             let name = self.facts.name(robot);
@@ -242,14 +242,15 @@ impl Said<'_> {
         dropped.into_iter().any(|at| !self.facts.was_kept(at))
     }
 
-    /// The last attempt at an act that the report states: the disk may have lost the records of a later attempt and of its withdrawal.
+    /// The last attempt to play an act that the report contains. The disk may have lost the records of a later attempt and of its
+    /// withdrawal.
     fn last_reported(&self, index: usize) -> Option<&SentAct<'_>> {
         let states =
             |act: &SentAct<'_>| self.report.acts.iter().any(|said| said.number == act.promise.number);
         self.facts.acts.iter().rfind(|act| act.promise.act == index && states(act))
     }
 
-    /// Whether one of its robots had not accounted for all its scripts when it ended.
+    /// Whether some robot of an act had not accounted for all its scripts when the act ended.
     fn has_one_unknown(&self, act: &SentAct<'_>) -> bool {
         self.facts.ran.records.iter().any(|(_, record)| match record {
             Record::ActEnded { report, flaws, .. } => {

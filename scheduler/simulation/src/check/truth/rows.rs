@@ -1,4 +1,4 @@
-//! The report's row for each robot over all acts, and the result of its stop.
+//! Checks the report's row for each robot over all acts, and the result of the robot's stop.
 
 use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Timestamp};
@@ -24,7 +24,7 @@ impl Said<'_> {
         self.totals(wrong);
     }
 
-    /// A row is the sum of the robot's data in the acts.
+    /// Checks that a row is the sum of the robot's data in the acts.
     fn sums(&self, row: &RobotReport, wrong: &mut Vec<String>) {
         if self.report.acts_omitted > 0 {
             return;
@@ -60,7 +60,8 @@ impl Said<'_> {
         }
     }
 
-    /// A robot that is reported as back received an inquiry about the meantime, unless it was absent at first.
+    /// Checks that a robot that is reported as back received an inquiry about the time of its absence, unless it was absent from the
+    /// start.
     fn links(&self, row: &RobotReport, wrong: &mut Vec<String>) {
         let back = |(_, happened): &&(Timestamp<Server>, Happened)| match happened {
             Happened::Told(progress) => {
@@ -80,7 +81,7 @@ impl Said<'_> {
         }
     }
 
-    /// No robot is credited with more steps than possible, and no number includes events that did not happen.
+    /// Checks that no robot is credited with more steps than possible, and that no number includes events that did not happen.
     fn claims(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
         let drawn = &self.facts.drawn().robots[robot];
         let lies = drawn.lie == Some(Lie::TooManySteps) && drawn.block.reports;
@@ -107,7 +108,7 @@ impl Said<'_> {
         }
     }
 
-    /// The reported stop is consistent with the robot's subsequent behaviour.
+    /// Checks that the reported stop is consistent with the robot's subsequent behaviour.
     fn stop(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
         let ended = self.ended();
         let (rests_from, what) = match row.stop {
@@ -148,28 +149,29 @@ impl Said<'_> {
         }
     }
 
-    /// The longest travel time of a message to this robot, or stall of its process: a lease is measured from the received message.
+    /// The longest travel time of a message to a robot, or the longest stall of its process, because a lease is measured from receipt of
+    /// a message.
     pub(super) fn slowest(&self, robot: usize) -> urrcp::Span {
         let slow = |cause| matches!(cause, Cause::Slow | Cause::RobotPause | Cause::Partition);
         let hits = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && slow(hit.cause));
         hits.map(|hit| hit.until - hit.from).max().unwrap_or_default() + self.facts.drawn().delay.1
     }
 
-    /// The longest stall of its process.
+    /// The longest stall of the robot's process.
     fn stood_still(&self, robot: usize) -> urrcp::Span {
         let stood = |hit: &&Hit| hit.is_of(robot) && hit.cause == Cause::RobotPause;
         let hits = self.facts.hits.iter().filter(stood);
         hits.map(|hit| hit.until - hit.from).max().unwrap_or_default()
     }
 
-    /// The total amount by which its clock was set back.
+    /// The total amount by which the robot's clock was set back.
     fn set_back(&self, robot: usize) -> urrcp::Span {
         let set = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::ClockSet);
         set.map(|hit| urrcp::Span::ZERO - hit.by.min(urrcp::Span::ZERO))
             .fold(urrcp::Span::ZERO, |sum, by| sum + by)
     }
 
-    /// The totals of the report are consistent with its acts.
+    /// Checks that the totals of the report are consistent with its acts.
     fn totals(&self, wrong: &mut Vec<String>) {
         let report = self.report;
         let first = report.acts.first();

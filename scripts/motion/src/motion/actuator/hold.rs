@@ -1,4 +1,4 @@
-//! Steps of a device that holds its values: levels and curves are fitted together.
+//! Steps of a device that holds its values: constant sections and curves are fitted together.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,8 +11,8 @@ use crate::fit::{Ends, Fit, Grid, Movement, Rates};
 use crate::motion::{Between, Easing, Knot, Shape};
 
 impl Actuator<'_> {
-    /// Adds the fewest steps of a device that holds, for the courses to the knots of `run`. A curve starts with its own value, but the
-    /// first level of a movement that consists of steps may be changed. At the end, the device has the written value.
+    /// Adds the fewest steps for the courses to the knots of `run`, on a device that holds its value. A curve starts with its exact
+    /// value; the first level of a movement that consists of steps may be adjusted. At the end, the device has the written value.
     pub(super) fn hold(&self, track: &Tracked<'_>, run: Range<usize>, fitted: &mut Fitted, fits: &mut Fits) {
         let (played, tolerance) = (track.played, track.tolerance);
         let knots = &played.curve.knots;
@@ -43,7 +43,7 @@ impl Actuator<'_> {
         }
     }
 
-    /// Times are relative to the beginning of the run.
+    /// Fits the courses to the knots of `run`. Times are relative to the start of the run.
     fn held(&self, track: &Tracked<'_>, run: Range<usize>, ends: Ends, most: usize) -> Result<Fit, f64> {
         let curve = track.played.curve;
         let knots = &curve.knots;
@@ -70,8 +70,8 @@ impl Actuator<'_> {
 }
 
 impl Fitted {
-    /// Adds the steps of a device that holds. A first step that repeats the current value is omitted, and a last step at the same instant
-    /// is replaced.
+    /// Adds the steps of a fit that starts at `begin`. A first step that repeats the current value is omitted. If the existing last step
+    /// is at `begin` and has another value, it is removed.
     fn hold(&mut self, begin: Span, fit: &Fit, scale: Option<f64>) {
         let tidied = |value: f64| scale.map_or(value, |scale| tidy(value, scale));
         let first = fit.steps.first().map(|first| tidied(first.1));
@@ -88,7 +88,7 @@ impl Fitted {
         self.off_by(fit.worst, at(fit.worst_at));
     }
 
-    /// Drops last steps that repeat the current value.
+    /// Removes steps at the end that repeat the value before them.
     pub(super) fn drop_idle(&mut self) {
         while let [.., before, last] = self.steps[..]
             && before.to == last.to
@@ -99,7 +99,7 @@ impl Fitted {
     }
 }
 
-/// The value that a device that holds must keep on the way to a knot; `None` on a curve.
+/// The constant value of the course to a knot, for a device that holds its value; `None` if the course is a curve.
 pub(super) fn level(knots: &[Knot], index: usize) -> Option<f64> {
     match knots[index].shape {
         Shape::Own | Shape::Eased(Easing::Step) | Shape::Sampled(Between::Own | Between::Step) => {

@@ -1,5 +1,5 @@
-//! Tables of places: x, y and z are in the first three columns, or in those that the header names. If columns are separated by semicolons
-//! or tabs, a comma is a decimal separator, as in spreadsheets of many countries.
+//! Reads tables of places. x, y and z are in the first three columns, or in the columns that the header names. If columns are separated
+//! by semicolons or tabs, a comma is a decimal separator, as in spreadsheets of many countries.
 
 use super::{Format, ITEMS_MAX};
 use crate::formation::{Point, Unfit};
@@ -49,13 +49,13 @@ fn number(cell: &str) -> Option<f64> {
     cell.replace(',', ".").parse().ok()
 }
 
-/// Returns a coordinate that names several columns.
+/// Returns the first coordinate whose name heads several columns.
 fn named_twice(cells: &[&str]) -> Option<&'static str> {
     let of_name = |name: &str| cells.iter().filter(|cell| cell.eq_ignore_ascii_case(name)).count();
     ["x", "y", "z"].into_iter().find(|name| of_name(name) > 1)
 }
 
-/// Returns the columns of x, y and z, and whether the line is a header. A first line without any number is a header.
+/// Returns the columns of x, y and z, and whether the line is a header. A line is a header if it names all three, or contains no number.
 fn header(cells: &[&str]) -> ([usize; 3], bool) {
     let named = |name: &str| {
         cells.iter().position(|cell| {

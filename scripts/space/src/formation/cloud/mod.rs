@@ -1,4 +1,4 @@
-//! Files with points or a surface: PLY, STL and CSV, distinguished by their extension.
+//! Reads files with points or a surface: PLY, STL and CSV, distinguished by their extension.
 
 mod csv;
 mod ply;
@@ -12,19 +12,19 @@ use downbeat_yaml::formats;
 
 /// Maximum number of points or triangles in a file.
 const ITEMS_MAX: usize = 1_000_000;
-/// Largest coordinate in a file, in its unit, which may be millimetres or refer to the globe.
+/// Largest coordinate in a file, in the file's unit, which may be a millimetre; coordinates may also refer to the globe.
 const FURTHEST: f64 = 1e12;
 
-/// The contents of a file.
+/// The points or the surface in a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cloud {
-    /// Points.
+    /// The points in the file.
     Points(Vec<Point>),
-    /// The triangles of a surface.
+    /// The surface in the file, as triangles.
     Surface(Vec<Triangle>),
 }
 
-/// The formats, distinguished by extension.
+/// The file formats, distinguished by the extension of the name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Ply,
@@ -34,10 +34,10 @@ enum Format {
 
 const FORMATS: [(&str, Format); 3] = [("ply", Format::Ply), ("stl", Format::Stl), ("csv", Format::Csv)];
 
-/// Reads a file by its name and its bytes. The points are finite.
+/// Reads the bytes of a file; its name determines the format. All returned points are finite.
 ///
 /// # Errors
-/// The format is unknown or does not match the name, or the file is damaged, empty or too large.
+/// Returns the fault if the format is unknown or does not match the name, or if the file is damaged, empty or too large.
 pub fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
     let end = Path::new(name).extension().and_then(|end| end.to_str()).unwrap_or("").to_ascii_lowercase();
     let Some((_, format)) = FORMATS.iter().find(|(known, _)| *known == end) else {

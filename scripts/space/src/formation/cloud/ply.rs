@@ -1,4 +1,4 @@
-//! The vertices of a PLY file, as text or binary. Faces are ignored.
+//! Reads the vertices of a PLY file, as text or binary. Ignores faces.
 
 use std::io::Cursor;
 
@@ -8,10 +8,10 @@ use ply_rs_bw::ply::{Encoding, Property, PropertyAccess, PropertyAccessResult};
 use super::{Format, ITEMS_MAX};
 use crate::formation::{Point, Unfit};
 
-/// Maximum length of the header; most are below a kilobyte.
+/// Maximum length of the header in bytes; most headers are below a kilobyte.
 const HEADER_MAX: usize = 65_536;
 
-/// An element; only these properties are kept.
+/// A vertex of the file; its properties other than x, y and z are ignored.
 #[derive(Clone, Copy, Debug)]
 struct Vertex(Point);
 
@@ -55,7 +55,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
     let mut reader = Reader::new(Cursor::new(bytes));
     let header = parser.read_header(&mut reader).map_err(failed)?;
     for (name, element) in &header.elements {
-        // Every element takes at least one byte, so the file size bounds the work.
+        // Every element takes at least one byte, so the size of the file bounds the work.
         let is_bounded = header.encoding == Encoding::Ascii || !element.properties.is_empty();
         if element.count > bytes.len() || !is_bounded {
             return Err(unfit(format!(
@@ -82,7 +82,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
     Err(unfit("the file has no element `vertex`".to_owned()))
 }
 
-/// Returns the first line of a library's message, shortened.
+/// Returns the first line of a message from the library, shortened.
 fn shown(text: &str) -> String {
     downbeat_yaml::shown::shortened(text.lines().next().unwrap_or(""))
 }

@@ -1,4 +1,4 @@
-//! The triangles of an STL file, as text or binary.
+//! Reads the triangles of an STL file, as text or binary.
 
 use std::borrow::Cow;
 use std::io::Cursor;
@@ -7,7 +7,7 @@ use super::{Format, ITEMS_MAX};
 use crate::formation::Unfit;
 use crate::formation::spread::{Triangle, area};
 
-/// Length of the header including the number of triangles.
+/// Length in bytes of a binary file's header, including the number of triangles.
 const HEADER: usize = 84;
 const TRIANGLE: usize = 50;
 
@@ -16,7 +16,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
     let failed = |error: std::io::Error| unfit(downbeat_yaml::shown::shortened(&error.to_string()));
     let mut bytes = Cow::Borrowed(bytes);
     match is_binary(&bytes) {
-        // Some binary files begin with the same word as text files.
+        // Some binary files begin with the word `solid`, as text files do.
         true => bytes.to_mut()[0] = 0,
         false if bytes.starts_with(b"solid") => {}
         false => return Err(unfit("this is not an STL file, or it is incomplete".to_owned())),
@@ -38,7 +38,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
     }
 }
 
-/// The length of a binary file follows from the number of triangles in it.
+/// Whether the file is binary: its length then follows from the number of triangles in its header.
 fn is_binary(bytes: &[u8]) -> bool {
     let count = bytes.get(80..HEADER).and_then(|count| count.try_into().ok()).map(u32::from_le_bytes);
     let length = |count: u32| HEADER + TRIANGLE * usize::try_from(count).unwrap_or(usize::MAX / 100);

@@ -1,4 +1,4 @@
-//! Clouds of points and surfaces.
+//! Tests of formations from files: clouds of points, and surfaces.
 
 use proptest::prelude::*;
 
@@ -22,7 +22,7 @@ fn refused(name: &str, bytes: &[u8], message: &str) {
     assert!(found.contains(message), "{found}");
 }
 
-/// The square as a binary file whose header begins like that of a text file.
+/// Writes a square as a binary file whose header begins like that of a text file.
 fn binary_stl() -> Vec<u8> {
     let mut bytes = b"solid but binary".to_vec();
     bytes.resize(80, 0);
@@ -142,7 +142,7 @@ fn a_surface_and_many_points_are_thinned_evenly() {
             let places = formation.places(count).unwrap();
             assert_eq!(places.len(), count);
             let nearest = nearest_pair(&places).unwrap().distance;
-            // The distance between points of a square grid.
+            // The distance between neighbouring points of a square grid.
             let even = 4.0 / (f64::from(u32::try_from(count).unwrap()).sqrt() - 1.0);
             assert!(nearest > 0.6 * even, "{count}: {nearest} of {even}");
         }

@@ -1,4 +1,4 @@
-//! Places along strokes of texts and drawings.
+//! Tests of places along strokes of texts and drawings.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! Arms, compared with closed forms and with a slow reading: matrices for the joints, a search along the links for distances.
+//! Arms, compared with closed forms and with a slow computation: matrices for the joints, a search along the links for distances.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -23,7 +23,7 @@ fn joint(xyz: [f64; 3]) -> Joint {
     }
 }
 
-/// Two links of 1 m in the plane.
+/// Returns an arm with two links of 1 m in a plane.
 fn planar() -> Body {
     let joints = vec![joint([0.0; 3]), joint([1.0, 0.0, 0.0])];
     Body { joints, tip: [1.0, 0.0, 0.0], ..Body::default() }
@@ -34,7 +34,7 @@ fn arm(body: &Body, base: [f64; 4], joints: Vec<Axis>, ends: f64) -> Mover {
     Mover::new(Path::of(&axes, true), Solid::of(body, 0.0), ends, 3)
 }
 
-/// Its tip is at `2 cos(angle)` in front of the base, because the elbow turns back by twice the angle of the shoulder.
+/// Returns an arm whose tip is at `2 cos(angle)` in front of the base, because the elbow turns back by twice the angle of the shoulder.
 fn reaching(base: [f64; 4], angles: [f64; 2]) -> Mover {
     let shoulder = axis(&[(0.0, angles[0]), (2.0, angles[1])]);
     let elbow = axis(&[(0.0, -2.0 * angles[0]), (2.0, -2.0 * angles[1])]);
@@ -94,7 +94,7 @@ fn an_arm_touches_a_floor_that_has_no_end() {
 #[test]
 fn roll_pitch_and_yaw_are_about_fixed_axes_and_a_joint_may_slide() {
     let mut turned = joint([0.0, 0.0, 1.0]);
-    // x goes up, then to the left of its initial direction: by the pitch first, then by the yaw.
+    // x points up after the pitch, then to the left of its initial direction after the yaw.
     turned.rpy = [0.3, -FRAC_PI_2, FRAC_PI_2];
     let mut slides = joint([0.5, 0.0, 0.0]);
     (slides.kind, slides.axis) = (JointKind::Prismatic, [1.0, 0.0, 0.0]);
@@ -124,7 +124,7 @@ fn arms_that_turn_absurdly_far_are_judged_in_no_time() {
     }
 }
 
-/// Rows of a rotation, with a translation.
+/// The rows of a rotation matrix, each followed by a component of the translation.
 type Matrix = [[f64; 4]; 3];
 
 fn times(a: &Matrix, b: &Matrix) -> Matrix {
@@ -138,7 +138,7 @@ fn moved([x, y, z]: [f64; 3]) -> Matrix {
     [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z]]
 }
 
-/// Rodrigues' formula.
+/// Returns a rotation by Rodrigues' formula.
 fn turned([x, y, z]: [f64; 3], angle: f64) -> Matrix {
     let (s, c) = angle.sin_cos();
     let d = 1.0 - c;
@@ -170,7 +170,7 @@ fn joints_by_matrices(body: &Body, place: &Place) -> Vec<[f64; 3]> {
     points
 }
 
-/// Returns the minimum of a convex function of a share, by ternary search.
+/// Returns the minimum of a convex function of a share from 0 to 1, by ternary search.
 fn least(of: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..60 {
@@ -204,7 +204,7 @@ fn to_box(point: [f64; 3], place: &Place, size: [f64; 3]) -> f64 {
     length(std::array::from_fn(|i| (local[i].abs() - size[i] / 2.0).max(0.0)))
 }
 
-/// Returns the distance of an arm's links from another body, by a slow method.
+/// Returns the distance between an arm's links and another body, by a slow method.
 fn slow_distance((body, place): (&Body, &Place), (other, at): (&Body, &Place)) -> f64 {
     let points = joints_by_matrices(body, place);
     let others = joints_by_matrices(other, at);
@@ -260,7 +260,7 @@ fn any_body() -> impl Strategy<Value = Body> {
     prop_oneof![any_arm(), shape().prop_map(|shape| Body { shape, ..Body::default() })]
 }
 
-/// Draws the values of coordinates over seconds, as many as any body needs.
+/// Draws the values of coordinates over time in seconds, as many as any body needs.
 fn ways() -> impl Strategy<Value = Vec<Vec<(f64, f64)>>> {
     let way = proptest::collection::vec((0u32..40, -15i32..15), 1..6).prop_map(|mut points| {
         points.push((0, points[0].1));
@@ -279,13 +279,13 @@ fn path((body, ways): &(Body, Vec<Vec<(f64, f64)>>)) -> Path {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
-    /// Sampling every millisecond finds nothing closer, regardless of the depth of the trees.
+    /// Sampling every millisecond finds no closer approach, regardless of the depth of the trees.
     #[test]
     fn the_closest_approach_of_arms_is_that_of_a_slow_search(
         a in (any_arm(), ways()), b in (any_body(), ways()), deep in 0u32..7,
     ) {
         let ends = 4.0;
-        // The base of the first one is checked with boxes elsewhere.
+        // The base of the first arm is checked with boxes elsewhere.
         let bare = Body { shape: POINT, ..a.0.clone() };
         let movers = [(&bare, &a), (&b.0, &b)].map(|(body, of)| {
             Mover::new(path(of), Solid::of(body, 0.0), ends, deep)
@@ -310,7 +310,7 @@ proptest! {
             ways[..4 + body.joints.len()].iter().map(|way| way[i.min(way.len() - 1)].1).collect()
         };
         let (mut from, mut to) = (Place::from_values(&values(0)), Place::from_values(&values(1)));
-        // The movement of its base is excluded.
+        // The movement of the arm's base is excluded.
         (0..3).for_each(|i| (from.base[i], to.base[i]) = (0.0, 0.0));
         let sways = solid.sways(&from, &to);
         let points = |s: f64| joints_by_matrices(body, &from.towards(&to, s));
@@ -330,7 +330,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-    /// A library computes the distance of a link from a box; a search along the link finds the same distance.
+    /// The library computes the distance between a link and a box; a search along the link finds the same distance.
     #[test]
     fn the_distance_of_a_link_from_a_box_is_what_a_search_finds(
         a in vector(1.5), b in vector(1.5), size in [0.05f64..1.0, 0.05..1.0, 0.05..1.0],
@@ -352,7 +352,7 @@ proptest! {
     fn the_distance_of_links_is_what_a_search_finds(
         a in [vector(1.0), vector(1.0)], b in [vector(1.0), vector(1.0)], alike in prop_oneof![Just(0.0), Just(1e-6), Just(1.0)],
     ) {
-        // Often parallel, or nearly so.
+        // The segments are often parallel, or nearly so.
         let b = [b[0], std::array::from_fn(|i| b[0][i] + alike * b[1][i] + (1.0 - alike) * (a[1][i] - a[0][i]))];
         let part = |ends: [[f64; 3]; 2]| {
             let [a, b] = ends.map(Vector::from_array);

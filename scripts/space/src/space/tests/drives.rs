@@ -20,7 +20,7 @@ fn drive(drive: &Drive, signals: [Axis; 2], ends: f64, lever: f64) -> Driven {
     drive.path(Pose::at([0.0; 3]), &signals, ends, lever).unwrap()
 }
 
-/// Returns the pose of the polyline.
+/// Returns the pose on the polyline at a time.
 fn at(driven: &Driven, time: f64) -> [f64; 3] {
     let [x, y, yaw] = driven.axes.clone();
     let base = Path::of(&[x, y, fixed(0.0), yaw], true).within(time, time).next().unwrap().place.base;

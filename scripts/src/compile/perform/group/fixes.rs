@@ -1,4 +1,4 @@
-//! Searches for changes that make a group movement possible. A hint contains only changes that were tried successfully.
+//! Searches for changes that make an impossible group movement possible. A hint contains only changes that were tried successfully.
 
 use std::collections::HashMap;
 
@@ -15,18 +15,18 @@ use crate::scenario::Cue;
 use crate::shown::shortened;
 use crate::transit::Required;
 
-/// Maximum number of robots in all trials together: the duration of a trial grows at least quadratically.
+/// Maximum number of robots in all trials together, because the duration of a trial grows at least quadratically.
 const ROBOTS_MAX: usize = 600;
-/// Durations tried, as factors of the given one.
+/// Durations to try, as factors of the given duration.
 const LONGER: [f64; 5] = [1.25, 1.5, 2.0, 3.0, 4.0];
-/// Sizes tried, as factors of the least potentially sufficient one.
+/// Sizes to try, as factors of the least size that might suffice.
 const LARGER: [f64; 5] = [1.0, 1.1, 1.25, 1.5, 2.0];
-/// Sizes tried, as factors of the largest potentially fitting one.
+/// Sizes to try, as factors of the largest size that might fit.
 const SMALLER: [f64; 4] = [1.0, 0.97, 0.9, 0.75];
 /// Distance by which rounding may move places beyond the limits of a device, in its units.
 const ROUNDING: f64 = 1e-6;
 
-/// A group that cannot do its task.
+/// A group whose movement is impossible.
 pub(super) struct Fixes<'f> {
     cue: &'f Cue,
     group: &'f Together,
@@ -46,7 +46,7 @@ impl<'f> Fixes<'f> {
         Self { cue, group, dancers, ground, left: ROBOTS_MAX / dancers.len().max(1) }
     }
 
-    /// Returns all kinds of successful changes for a fault, as a hint.
+    /// Returns all kinds of changes that resolve the fault, as a hint.
     pub(super) fn hint(mut self, fault: &Fault) -> Option<String> {
         let changes = match fault {
             Fault::TooShort { seconds, .. } => vec![self.longer(&[seconds / self.seconds()])],
@@ -108,7 +108,7 @@ impl<'f> Fixes<'f> {
         self.group.over.as_millis_f64() / 1_000.0
     }
 
-    /// Smallest share of the movements beyond a point that stays within the limits of the devices.
+    /// Returns the smallest share of the movements beyond a point that stays within the limits of all devices.
     fn part_within(&self, ways: &[Moved], from: impl Fn(&Dancer<'_>, usize) -> f64) -> Option<f64> {
         let mut least = 1.0f64;
         for (dancer, moved) in self.dancers.iter().zip(ways) {
@@ -132,12 +132,12 @@ impl<'f> Fixes<'f> {
         Some((written.formation.as_ref()?, key, size))
     }
 
-    /// Suggests a sufficient size, at least `factor` times the written one; with more time if needed.
+    /// Suggests a sufficient size of the formation, at least `factor` times the written one, and more time if that is needed.
     fn larger(&mut self, factor: f64) -> Option<String> {
         self.resized(&LARGER.map(|more| factor * more), f64::ceil, |edit| format!("{edit} is enough"))
     }
 
-    /// Suggests a fitting size, at most `part` of the written one.
+    /// Suggests a size of the formation that fits, at most `part` of the written one.
     fn smaller(&mut self, part: f64) -> Option<String> {
         self.resized(&SMALLER.map(|factor| part * factor), f64::floor, |edit| format!("at most {edit} fits"))
     }
@@ -162,7 +162,7 @@ impl<'f> Fixes<'f> {
         None
     }
 
-    /// Returns the time with which another size of the formation works: the given one or, if it is too short, the shortest sufficient
+    /// Returns the time with which the formation works at another size: the given time or, if that is too short, the shortest sufficient
     /// one.
     fn tried(&mut self, factor: f64) -> Option<Span> {
         let mut over = self.group.over;
@@ -176,14 +176,14 @@ impl<'f> Fixes<'f> {
         None
     }
 
-    /// Suggests a sufficient time.
+    /// Suggests a duration that suffices.
     fn longer(&mut self, factors: &[f64]) -> Option<String> {
         let overs = factors.iter().map(|factor| up(self.seconds() * factor)).collect::<Vec<_>>();
         let over = overs.into_iter().find(|over| matches!(self.ways(1.0, *over), Some(Ok(()))))?;
         Some(format!("`over: {}` is enough", written(over)))
     }
 
-    /// Suggests another formation from which the movement is free.
+    /// Suggests another formation from which the group can make the movement.
     fn by_way_of(&mut self) -> Option<String> {
         let (target, _) = self.target()?;
         let mut names: Vec<&String> = self.ground.of_scenario.formations.keys().collect();
@@ -246,7 +246,7 @@ impl<'f> Fixes<'f> {
         Some(ways.and_then(|ways| if self.are_within(&ways) { Ok(ways) } else { Err(Fault::ToldElsewhere) }))
     }
 
-    /// Whether all movements end within the limits of the devices.
+    /// Whether all movements of the group end within the limits of its devices.
     pub(super) fn are_within(&self, ways: &[Moved]) -> bool {
         self.dancers.iter().zip(ways).all(|(dancer, moved)| {
             let within = |(axis, to): (&Axis<'_>, f64)| {
@@ -257,19 +257,19 @@ impl<'f> Fixes<'f> {
     }
 }
 
-/// Returns the factor of a group that performs a share of its growth.
+/// Returns the `grow` factor of a group that performs only a share of its growth.
 fn grown(sweep: &Sweep, part: f64) -> f64 {
     let factor = 1.0 + (sweep.grow - 1.0) * part;
     rounded(factor, if sweep.grow > 1.0 { f64::floor } else { f64::ceil })
 }
 
-/// Returns the same robot at another place.
+/// Returns the robot with another starting place.
 fn at<'d>(dancer: &Dancer<'d>, from: Point) -> Dancer<'d> {
     let Dancer { robot, delay, body, axes, .. } = *dancer;
     Dancer { robot, delay, body, axes, from }
 }
 
-/// Returns the range of the coordinate of an axis, in metres.
+/// Returns the smallest and the largest coordinate that an axis can reach, in metres.
 fn ends(axis: &Axis<'_>) -> Option<[f64; 2]> {
     let Axis::Moved { device, scale, offset, .. } = *axis else { return None };
     let all = limits_of(device, ControlType::Position).map(|limits| [limits.min_value, limits.max_value]);
@@ -278,12 +278,12 @@ fn ends(axis: &Axis<'_>) -> Option<[f64; 2]> {
     Some(if scale < 0.0 { [ends[1], ends[0]] } else { ends })
 }
 
-/// Rounds up to two decimals, in seconds.
+/// Rounds seconds up to two decimals.
 pub(super) fn up(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0)
 }
 
-/// Rounds to three significant digits with `round`.
+/// Rounds a value to three significant digits with `round`.
 fn rounded(value: f64, round: fn(f64) -> f64) -> f64 {
     let scale = 10f64.powf(2.0 - value.abs().log10().floor());
     // A number that already has three digits remains unchanged, regardless of its last bit.

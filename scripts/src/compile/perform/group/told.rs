@@ -1,4 +1,4 @@
-//! Reports the faults of a group.
+//! Reports the faults of a group movement.
 
 use super::Performer;
 use crate::compile::check_formations::{apart, between, crowded, differing};
@@ -17,7 +17,7 @@ use super::Ground;
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
 
 impl Performer<'_, '_> {
-    /// Reports robots without a place in space, or with an unknown one.
+    /// Reports robots whose position in space is unknown, or that have none.
     pub(super) fn tell_excluded(
         &mut self,
         cue: &Cue,
@@ -33,7 +33,7 @@ impl Performer<'_, '_> {
                 Some("remove them from this cue, or describe their `body` in the fleet file".to_owned());
             self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, hint);
         }
-        // After another error, a movement may be missing.
+        // After another error, a movement may be missing, which explains the unknown position.
         let is_other = |code: Code| code != Code::NotInGroup && code.severity() == Severity::Error;
         let errors = self.findings.found.iter().any(|found| is_other(found.code));
         if !unknown.is_empty() && !errors {
@@ -50,7 +50,7 @@ impl Performer<'_, '_> {
         }
     }
 
-    /// Reports two groups that each depend on where the other leaves a robot.
+    /// Reports two groups each of which depends on where the other one leaves a robot.
     pub(super) fn tell_entangled(&mut self, cue: &Cue, group: &Together) {
         let name = shortened(&cue.name);
         let message = format!(
@@ -61,7 +61,7 @@ impl Performer<'_, '_> {
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    /// Reports why a group of these robots cannot do its task. `fix`: a successful change, if one was found.
+    /// Reports why a group of these robots cannot make its movement. `fix` is a successful change, if one was found.
     pub(super) fn tell(
         &mut self,
         cue: &Cue,
@@ -115,7 +115,7 @@ impl Performer<'_, '_> {
         }
     }
 
-    /// Reports faults of the places of a formation.
+    /// Reports faults in the places of a formation.
     fn tell_of_formation(
         &mut self,
         group: &Together,

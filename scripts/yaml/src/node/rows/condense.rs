@@ -1,4 +1,4 @@
-//! Cuts runs of keyframes out of a text, and puts them back into the tree of the remaining text.
+//! Cuts runs of keyframes out of a YAML text, and puts them back into the tree that is parsed from the remaining text.
 
 use std::sync::Arc;
 
@@ -6,18 +6,19 @@ use super::run::{Run, Start, next_start};
 use super::{Items, Rows};
 use crate::node::Node;
 
-/// Shorter runs are left to the library.
+/// Minimum number of rows of a run that is cut out; shorter runs are left to the YAML library.
 const ROWS_MIN: usize = 8;
-/// Encloses the number of a run. Texts that already contain this character are left to the library.
+/// The character before and after the number of a run that replaces the run in the text. Texts that already contain this character are
+/// left to the YAML library.
 const MARK: char = '\u{e000}';
 
-/// A text without its runs, and the runs.
+/// A text with a marker in place of each run, and the runs.
 pub struct Condensed {
     pub text: String,
     runs: Vec<Arc<Rows>>,
 }
 
-/// Cuts out all runs; `None` if there are none.
+/// Cuts all runs out of a text; `None` if it has none.
 pub fn condense(text: &str) -> Option<Condensed> {
     if text.contains(MARK) {
         return None;
@@ -42,8 +43,8 @@ pub fn condense(text: &str) -> Option<Condensed> {
 }
 
 impl Condensed {
-    /// Puts the runs back into the tree of the remaining text. `None` if a run was not at the place of a list item, or if aliases add
-    /// more than `aliased_max` values.
+    /// Puts the runs back into the tree of the remaining text. `None` if a run was not in place of a list item, or if aliases add more
+    /// than `aliased_max` values.
     pub fn restore(&self, mut root: Node, aliased_max: usize) -> Option<Node> {
         let mut used = vec![0; self.runs.len()];
         self.put_back(&mut root, &mut used)?;
@@ -72,7 +73,7 @@ impl Condensed {
         }
     }
 
-    /// Puts back the rows of a list that also has other items.
+    /// Puts runs back into a list that also has other items.
     fn put_back_among(&self, nodes: &mut Vec<Node>, used: &mut [usize]) -> Option<()> {
         if nodes.iter().any(|node| matches!(node, Node::Text(text) if text.contains(MARK))) {
             let mut all = Vec::with_capacity(nodes.len());

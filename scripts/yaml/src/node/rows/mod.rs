@@ -23,9 +23,9 @@ pub use condense::condense;
 /// The items of a list. Items of a long run of keyframes become nodes only on access.
 #[derive(Clone, Debug)]
 pub enum Items {
-    /// As nodes.
+    /// The items as nodes.
     Nodes(Vec<Node>),
-    /// A long run of keyframes.
+    /// The items as a long run of keyframes.
     Rows(Arc<Rows>),
 }
 
@@ -74,10 +74,10 @@ pub const EASES: [&str; 4] = ["linear", "smooth", "cubic", "step"];
 #[derive(Debug, Default)]
 pub struct Rows {
     times: Vec<Span>,
-    /// The values of all rows, concatenated.
+    /// The values of all rows, concatenated in order.
     pub(super) values: Vec<f64>,
     pub(super) width: Width,
-    /// The index in [`EASES`] for each row; empty if no row has an easing.
+    /// For each row, the index of its easing in [`EASES`], or `None`. The list is empty if no row has an easing.
     eases: Vec<Option<u8>>,
     nodes: OnceLock<Vec<Node>>,
 }
@@ -85,10 +85,10 @@ pub struct Rows {
 /// How the values of a row are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Width {
-    /// A single number.
+    /// Each row has a single number.
     #[default]
     One,
-    /// A list of this length.
+    /// Each row has a list with this number of values.
     List(usize),
 }
 
@@ -102,14 +102,14 @@ impl Width {
     }
 }
 
-/// One keyframe.
+/// One keyframe of a long run.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
-    /// The time of the row.
+    /// The time of the keyframe.
     pub at: Span,
-    /// The values of the row.
+    /// The values of the keyframe.
     pub values: &'a [f64],
-    /// One of [`EASES`].
+    /// The name of the easing, one of [`EASES`]; `None` if the row has no `ease:`.
     pub ease: Option<&'static str>,
 }
 

@@ -5,17 +5,17 @@ use urrcp::Span;
 use super::{EASES, Rows, Width};
 use crate::duration::parse_duration;
 
-/// Longest number of a row, in bytes.
+/// Maximum length of a number in a row, in bytes.
 const NUMBER_BYTES_MAX: usize = 40;
 
 /// How the rows of a run are separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Style {
-    /// `{..}, {..}` within brackets.
+    /// Items `{..}, {..}` within brackets.
     Brackets,
-    /// `- {..}` per line, indented by this number of spaces.
+    /// One item `- {..}` per line, indented by this number of spaces.
     Lines(usize),
-    /// `- at: ..` and `to: ..` on separate lines, indented by this number of spaces.
+    /// Items `- at: ..` with `to: ..` on a separate line, indented by this number of spaces.
     Blocks(usize),
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Start {
     pub(super) style: Style,
 }
 
-/// The next position at which a run may begin.
+/// Finds the next position, from byte `at` on, at which a run may begin.
 pub(super) fn next_start(text: &str, at: usize) -> Option<Start> {
     let bytes = text.as_bytes();
     let mut from = at;
@@ -41,7 +41,7 @@ pub(super) fn next_start(text: &str, at: usize) -> Option<Start> {
     }
 }
 
-/// The indentation, if only spaces and a dash precede on the line.
+/// The indentation in spaces, if `ahead` ends with a line that has only spaces and a dash so far.
 fn indent_of_dash(ahead: &[u8]) -> Option<usize> {
     let spaces = ahead.strip_suffix(b"- ")?;
     let indent = spaces.iter().rev().take_while(|byte| **byte == b' ').count();
@@ -52,7 +52,7 @@ fn blank(bytes: &[u8]) -> bool {
     bytes.iter().all(|byte| *byte == b' ')
 }
 
-/// A run that is being read; starts at the first byte of its first row.
+/// A run that is being read, from the first byte of its first row.
 pub(super) struct Run<'t> {
     text: &'t str,
     at: usize,
@@ -65,7 +65,7 @@ impl<'t> Run<'t> {
         Self { text, at: start.from, style: start.style, rows: Rows::default() }
     }
 
-    /// Reads as many rows as possible, and returns the end of the last one.
+    /// Reads as many rows as possible, and returns the byte offset after the last row.
     pub(super) fn read(&mut self) -> usize {
         let mut end = self.at;
         while self.row().is_some() {
@@ -118,7 +118,7 @@ impl<'t> Run<'t> {
         Some(())
     }
 
-    /// `{at: 1s, to: 2, ease: smooth}`, with optional quotes around the keys, in any order.
+    /// Reads `{at: 1s, to: 2, ease: smooth}`, with the keys in any order and optional quotes around them.
     fn braces(&mut self) -> Option<(Span, Option<u8>)> {
         self.byte(b'{')?;
         let (mut at, mut to, mut ease) = (None, None, None);
@@ -142,7 +142,7 @@ impl<'t> Run<'t> {
         }
     }
 
-    /// The same on separate lines, with `at` and `to` first.
+    /// Reads a keyframe in block style, with each key on a separate line; `at` and `to` come first.
     fn block(&mut self, indent: usize) -> Option<(Span, Option<u8>)> {
         self.word("at: ")?;
         let at = self.time()?;
@@ -188,7 +188,7 @@ impl<'t> Run<'t> {
         Some(time)
     }
 
-    /// One number, or a list of the same length as in the previous rows.
+    /// Reads one number, or a list with as many numbers as in the previous rows.
     fn values(&mut self) -> Option<()> {
         let before = self.rows.values.len();
         let width = match self.peek()? {
@@ -258,7 +258,7 @@ impl<'t> Run<'t> {
         }
     }
 
-    /// Skips exactly this many spaces.
+    /// Skips exactly `indent` spaces.
     fn indent(&mut self, indent: usize) -> Option<()> {
         let spaces = self.text.as_bytes().get(self.at..self.at + indent)?;
         blank(spaces).then(|| self.at += indent)
@@ -269,7 +269,7 @@ impl<'t> Run<'t> {
         self.byte(b'\n')
     }
 
-    /// At least one and at most [`NUMBER_BYTES_MAX`] bytes.
+    /// Reads bytes while `part` accepts them; `None` unless there are 1 to [`NUMBER_BYTES_MAX`].
     fn take_while(&mut self, part: impl Fn(u8) -> bool) -> Option<&str> {
         let rest = &self.text.as_bytes()[self.at..];
         let length = rest.iter().take(NUMBER_BYTES_MAX + 1).take_while(|byte| part(**byte)).count();
@@ -285,7 +285,7 @@ enum Key {
     Ease,
 }
 
-/// A whole number of milliseconds or seconds.
+/// Parses a short time: a whole number of milliseconds or seconds.
 fn short_time(text: &str) -> Option<Span> {
     let (digits, nanos) = match text.strip_suffix("ms") {
         Some(digits) => (digits, 1_000_000),
@@ -297,7 +297,7 @@ fn short_time(text: &str) -> Option<Span> {
     short.then(|| Span::from_nanos(value() * nanos))
 }
 
-/// A number that all YAML parsers read identically.
+/// Parses a number; `None` unless all YAML parsers read it identically.
 fn number(text: &str) -> Option<f64> {
     let digits = text.strip_prefix('-').unwrap_or(text);
     let whole = digits.bytes().take_while(u8::is_ascii_digit).count();
