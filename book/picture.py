@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Draws a drone show as an SVG picture that moves, as in README.md.
 
-Usage: book/picture.py FOLDER > show.svg, where FOLDER was written by `downbeat export drone-csv`.
+Usage: book/picture.py FOLDER SECONDS > show.svg, where FOLDER was written by `downbeat export drone-csv`.
 
-The picture plays six times as fast as the show. Positions are at most half a pixel off, and lamps are drawn a little brighter.
+The picture plays six times as fast as the show, from SECONDS on. A viewer that does not play it shows this instant. Positions are at most half a pixel off, and lamps are drawn a little brighter.
 """
 import csv
 import math
@@ -37,17 +37,17 @@ def kept(points, begin, end):
     return [*kept(points, begin, middle), middle, *kept(points, middle, end)]
 
 
-def animation(attribute, times, values, end, mode="linear"):
+def animation(attribute, times, values, start, end, mode="linear"):
     keys = ";".join(f"{t / end:.4g}" for t in times)
     return (
-        f"<animate attributeName='{attribute}' dur='{end / SPEED:.3g}s' repeatCount='indefinite' calcMode='{mode}' "
-        f"keyTimes='{keys}' values='{';'.join(values)}'/>"
+        f"<animate attributeName='{attribute}' begin='{-start / SPEED:.3g}s' dur='{end / SPEED:.3g}s' repeatCount='indefinite' "
+        f"calcMode='{mode}' keyTimes='{keys}' values='{';'.join(values)}'/>"
     )
 
 
 def main():
     shows = [list(rows(path.open())) for path in sorted(pathlib.Path(sys.argv[1]).glob("*.csv"))]
-    end = max(row[0] for show in shows for row in show)
+    start, end = float(sys.argv[2]), max(row[0] for show in shows for row in show)
     flat = [[(t, x, -(z * math.cos(TILT) + y * math.sin(TILT))) for t, x, y, z, _ in show] for show in shows]
     xs, ys = ([point[axis] for show in flat for point in show] for axis in (1, 2))
     scale = min((WIDTH - 2 * MARGIN) / (max(xs) - min(xs)), (HEIGHT - 2 * MARGIN) / (max(ys) - min(ys)))
@@ -60,11 +60,13 @@ def main():
         lamp = [(t, rgb) for (t, *_, rgb), before in zip(show, [None, *show]) if before is None or before[4] != rgb]
         colours = ["#%02x%02x%02x" % tuple(64 + part * 3 // 4 for part in rgb) if any(rgb) else NO_LAMP for _, rgb in lamp]
         times = [t for t, *_ in moving]
+        _, x, y = next(point for point in points if point[0] >= start)
+        colour = [colour for (t, _), colour in zip(lamp, colours) if t <= start][-1]
         print(
-            f"<circle r='4' cx='{moving[0][1]:.1f}' cy='{moving[0][2]:.1f}' fill='{colours[0]}'>",
-            animation("cx", times, [f"{x:.1f}" for _, x, _ in moving], end),
-            animation("cy", times, [f"{y:.1f}" for _, _, y in moving], end),
-            animation("fill", [t for t, _ in lamp], colours, end, "discrete") if len(lamp) > 1 else "",
+            f"<circle r='4' cx='{x:.1f}' cy='{y:.1f}' fill='{colour}'>",
+            animation("cx", times, [f"{x:.1f}" for _, x, _ in moving], start, end),
+            animation("cy", times, [f"{y:.1f}" for _, _, y in moving], start, end),
+            animation("fill", [t for t, _ in lamp], colours, start, end, "discrete") if len(lamp) > 1 else "",
             "</circle>",
             sep="",
         )
