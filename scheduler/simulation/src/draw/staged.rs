@@ -73,7 +73,12 @@ pub(super) fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage
         let stage = rng.choice(Stage::ALL)?;
         let at = instant(rng, &ran, stage).unwrap_or(at);
         let robot = rng.usize(0..drawn.robots.len());
-        insert(&mut drawn, at, other.draw(rng, robot));
+        let mut both = drawn.clone();
+        insert(&mut both, at, other.draw(rng, robot));
+        // The other fault may end the mission before the stage.
+        if faults_met(&play(both.clone())).contains(&(kind, stage)) {
+            return Some(both);
+        }
     }
     Some(drawn)
 }
