@@ -158,11 +158,11 @@ impl Pulse {
     /// Returns for how long the driver has not answered, or the hardware has shown no sign of life, while a command is held. Returns
     /// `None` up to `silence_max`, or up to a longer time if calls are slow.
     ///
-    /// Time in which this machine was delayed and sent no ping is not silence, unless a start is due: a start relies on a recent sign of
-    /// life.
+    /// Time in which this machine was delayed and sent no ping is not silence, unless a start is due before the next ping can be sent: a
+    /// start relies on a recent sign of life.
     pub(super) fn silence(&self, now: Instant, silence_max: Duration) -> Option<Duration> {
         let held_since = self.held_since.filter(|_| !self.reading)?;
-        let start_is_due = self.demand.start.is_some_and(|start| start <= now);
+        let start_is_due = self.demand.start.is_some_and(|start| start <= now + QUIET);
         let asked = self.busy_since.unwrap_or(now);
         let on_time = asked.checked_sub(self.overdue(asked)).filter(|_| !start_is_due);
         let unasked = on_time
@@ -245,6 +245,9 @@ mod tests {
         assert_eq!(pulse.silence(begin + 1_291 * MS, SILENCE_MAX), silent, "asked 60 ms too late, at least");
         pulse.busy(None);
         assert_eq!(pulse.silence(begin + 2_000 * MS, SILENCE_MAX), Some(2_000 * MS), "a start is due");
+        let near = begin + 2_000 * MS - QUIET;
+        assert_eq!(pulse.silence(near - MS, SILENCE_MAX), None, "there is time for a ping before the start");
+        assert!(pulse.silence(near, SILENCE_MAX).is_some(), "no ping begins before the start");
         pulse.busy(Some(begin));
         assert_eq!(pulse.silence(begin + 1_200 * MS, SILENCE_MAX), Some(1_200 * MS), "it was asked");
     }
