@@ -22,7 +22,7 @@ use downbeat_yaml::locate::locate;
 use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::project::{Project, folder_of};
 use downbeat_yaml::shown::shortened;
-use downbeat_yaml::source::Source;
+use downbeat_yaml::source::{Source, is_general};
 use downbeat_yaml::tags::foreign_tags;
 
 mod apart;
@@ -524,7 +524,7 @@ impl FleetReader<'_> {
             Err(finding) => {
                 let message =
                     format!("cannot read the latency file `{}`: {}", path.display(), finding.message);
-                let hint = finding.hint.filter(|hint| !hint.starts_with("name a ")).unwrap_or_else(|| {
+                let hint = finding.hint.filter(|hint| !is_general(hint)).unwrap_or_else(|| {
                     "run `downbeat calibrate` to create it; the path is relative to the folder of the fleet file"
                         .to_owned()
                 });
@@ -651,7 +651,7 @@ impl FleetReader<'_> {
             }
             Err(finding) => {
                 let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
-                let hint = finding.hint.filter(|hint| !hint.starts_with("name a "));
+                let hint = finding.hint.filter(|hint| !is_general(hint));
                 let hint = hint.unwrap_or_else(|| match path.to_str().filter(|path| path.contains('\\')) {
                     Some(path) => {
                         format!("use `/` to separate folders: write `{}`", path.replace('\\', "/"))

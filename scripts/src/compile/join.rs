@@ -366,7 +366,7 @@ impl Lane<'_> {
             Some((Excess::Curve, _)) => {
                 format!("use {over} fewer {}", if over == 1 { "step" } else { "steps" })
             }
-            _ => format!("take out {}", counted(over, "keyframe")),
+            _ => format!("remove {}", counted(over, "keyframe")),
         };
         let hint = format!("{less}, allow a larger error with `tolerance`, or split the scenario into acts");
         let (code, message, expected) = match queue {

@@ -54,6 +54,15 @@ impl Source {
     }
 }
 
+const USE_A_TEXT_FILE: &str = "use a text file";
+const USE_A_FILE_IN_IT: &str = "use a file in this folder";
+
+/// Whether a hint of this module states only the kind of file that is needed, so that a more specific hint may replace it.
+#[must_use]
+pub fn is_general(hint: &str) -> bool {
+    [USE_A_TEXT_FILE, USE_A_FILE_IN_IT].contains(&hint)
+}
+
 /// The finding for a file that is valid UTF-8 only up to the byte `valid`.
 fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
@@ -61,7 +70,7 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     let line = 1 + bytes[..valid].iter().filter(|byte| **byte == b'\n').count();
     let (message, hint) = match formats::binary(bytes) {
         Some(what) => {
-            let hint = formats::importing(name).unwrap_or_else(|| "name a text file".to_owned());
+            let hint = formats::importing(name).unwrap_or_else(|| USE_A_TEXT_FILE.to_owned());
             (format!("this is {what}, not a text file"), hint)
         }
         None if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") => {
@@ -70,7 +79,7 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
         None if bytes.contains(&0) => {
             // A CSV file would be text.
             let import = formats::importing(name).filter(|_| !name.ends_with(".csv"));
-            ("this is not a text file".to_owned(), import.unwrap_or_else(|| "name a text file".to_owned()))
+            ("this is not a text file".to_owned(), import.unwrap_or_else(|| USE_A_TEXT_FILE.to_owned()))
         }
         None => (format!("line {line} has a character that is not encoded in UTF-8"), save()),
     };
@@ -125,7 +134,7 @@ pub fn bytes_of(path: &Path, file: File) -> Result<Vec<u8>, Finding> {
 /// The finding for a file that cannot be opened or read.
 pub fn refused(path: &Path, error: &io::Error) -> Finding {
     if error.kind() == ErrorKind::IsADirectory {
-        let hint = Some("name a file in it".to_owned());
+        let hint = Some(USE_A_FILE_IN_IT.to_owned());
         return unreadable(path, "this is a folder, not a file".to_owned(), hint);
     }
     let Refusal { reason, remedy } = Refusal::of(Attempt::Read(path), error);
