@@ -62,7 +62,7 @@ pub(super) const ALL: [Requirement; 13] = [
     },
     Requirement {
         name: "inquiry-session",
-        demands: "An inquiry claims nothing, and if the robot belongs to another session, the answer is `busy` and contains nothing else.",
+        demands: "An inquiry claims nothing, and if the robot belongs to another session, the answer contains only the error `busy`.",
         section: "Inquiry (D)",
         check: session,
     },
