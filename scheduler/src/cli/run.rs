@@ -96,8 +96,8 @@ pub(super) struct RunArgs {
     /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
     join: JoinArg,
-    /// Take robots from other missions: their commands end, and they come to rest first. Your certificate needs the role `seize`, and the
-    /// robots need `tls://` addresses.
+    /// Take robots from other missions: their commands end, and they come to rest first. Your certificate or secret needs the role `seize`,
+    /// and the robots need `tls://` or `hmac://` addresses.
     #[arg(long)]
     seize: bool,
     /// Read the sensors of devices with the key `calibrate` around the first movement of each act, and report when motions began.
