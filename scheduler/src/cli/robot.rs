@@ -72,7 +72,7 @@ pub(super) struct ProcessArgs {
     listen: String,
     #[command(flatten)]
     network: NetworkArgs,
-    /// Write every value that the robot sets to this file, one JSON line each.
+    /// Write every step and movement of the robot to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     #[command(flatten)]

@@ -29,7 +29,7 @@ pub(super) struct SimArgs {
     network: NetworkArgs,
     #[command(flatten)]
     project: ProjectArgs,
-    /// Write every value that the robots set to this file, one JSON line each.
+    /// Write every step and movement of the robots to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     #[command(flatten)]
