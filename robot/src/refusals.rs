@@ -50,6 +50,8 @@ reasons! {
     LongLine = "a long line of a peer without the session of the robot is skipped",
     /// Disconnected: the peer has not proven its identity by TLS or a pass.
     NotProven = "a peer that does not prove its identity is disconnected",
+    /// Disconnected: the key with which the peer has proven its identity was revoked, or has expired.
+    KeyInvalid = "an operator whose key is no longer valid is disconnected",
     /// Disconnected: bytes arrived that the peer did not send, or did not send in this order.
     Altered = "a connection with altered, repeated or reordered data is closed",
     /// Refused: the robot belongs to another session, or holds as many commands as it can.

@@ -38,6 +38,9 @@ pub enum Input {
     Hashed(ControlRequest, ContentHash),
     /// The peer of the link has proven its identity. Precedes the peer's messages.
     Proven(Proof),
+    /// The key of the peer is no longer valid, for this reason. The commands of the peer's session end, and its devices come to rest. The
+    /// host then closes the link.
+    Barred(String),
     /// A line that is not a valid message. The robot answers it, but it renews no lease: noise on a line does not prove that the server
     /// works.
     Undecodable(DecodeError),
@@ -275,6 +278,7 @@ impl Robot {
         match input {
             Input::LinkDown => self.parties.link_down(link),
             Input::Proven(proof) => self.parties.proven(link, proof),
+            Input::Barred(why) => self.bar(now, link, &why, out),
             Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
             Input::Message(message) => {
                 if matches!(message, Message::Inquiry(_)) {

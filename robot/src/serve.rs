@@ -2,8 +2,10 @@
 
 mod connection;
 mod described;
+mod door;
 mod places;
 
+use std::future::pending;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -15,19 +17,18 @@ use tokio::net::{TcpListener, TcpStream};
 
 use self::connection::{Patience, Shared, carry};
 use self::described::Described;
+pub use self::door::Door;
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use self::door::Key;
 use self::places::{Places, Ticket};
 use crate::host::HostHandle;
 use crate::peer::Peer;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 use crate::refusals::Reason;
-#[cfg(feature = "tls")]
-use crate::tls;
 #[cfg(feature = "zenoh")]
 use crate::zenoh;
 #[cfg(feature = "sealed")]
 use downbeat_sealed as sealed;
-#[cfg(any(feature = "sealed", feature = "tls"))]
-use urrcp::Proof;
 
 /// Interval at which a new connection is tried again for which there is no room because all others are equally new.
 const ROOM_RETRY: Duration = Duration::from_millis(5);
@@ -80,7 +81,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
         // One task per connection, as with TCP.
         tokio::spawn(async move {
             let ends = stream.split();
-            if let Err(error) = carry(ends, peer.clone(), link, ticket, shared).await {
+            if let Err(error) = carry(ends, peer.clone(), link, ticket, shared, pending()).await {
                 tracing::debug!(%peer, "connection ended: {error}");
             }
         });
@@ -95,21 +96,6 @@ async fn ticket(places: &Arc<Places>, peer: &Peer) -> Ticket {
             None => tokio::time::sleep(ROOM_RETRY).await,
         }
     }
-}
-
-/// Determines which peers a robot admits.
-#[derive(Clone, Debug, Default)]
-#[non_exhaustive]
-pub enum Door {
-    /// Admits all peers.
-    #[default]
-    Open,
-    /// Admits operators with a certificate of the robot's authority.
-    #[cfg(feature = "tls")]
-    Tls(Arc<tls::Guard>),
-    /// Admits operators with a pass that is derived from the robot's secret.
-    #[cfg(feature = "sealed")]
-    Sealed(Arc<sealed::Guard>),
 }
 
 async fn serve_with(
@@ -151,21 +137,22 @@ async fn admit(
     shared: Shared,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
-    match door {
+    match &door {
         Door::Open => {
             let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
-            carry(stream.into_split(), peer, link, ticket, shared).await
+            carry(stream.into_split(), peer, link, ticket, shared, pending()).await
         }
         #[cfg(feature = "tls")]
-        Door::Tls(guard) => carry_proven(guard.accept(stream), peer, robot, ticket, shared).await,
+        Door::Tls(guard) => carry_proven(guard.accept(stream), &door, peer, robot, ticket, shared).await,
         #[cfg(feature = "sealed")]
-        Door::Sealed(guard) => carry_proven(guard.accept(stream), peer, robot, ticket, shared).await,
+        Door::Sealed(guard) => carry_proven(guard.accept(stream), &door, peer, robot, ticket, shared).await,
     }
 }
 
 #[cfg(any(feature = "sealed", feature = "tls"))]
-async fn carry_proven<S>(
-    proving: impl Future<Output = io::Result<(S, Proof)>>,
+async fn carry_proven<S, K>(
+    proving: impl Future<Output = io::Result<(S, K)>>,
+    door: &Door,
     peer: Peer,
     robot: usize,
     ticket: Ticket,
@@ -173,6 +160,7 @@ async fn carry_proven<S>(
 ) -> io::Result<()>
 where
     S: AsyncRead + AsyncWrite,
+    K: Into<Key>,
 {
     let proven = tokio::select! {
         proven = tokio::time::timeout(shared.patience.first_message, proving) => {
@@ -182,12 +170,22 @@ where
     };
     let host = shared.host.clone();
     let refusals = host.refusals();
-    let (stream, proof) = proven.inspect_err(|_| {
+    let proven = proven.and_then(|(stream, key)| {
+        let key: Key = key.into();
+        let proof = key.proof.clone().ok_or_else(|| io::Error::other("the name is too long"))?;
+        Ok((stream, key, proof))
+    });
+    let (stream, key, proof) = proven.inspect_err(|_| {
         refusals.note(Reason::NotProven, &peer);
     })?;
     let peer = peer.with_proof(proof);
     let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
-    let carried = carry(tokio::io::split(stream), peer.clone(), link, ticket, shared).await;
+    let invalid = async {
+        let invalid = door.until_invalid(&key).await;
+        refusals.note(Reason::KeyInvalid, &peer);
+        invalid.to_string()
+    };
+    let carried = carry(tokio::io::split(stream), peer.clone(), link, ticket, shared, invalid).await;
     carried.inspect_err(|error| {
         if is_altered(error) {
             refusals.note(Reason::Altered, &peer);

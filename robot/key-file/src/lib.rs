@@ -1,10 +1,13 @@
-//! Reads files that contain a key, and refuses those that other users can read.
+//! Reads files that contain a key, and refuses those that other users can read. Watches files that are replaced while they are in use.
+
+mod watched;
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{Mode, OFlags, Stat};
+pub use watched::Watched;
 
 /// Maximum size of a key file in bytes. A key and two certificates take about three thousand bytes.
 const BYTES_MAX: u64 = 64 * 1024;

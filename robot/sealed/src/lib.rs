@@ -20,6 +20,6 @@ pub use guard::Guard;
 pub use handshake::{Hello, Keys, NONCE_BYTES, Nonce, NotSealed, Refused, fresh_nonce, proof_of_operator};
 pub use passes::{Held, Passes};
 pub use record::{BadRecord, Opening, RECORD_BYTES_MAX, Sealing};
-pub use revoked::RevokedSerials;
+pub use revoked::{RevokedSerials, Serials};
 pub use secret::{Pass, Secret, SecretError};
 pub use stream::{Sealed, connect};

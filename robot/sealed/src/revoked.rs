@@ -1,14 +1,18 @@
 //! Passes that are invalid although they have not expired. The authority lists their serial numbers.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use downbeat_key_file::{KeyFileError, read_regular};
+use downbeat_key_file::{KeyFileError, Watched, read_regular};
 
 /// Maximum size of a list in bytes. A serial number takes about 60 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
+/// Text before the number of a list.
+const NUMBER: &str = "# number ";
 
-/// A file that lists revoked passes, one serial number per line. Lines that start with `#` are ignored. After the file is replaced, the
-/// new list applies from the next connection.
+/// A file that lists revoked passes, one serial number per line. Lines that start with `#` are ignored, except `# number N`: a list with a
+/// smaller number does not replace this one. After the file is replaced, the new list applies within a second, also to open connections.
 #[derive(Clone, Debug)]
 pub struct RevokedSerials {
     path: PathBuf,
@@ -20,29 +24,80 @@ impl RevokedSerials {
     /// # Errors
     /// The file cannot be read now, or is not a list of serial numbers.
     pub fn in_file(path: &Path) -> Result<Self, KeyFileError> {
-        let revoked = Self { path: path.into() };
-        revoked.read()?;
-        Ok(revoked)
+        Serials::read(path)?;
+        Ok(Self { path: path.into() })
     }
 
-    /// Reads the current serial numbers from the file.
-    pub(super) fn read(&self) -> Result<Vec<String>, KeyFileError> {
-        let unreadable = |error| KeyFileError::Unreadable { path: self.path.clone(), error };
-        let text = read_regular(&self.path, BYTES_MAX)?;
+    /// Reads the current list from the file.
+    ///
+    /// # Errors
+    /// Those of [`RevokedSerials::in_file`].
+    pub fn read(&self) -> Result<Serials, KeyFileError> {
+        Serials::read(&self.path)
+    }
+}
+
+/// The content of a list of revoked passes.
+#[derive(Clone, Debug, Default)]
+pub struct Serials {
+    number: u64,
+    revoked: BTreeSet<String>,
+}
+
+impl Serials {
+    fn read(path: &Path) -> Result<Self, KeyFileError> {
+        let text = read_regular(path, BYTES_MAX)?;
         let text = String::from_utf8_lossy(&text);
+        let number = text.lines().find_map(|line| line.strip_prefix(NUMBER)?.parse().ok());
         let lines = text.lines().filter(|line| !line.starts_with('#') && !line.is_empty());
         let is_serial =
             |line: &str| line.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f' | b':'));
-        lines
-            .map(|line| {
-                if is_serial(line) {
-                    Ok(line.to_owned())
-                } else {
-                    Err(unreadable(std::io::Error::other(
-                        "it is not a list of revoked passes such as revoked.serials",
-                    )))
-                }
-            })
-            .collect()
+        let serial = |line: &str| {
+            if is_serial(line) {
+                return Ok(line.to_owned());
+            }
+            let error = std::io::Error::other("it is not a list of revoked passes such as revoked.serials");
+            Err(KeyFileError::Unreadable { path: path.into(), error })
+        };
+        Ok(Self { number: number.unwrap_or_default(), revoked: lines.map(serial).collect::<Result<_, _>>()? })
+    }
+
+    /// Returns the number of the list; 0 if it has none. A later list has a larger number.
+    #[must_use]
+    pub const fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Whether the list contains the pass with this serial number.
+    #[must_use]
+    pub fn contains(&self, serial: &str) -> bool {
+        self.revoked.contains(serial)
+    }
+}
+
+/// A list that is read again when its file changes. An older list does not replace it.
+#[derive(Debug)]
+pub(super) struct CurrentSerials {
+    file: Watched<Serials>,
+}
+
+impl CurrentSerials {
+    pub(super) fn new(revoked: &RevokedSerials) -> Result<Self, KeyFileError> {
+        Ok(Self { file: Watched::new(&revoked.path, Serials::read)? })
+    }
+
+    /// Returns the current list. If the file contains no later list, this is the previous one.
+    pub(super) fn list(&self) -> Arc<Serials> {
+        let read = |path: &Path, before: &Serials| {
+            let list = Serials::read(path).map_err(|error| error.to_string())?;
+            if list.number < before.number {
+                return Err(format!("{}: it is older than the list in use", path.display()));
+            }
+            Ok(list)
+        };
+        self.file.refresh(read).unwrap_or_else(|error| {
+            tracing::warn!("the previous list of revoked passes remains in use: {error}");
+            self.file.latest()
+        })
     }
 }

@@ -181,9 +181,13 @@ impl Executor {
                 if matches!(input, Input::LinkDown) {
                     self.forget(link);
                 }
+                let is_barred = matches!(input, Input::Barred(_));
                 let now = self.clock.now();
                 self.robots[robot].receive(now, link, input);
                 self.advance(robot);
+                if is_barred && let Some(outbox) = self.forget(link) {
+                    outbox.close();
+                }
                 drop(permit);
             }
             Order::Look { robot, permit } => {

@@ -1,4 +1,4 @@
-//! Seizure: an operator with the role `seize` takes the robot from the session that owns it.
+//! Losing the robot: an operator with the role `seize` takes it from the session that owns it, or the owner's key becomes invalid.
 
 use urrcp::SessionId;
 
@@ -36,5 +36,21 @@ impl Robot {
         self.devices.iter_mut().for_each(|device| device.claimed(now));
         let claimant = self.parties.claimant(link, session);
         self.parties.seize(claimant, self.parties.party(link), by);
+    }
+    /// Ends the commands of a peer whose key is no longer valid, and brings their devices to rest. If the peer's session owns the robot, all
+    /// devices come to rest, because the session may have left some moving, and the robot is free.
+    pub(super) fn bar(&mut self, now: Now, link: LinkId, why: &str, out: &mut Vec<Output>) {
+        let party = self.parties.party(link);
+        let name = self.parties.proof(link).map_or_else(String::new, |proof| format!(" of {}", proof.name));
+        tracing::warn!(robot = %self.block.id, "the session{name} ends: {why}");
+        let is_owner = self.parties.last_owner() == Some(party);
+        for index in 0..self.devices.len() {
+            if is_owner || self.devices[index].parties().any(|holder| holder == party) {
+                self.stop(now, index, why, Rest::InPlace, out);
+            }
+        }
+        if is_owner {
+            self.parties.release();
+        }
     }
 }

@@ -37,6 +37,8 @@ const READ_AT_ONCE: usize = 64 * 1024;
 const PAUSE_MAX: Duration = Duration::from_millis(100);
 /// Maximum time for which a peer may accept no bytes before it is disconnected.
 const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
+/// Maximum time in which a peer whose key is no longer valid may take the robot's last messages.
+const LAST_WRITES: Duration = Duration::from_secs(1);
 /// Maximum number of bytes per write.
 const WRITE_BATCH: usize = 64 * 1024;
 
@@ -81,6 +83,7 @@ pub(super) async fn carry<R, W>(
     mut link: RobotLink,
     ticket: Ticket,
     shared: Shared,
+    invalid: impl Future<Output = String>,
 ) -> io::Result<()>
 where
     R: AsyncRead + Unpin,
@@ -123,13 +126,19 @@ where
             }
         }
     };
-    tokio::select! {
+    let sender = reading.robot.clone();
+    let mut writing = std::pin::pin!(writing);
+    let why = tokio::select! {
         biased;
-        () = hung_up => Ok(()),
+        () = hung_up => return Ok(()),
+        why = invalid => why,
         // Polled before `reading`, which checks at each poll whether a write is in progress.
-        ended = writing => ended,
-        ended = reading.run() => ended,
-    }
+        ended = &mut writing => return ended,
+        ended = reading.run() => return ended,
+    };
+    sender.send(Input::Barred(why)).await;
+    // The robot closes the link after its last messages.
+    tokio::time::timeout(LAST_WRITES, writing).await.unwrap_or(Ok(()))
 }
 
 /// Sends the robot's messages to a peer.

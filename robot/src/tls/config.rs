@@ -11,7 +11,7 @@ use rustls::version::TLS13;
 use rustls::{ClientConfig, RootCertStore, ServerConfig};
 
 use super::credentials::Credentials;
-use super::revoked::Revoked;
+use super::revoked::List;
 
 /// DNS name in the certificate of every robot, which a client requests. It marks the certificate as that of a robot. A URI in the
 /// certificate identifies the robot, because ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
@@ -30,13 +30,12 @@ fn roots(authority: &CertificateDer<'static>) -> Result<Arc<RootCertStore>, rust
 /// Returns a verifier that accepts operators whose certificate was issued by the authority and is not revoked.
 pub(super) fn client_verifier(
     own: &Credentials,
-    revoked: Option<&Revoked>,
+    revoked: Option<&List>,
 ) -> Result<Arc<dyn ClientCertVerifier>, String> {
     let roots = roots(&own.authority).map_err(|error| error.to_string())?;
     let mut verifier = WebPkiClientVerifier::builder_with_provider(roots, provider());
-    if let Some(revoked) = revoked {
-        let list = revoked.read().map_err(|error| error.to_string())?;
-        verifier = verifier.with_crls([list]).only_check_end_entity_revocation();
+    if let Some(list) = revoked {
+        verifier = verifier.with_crls([list.der.clone()]).only_check_end_entity_revocation();
     }
     verifier.build().map_err(|error| error.to_string())
 }
@@ -45,7 +44,7 @@ pub(super) fn client_verifier(
 ///
 /// # Errors
 /// The key does not belong to the certificate, or the content of the files cannot be used.
-pub fn server_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<ServerConfig, String> {
+pub fn server_config(own: &Credentials, revoked: Option<&List>) -> Result<ServerConfig, String> {
     let of_tls = |error: rustls::Error| error.to_string();
     let verifier = client_verifier(own, revoked)?;
     let mut config = ServerConfig::builder_with_provider(provider())
@@ -63,13 +62,12 @@ pub fn server_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<Ser
 ///
 /// # Errors
 /// Those of [`server_config`].
-pub fn client_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<ClientConfig, String> {
+pub fn client_config(own: &Credentials, revoked: Option<&List>) -> Result<ClientConfig, String> {
     let of_tls = |error: rustls::Error| error.to_string();
     let roots = roots(&own.authority).map_err(of_tls)?;
     let mut verifier = WebPkiServerVerifier::builder_with_provider(roots, provider());
-    if let Some(revoked) = revoked {
-        let list = revoked.read().map_err(|error| error.to_string())?;
-        verifier = verifier.with_crls([list]).only_check_end_entity_revocation();
+    if let Some(list) = revoked {
+        verifier = verifier.with_crls([list.der.clone()]).only_check_end_entity_revocation();
     }
     let verifier = verifier.build().map_err(|error| error.to_string())?;
     let mut config = ClientConfig::builder_with_provider(provider())

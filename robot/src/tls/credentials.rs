@@ -6,6 +6,7 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
 use super::identity::{Identity, IdentityError};
+use super::revoked::{List, Revoked};
 use downbeat_key_file::{KeyFileError, read_private};
 
 /// An error in an identity file or a list of revoked certificates.
@@ -18,6 +19,12 @@ pub enum CredentialsError {
     /// A file that should contain a list of revoked certificates contains none.
     #[error("{}: missing list of revoked certificates; expected the file `revoked.pem` that `downbeat keys` wrote", path.display())]
     NoList {
+        /// Path of the file.
+        path: PathBuf,
+    },
+    /// A list of revoked certificates is not signed by the authority of the identity.
+    #[error("{}: this list of revoked certificates is signed by another authority; expected the `revoked.pem` of the authority that issued the identity", path.display())]
+    OtherAuthority {
         /// Path of the file.
         path: PathBuf,
     },
@@ -65,6 +72,14 @@ impl Credentials {
         let identity = Identity::of_certificate(&certificate)
             .map_err(|error| CredentialsError::Nameless { path: path.into(), error })?;
         Ok(Self { certificate, key, authority, identity })
+    }
+
+    /// Reads a list of revoked certificates, which the authority of this identity must have signed.
+    ///
+    /// # Errors
+    /// The list cannot be read, or another authority signed it.
+    pub fn list(&self, revoked: &Revoked) -> Result<List, CredentialsError> {
+        revoked.read(&self.authority)
     }
 
     /// Returns the identity that the certificate contains.

@@ -2,7 +2,6 @@
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::SystemTime;
 
 use rustls::ServerConfig;
 use tokio::net::TcpStream;
@@ -12,17 +11,16 @@ use tokio_rustls::server::TlsStream;
 use super::config::server_config;
 use super::credentials::Credentials;
 use super::identity::Identity;
-use super::revoked::Revoked;
-use urrcp::Proof;
+use super::revoked::{CurrentList, List, Revoked};
 
 /// Proves a robot's identity and checks that of its peers. Admits operators with a certificate that the robot's authority issued and that
 /// is not revoked.
 #[derive(Debug)]
 pub struct Guard {
     own: Credentials,
-    revoked: Option<Revoked>,
-    /// TLS configuration, with the modification time of the list of revoked certificates that it was created from.
-    config: Mutex<(Option<SystemTime>, Arc<ServerConfig>)>,
+    revoked: Option<CurrentList>,
+    /// TLS configuration, with the list of revoked certificates that it was created from.
+    config: Mutex<(Option<Arc<List>>, Arc<ServerConfig>)>,
 }
 
 impl Guard {
@@ -31,9 +29,10 @@ impl Guard {
     /// # Errors
     /// A sentence with the reason why the identity or the list cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
-        let written = revoked.as_ref().and_then(Revoked::written);
-        let config = server_config(&own, revoked.as_ref())?;
-        Ok(Self { own, revoked, config: Mutex::new((written, Arc::new(config))) })
+        let revoked = revoked.map(|revoked| CurrentList::new(&revoked, &own.authority)).transpose()?;
+        let list = revoked.as_ref().map(CurrentList::list);
+        let config = server_config(&own, list.as_deref())?;
+        Ok(Self { own, revoked, config: Mutex::new((list, Arc::new(config))) })
     }
 
     /// Returns the robot's identity.
@@ -42,14 +41,19 @@ impl Guard {
         self.own.identity()
     }
 
-    /// Returns the TLS configuration with the current list of revoked certificates. If the list cannot be read, the previous list
-    /// applies. It neither admits revoked operators nor excludes operators that would stop the robot.
+    /// Returns the current list of revoked certificates. `None` if the robot has no list.
+    #[must_use]
+    pub fn list(&self) -> Option<Arc<List>> {
+        self.revoked.as_ref().map(CurrentList::list)
+    }
+
+    /// Returns the TLS configuration with the current list of revoked certificates.
     fn config(&self) -> Arc<ServerConfig> {
-        let written = self.revoked.as_ref().and_then(Revoked::written);
+        let list = self.list();
         let mut config = self.config.lock().unwrap_or_else(PoisonError::into_inner);
-        if config.0 != written {
-            match server_config(&self.own, self.revoked.as_ref()) {
-                Ok(read) => *config = (written, Arc::new(read)),
+        if config.0.as_ref().map(Arc::as_ptr) != list.as_ref().map(Arc::as_ptr) {
+            match server_config(&self.own, list.as_deref()) {
+                Ok(read) => *config = (list, Arc::new(read)),
                 Err(error) => {
                     tracing::warn!("the previous list of revoked certificates remains in use: {error}")
                 }
@@ -58,17 +62,16 @@ impl Guard {
         Arc::clone(&config.1)
     }
 
-    /// Accepts the TLS connection of an operator, and returns the operator's proof.
+    /// Accepts the TLS connection of an operator, and returns the operator's identity.
     ///
     /// # Errors
     /// The peer does not prove its identity.
-    pub(crate) async fn accept(&self, stream: TcpStream) -> io::Result<(TlsStream<TcpStream>, Proof)> {
+    pub(crate) async fn accept(&self, stream: TcpStream) -> io::Result<(TlsStream<TcpStream>, Identity)> {
         let stream = TlsAcceptor::from(self.config()).accept(stream).await?;
         let certificates = stream.get_ref().1.peer_certificates().unwrap_or_default();
         let nameless = || io::Error::other("the certificate contains no name");
         let certificate = certificates.first().ok_or_else(nameless)?;
         let identity = Identity::of_certificate(certificate).map_err(io::Error::other)?;
-        let proof = identity.proof().ok_or_else(nameless)?;
-        Ok((stream, proof))
+        Ok((stream, identity))
     }
 }

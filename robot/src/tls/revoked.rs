@@ -1,46 +1,164 @@
 //! Certificates that are invalid although they have not expired. The authority lists them in a file that may be replaced while a robot
 //! runs.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use rustls::pki_types::CertificateRevocationListDer;
 use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, CertificateRevocationListDer};
+use x509_parser::prelude::{CertificateRevocationList, FromDer, X509Certificate};
 
+use super::config::provider;
 use super::credentials::CredentialsError;
-use downbeat_key_file::read_regular;
+use downbeat_key_file::{Watched, read_regular};
 
 /// Maximum size of a list in bytes. An entry takes about 40 bytes.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
 
-/// A list of revoked certificates (RFC 5280, section 5) in a file. After the file is replaced, the new list applies from the next
-/// connection.
+/// A list of revoked certificates (RFC 5280, section 5) in a file. After the file is replaced, the new list applies within a second, also
+/// to open connections.
 #[derive(Clone, Debug)]
 pub struct Revoked {
     path: PathBuf,
 }
 
 impl Revoked {
-    /// Returns the list that is in this file.
+    /// Returns the list that is in this file. Whether the authority signed it is checked where it is used.
     ///
     /// # Errors
     /// The file cannot be read now.
     pub fn in_file(path: &Path) -> Result<Self, CredentialsError> {
-        let revoked = Self { path: path.into() };
-        revoked.read()?;
-        Ok(revoked)
+        der(path)?;
+        Ok(Self { path: path.into() })
     }
 
     /// Reads the current list from the file.
-    pub(super) fn read(&self) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
-        let text = read_regular(&self.path, BYTES_MAX)?;
-        CertificateRevocationListDer::from_pem_slice(&text)
-            .map_err(|_| CredentialsError::NoList { path: self.path.clone() })
+    ///
+    /// # Errors
+    /// The file cannot be read, or the authority did not sign the list.
+    pub fn read(&self, authority: &CertificateDer<'_>) -> Result<List, CredentialsError> {
+        List::read(&self.path, authority)
+    }
+}
+
+/// A list of revoked certificates that the authority signed.
+#[derive(Clone, Debug)]
+pub struct List {
+    pub(super) der: CertificateRevocationListDer<'static>,
+    /// Serial numbers of the revoked certificates, in hexadecimal digits with colons.
+    serials: BTreeSet<String>,
+    /// Number of the list, as big-endian bytes without leading zeros. A later list has a larger number.
+    number: Vec<u8>,
+    /// When the authority signed the list, in seconds since 1970, UTC.
+    issued: i64,
+    /// When the authority intends to sign the next list, in seconds since 1970, UTC.
+    next_update: Option<i64>,
+}
+
+impl List {
+    fn read(path: &Path, authority: &CertificateDer<'_>) -> Result<Self, CredentialsError> {
+        let der = der(path)?;
+        let no_list = || CredentialsError::NoList { path: path.into() };
+        let (_, list) = CertificateRevocationList::from_der(&der).map_err(|_| no_list())?;
+        if !is_signed_by(&list, authority) {
+            return Err(CredentialsError::OtherAuthority { path: path.into() });
+        }
+        let revoked = list.iter_revoked_certificates();
+        Ok(Self {
+            serials: revoked.map(|entry| entry.raw_serial_as_string()).collect(),
+            number: list.crl_number().map(|number| number.to_bytes_be()).unwrap_or_default(),
+            issued: list.last_update().timestamp(),
+            next_update: list.next_update().map(|at| at.timestamp()),
+            der: der.clone(),
+        })
     }
 
-    /// Returns when the file was last written. `None` if this is unknown.
+    /// Whether the list contains the certificate with this serial number.
     #[must_use]
-    pub fn written(&self) -> Option<SystemTime> {
-        std::fs::metadata(&self.path).and_then(|data| data.modified()).ok()
+    pub fn contains(&self, serial: &str) -> bool {
+        self.serials.contains(serial)
+    }
+
+    /// Returns the number of the list, in decimal digits if it fits 64 bits. A later list has a larger number.
+    #[must_use]
+    pub fn number(&self) -> Option<u64> {
+        (self.number.len() <= 8)
+            .then(|| self.number.iter().fold(0, |number, byte| number << 8 | u64::from(*byte)))
+    }
+
+    /// Returns the time at which the authority signed the list, in seconds since 1970, UTC.
+    #[must_use]
+    pub const fn issued(&self) -> i64 {
+        self.issued
+    }
+
+    /// Whether the authority should have signed a newer list by `now`, in seconds since 1970, UTC.
+    #[must_use]
+    pub fn is_overdue(&self, now: i64) -> bool {
+        self.next_update.is_some_and(|at| at < now)
+    }
+
+    fn is_older_than(&self, other: &Self) -> bool {
+        (self.number.len(), &self.number) < (other.number.len(), &other.number)
+    }
+}
+
+fn der(path: &Path) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
+    let text = read_regular(path, BYTES_MAX)?;
+    CertificateRevocationListDer::from_pem_slice(&text)
+        .map_err(|_| CredentialsError::NoList { path: path.into() })
+}
+
+fn is_signed_by(list: &CertificateRevocationList<'_>, authority: &CertificateDer<'_>) -> bool {
+    let Ok((_, authority)) = X509Certificate::from_der(authority) else { return false };
+    if list.issuer().as_raw() != authority.subject().as_raw() {
+        return false;
+    }
+    let key = &authority.public_key().subject_public_key.data;
+    let (signed, signature) = (list.tbs_cert_list.as_ref(), &list.signature_value.data);
+    let algorithms = provider().signature_verification_algorithms.all;
+    algorithms.iter().any(|algorithm| algorithm.verify_signature(key, signed, signature).is_ok())
+}
+
+/// A list that is read again when its file changes. Only a later list of the same authority replaces it.
+#[derive(Debug)]
+pub(super) struct CurrentList {
+    authority: CertificateDer<'static>,
+    file: Watched<List>,
+    /// Whether a warning about the overdue list was logged.
+    warned: AtomicBool,
+}
+
+impl CurrentList {
+    pub(super) fn new(revoked: &Revoked, authority: &CertificateDer<'static>) -> Result<Self, String> {
+        let file = Watched::new(&revoked.path, |path| List::read(path, authority));
+        let file = file.map_err(|error| error.to_string())?;
+        Ok(Self { authority: authority.clone(), file, warned: AtomicBool::new(false) })
+    }
+
+    /// Returns the current list. If the file contains no later list of the authority, this is the previous one: it neither admits revoked
+    /// operators nor excludes operators that would stop the robot.
+    pub(super) fn list(&self) -> Arc<List> {
+        let read = |path: &Path, before: &List| {
+            let list = List::read(path, &self.authority).map_err(|error| error.to_string())?;
+            if list.is_older_than(before) {
+                return Err(format!("{}: it is older than the list in use", path.display()));
+            }
+            tracing::info!(number = list.number(), "{}: new list of revoked certificates", path.display());
+            self.warned.store(false, Ordering::Relaxed);
+            Ok(list)
+        };
+        let list = self.file.refresh(read).unwrap_or_else(|error| {
+            tracing::warn!("the previous list of revoked certificates remains in use: {error}");
+            self.file.latest()
+        });
+        if list.is_overdue(super::calendar()) && !self.warned.swap(true, Ordering::Relaxed) {
+            tracing::warn!(
+                "the list of revoked certificates is overdue; get the current one from the authority"
+            );
+        }
+        list
     }
 }

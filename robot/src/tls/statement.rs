@@ -1,6 +1,6 @@
 //! Statements that an operator signs where TLS is not available, for example on a local socket, and the verification of their signatures.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use rustls::SignatureScheme;
 use rustls::pki_types::{CertificateDer, UnixTime};
@@ -10,7 +10,7 @@ use x509_parser::prelude::{FromDer, X509Certificate};
 use super::config::{client_verifier, provider};
 use super::credentials::Credentials;
 use super::identity::{Identity, Name};
-use super::revoked::Revoked;
+use super::revoked::{CurrentList, Revoked};
 
 /// Signature scheme of all keys that `downbeat keys` creates: ECDSA on P-256 with SHA-256.
 const SCHEME: SignatureScheme = SignatureScheme::ECDSA_NISTP256_SHA256;
@@ -42,9 +42,7 @@ impl Credentials {
 #[derive(Debug)]
 pub struct Witness {
     own: Credentials,
-    revoked: Option<Revoked>,
-    /// Verifier with the last list that could be read. If the list can no longer be read, operators can therefore still stop robots.
-    verifier: Mutex<Arc<dyn ClientCertVerifier>>,
+    revoked: Option<CurrentList>,
 }
 
 impl Witness {
@@ -53,20 +51,15 @@ impl Witness {
     /// # Errors
     /// A sentence with the reason why the files cannot be used.
     pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
-        let verifier = Mutex::new(client_verifier(&own, revoked.as_ref())?);
-        Ok(Self { own, revoked, verifier })
+        let revoked = revoked.map(|revoked| CurrentList::new(&revoked, &own.authority)).transpose()?;
+        let own = Self { own, revoked };
+        own.verifier()?;
+        Ok(own)
     }
 
-    /// Returns a verifier with the current list of revoked certificates or, if it cannot be read, with the last list that could be read.
-    fn verifier(&self) -> Arc<dyn ClientCertVerifier> {
-        let mut last = self.verifier.lock().unwrap_or_else(PoisonError::into_inner);
-        match client_verifier(&self.own, self.revoked.as_ref()) {
-            Ok(verifier) => *last = verifier,
-            Err(error) => {
-                tracing::warn!("the previous list of revoked certificates remains in use: {error}")
-            }
-        }
-        Arc::clone(&last)
+    fn verifier(&self) -> Result<Arc<dyn ClientCertVerifier>, String> {
+        let list = self.revoked.as_ref().map(CurrentList::list);
+        client_verifier(&self.own, list.as_deref())
     }
 
     /// Returns the witness's own identity, whose authority it trusts.
@@ -82,7 +75,7 @@ impl Witness {
     /// A sentence with the reason why the statement is invalid.
     pub fn who(&self, statement: &[u8], signed: &Signed) -> Result<Identity, String> {
         let certificate = CertificateDer::from(signed.certificate.as_slice());
-        self.verifier()
+        self.verifier()?
             .verify_client_cert(&certificate, &[], UnixTime::now())
             .map_err(|error| format!("its certificate is not valid here: {error}"))?;
         let (_, parsed) = X509Certificate::from_der(&certificate)

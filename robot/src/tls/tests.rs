@@ -8,7 +8,6 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, SystemTime};
 
 use rustls::pki_types::ServerName;
 use tokio::net::{TcpListener, TcpStream};
@@ -142,9 +141,11 @@ fn a_statement_of_one_that_was_revoked_counts_no_more_also_when_the_list_is_dama
     assert!(witness.who(b"stop", &signed).is_ok());
     folder.revoke("anna-revoked.pem");
     assert!(witness.who(b"stop", &signed).is_err());
-    folder.revoke("anna.pem");
-    assert!(witness.who(b"stop", &signed).is_err(), "the list that was read last counts");
-    folder.revoke("none-revoked.pem");
+    for unusable in ["anna.pem", "of-another-authority.pem", "none-revoked.pem"] {
+        folder.revoke(unusable);
+        assert!(witness.who(b"stop", &signed).is_err(), "{unusable}: the last good list applies");
+    }
+    folder.revoke("anna-restored.pem");
     assert!(witness.who(b"stop", &signed).is_ok());
 }
 
@@ -160,9 +161,9 @@ async fn meets(guard: &Guard, client: &Credentials) -> Result<String, String> {
     };
     let accepting = async { guard.accept(listener.accept().await.unwrap().0).await };
     let (connected, accepted) = tokio::join!(connecting, accepting);
-    let (_stream, proof) = accepted.map_err(|error| error.to_string())?;
+    let (_stream, identity) = accepted.map_err(|error| error.to_string())?;
     connected?;
-    Ok(proof.name.to_string())
+    Ok(identity.name.to_string())
 }
 
 #[tokio::test]
@@ -175,18 +176,61 @@ async fn a_door_lets_in_operators_of_its_authority_alone() {
 }
 
 #[tokio::test]
-async fn a_door_obeys_a_list_that_was_replaced_and_not_one_that_cannot_be_read() {
+async fn only_a_later_list_of_the_same_authority_replaces_the_list_in_use() {
     let folder = Folder::new();
     let guard = Guard::new(folder.credentials("robot"), Some(folder.list())).unwrap();
     let anna = folder.credentials("anna");
-    assert!(meets(&guard, &anna).await.is_ok());
-    let lists = [("anna-revoked.pem", false), ("anna.pem", false), ("none-revoked.pem", true)];
-    for (seconds, (list, is_let_in)) in (1..).zip(lists) {
+    let number = || guard.list().unwrap().number();
+    let modified = std::fs::metadata(folder.0.join("revoked.pem")).unwrap().modified().unwrap();
+    let lists = [
+        ("none-revoked.pem", 1, true),
+        ("anna-revoked.pem", 2, false),
+        ("anna.pem", 2, false),
+        ("none-revoked.pem", 2, false),
+        ("of-another-authority.pem", 2, false),
+        ("forged.pem", 2, false),
+        ("anna-restored.pem", 300, true),
+        ("anna-revoked.pem", 300, true),
+        ("overdue.pem", 301, false),
+    ];
+    for (list, expected, is_admitted) in lists {
         folder.revoke(list);
-        // Without different times, files that are written in the same tick of the clock look the same.
-        let written = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
+        // A list that is as old as the previous one is read too.
         let file = std::fs::File::options().write(true).open(folder.0.join("revoked.pem")).unwrap();
-        file.set_modified(written).unwrap();
-        assert_eq!(meets(&guard, &anna).await.is_ok(), is_let_in, "{list}");
+        file.set_modified(modified).unwrap();
+        assert_eq!(meets(&guard, &anna).await.is_ok(), is_admitted, "{list}");
+        assert_eq!(number(), Some(expected), "{list}");
     }
+    std::fs::remove_file(folder.0.join("revoked.pem")).unwrap();
+    assert!(meets(&guard, &anna).await.is_err(), "the last good list applies");
+}
+
+#[test]
+fn a_list_of_another_authority_is_refused_at_the_start() {
+    let folder = Folder::new();
+    for foreign in ["of-another-authority.pem", "forged.pem"] {
+        let list = Revoked::in_file(&folder.copy(foreign, "revoked.pem")).unwrap();
+        let own = || folder.credentials("robot");
+        let refused = [
+            Guard::new(own(), Some(list.clone())).map(|_| ()).unwrap_err(),
+            Witness::new(own(), Some(list.clone())).map(|_| ()).unwrap_err(),
+            own().list(&list).map(|_| ()).unwrap_err().to_string(),
+        ];
+        assert!(refused.iter().all(|error| error.contains("signed by another authority")), "{refused:?}");
+    }
+}
+
+#[test]
+fn a_list_knows_whom_it_revokes_and_when_the_next_one_is_due() {
+    let folder = Folder::new();
+    let anna = folder.credentials("anna").identity().serial.clone();
+    let read = |name: &str| {
+        let list = Revoked::in_file(&folder.copy(name, "revoked.pem")).unwrap();
+        folder.credentials("robot").list(&list).unwrap()
+    };
+    let [none, one, overdue] = ["none-revoked.pem", "anna-revoked.pem", "overdue.pem"].map(read);
+    assert_eq!([&none, &one, &overdue].map(|list| list.contains(&anna)), [false, true, true]);
+    assert_eq!([&none, &one, &overdue].map(List::issued), [1_577_836_800; 3], "in 2020");
+    let in_2026 = 1_795_000_000;
+    assert_eq!([&none, &one, &overdue].map(|list| list.is_overdue(in_2026)), [false, false, true]);
 }

@@ -72,6 +72,19 @@ pub(super) fn presented() -> Result<Option<Presented>, String> {
     own.map_err(|error| error.to_string())
 }
 
+/// Like [`site_of`], for a stop. A stop must not depend on the list of revoked certificates: if the list cannot be used, prints a warning
+/// and ignores it.
+pub(super) fn site_to_stop(keys: &OpenedKeys) -> Result<Site, String> {
+    site_of(keys).or_else(|error| {
+        if keys.revoked.is_none() {
+            return Err(error);
+        }
+        let site = site_of(&OpenedKeys { revoked: None, ..keys.clone() })?;
+        console::warn(&format!("the robots are stopped without a list of revoked certificates: {error}"));
+        Ok(site)
+    })
+}
+
 /// Like [`site`], but with the given paths of the files.
 pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
     let site = Site::of_files(keys.identity.as_deref(), keys.revoked.as_deref())?;

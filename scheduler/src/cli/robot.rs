@@ -111,7 +111,8 @@ impl GuardArgs {
                 let secret = Secret::read(path).map_err(|error| error.to_string())?;
                 let revoked = self.revoked.as_deref().map(RevokedSerials::in_file).transpose();
                 let revoked = revoked.map_err(|error| error.to_string())?;
-                Ok(Door::Sealed(Arc::new(sealed::Guard::new(robot.clone(), secret, revoked))))
+                let guard = sealed::Guard::new(robot.clone(), secret, revoked.as_ref());
+                Ok(Door::Sealed(Arc::new(guard.map_err(|error| error.to_string())?)))
             }
             (None, None) if self.revoked.is_some() => {
                 Err("--revoked requires --identity or --secret; without them, peers are not identified"

@@ -231,7 +231,7 @@ async fn withdraw_as(
     let scenario = scenario_of(&contents.opened);
     let participants = fleet::participants(&robots);
     let mission = Mission::withdraw(scenario, participants, options, &left, ending, how.rest, begun);
-    let site = identity::site_of(&contents.opened.keys)?;
+    let site = identity::site_to_stop(&contents.opened.keys)?;
     let report = carry_out(mission, &robots, &site, clock, how, (lane, operator)).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
@@ -261,7 +261,7 @@ pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String
     let begun = clock.now();
     let (name, participants) = ("the fleet".to_owned(), fleet::participants(&robots));
     let mission = Mission::withdraw(name, participants, options, &left, by_operator(), how.rest, begun);
-    let site = identity::site(of)?;
+    let site = identity::site_to_stop(&identity::keys(of))?;
     let report = carry_out(mission, &robots, &site, clock, how, stop_lane(OnHangUp::End)?).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }

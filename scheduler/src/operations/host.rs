@@ -69,12 +69,13 @@ impl Source for HostMetrics {
 impl Health for HostMetrics {
     fn now(&self) -> Pin<Box<dyn Future<Output = Checked> + Send + '_>> {
         Box::pin(async {
-            let alive = match self.handle.answers_within(PATIENCE).await {
-                true => Ok("robots: the thread that moves them answers".to_owned()),
-                false => Err(format!(
+            let alive = if self.handle.answers_within(PATIENCE).await {
+                Ok("robots: the thread that moves them answers".to_owned())
+            } else {
+                Err(format!(
                     "robots: the thread that moves them has not answered within {} s",
                     PATIENCE.as_secs()
-                )),
+                ))
             };
             let robots = self.names.iter().zip(self.figures.robots());
             let away: Vec<_> = robots.filter(|(_, figures)| !figures.hardware_answers()).collect();

@@ -64,11 +64,13 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
         let mut command = site.session.command(args);
         Ran(command.env("DOWNBEAT_IDENTITY", "others/operators/anna.pem").output().unwrap())
     };
+    site.list("others/revoked.pem");
     other(&["run", "test.yaml", "--patience", "3s"])
         .says(1, &["the robot does not have the secret of your pass"]);
     // Without a pass for one of them.
     site.session.run(&["keys", "revoke", "r1", "--keys", "others"]).says(0, &["revoked 1"]);
     other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["you have no pass for robot r1"]);
+    site.list("keys/revoked.pem");
 
     // Without a name.
     let text = std::fs::read_to_string(site.session.path("fleet.yaml")).unwrap();

@@ -8,5 +8,6 @@ mod flooding;
 mod hmac;
 mod hostile;
 mod identity;
+mod revoked;
 mod seize;
 mod tls;

@@ -21,7 +21,7 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 100ms, to: 30}, {at: 400ms
 ";
 
 /// Starts Anna's mission on all robots; Eva may seize.
-fn anna_plays(scheme: &'static str) -> (Site, Child) {
+pub fn anna_plays(scheme: &'static str) -> (Site, Child) {
     let site = Site::with(scheme);
     site.session.run(&["keys", "operator", "eva", "--role", "drive,seize"]).says(0, &["eva"]);
     site.session.file("long.yaml", LONG).file("other.yaml", OTHER);

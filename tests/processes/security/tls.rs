@@ -57,7 +57,10 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
             .output()
             .unwrap())
     };
+    other(&["run", "test.yaml"]).says(2, &["keys/revoked.pem", "signed by another authority"]);
+    site.list("others/revoked.pem");
     other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["a different authority"]);
+    site.list("keys/revoked.pem");
 
     // Without a name.
     let fleet = std::fs::read_to_string(site.session.path("fleet.yaml")).unwrap();

@@ -87,6 +87,14 @@ impl Site {
         self.session.file("fleet.yaml", fleet);
     }
 
+    /// Makes the fleet file name this list of revoked certificates.
+    pub fn list(&self, path: &str) {
+        let fleet = std::fs::read_to_string(self.session.path("fleet.yaml")).unwrap();
+        let is_list = |line: &&str| line.starts_with("revoked: ");
+        let before = fleet.lines().find(is_list).unwrap();
+        self.session.file("fleet.yaml", fleet.replace(before, &format!("revoked: {path}")));
+    }
+
     pub fn run(&self) -> Ran {
         self.session.run(&["run", "test.yaml", "--patience", "3s"])
     }

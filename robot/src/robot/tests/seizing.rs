@@ -1,4 +1,4 @@
-//! Tests seizures: an operator takes a robot from the session that owns it.
+//! Tests the loss of a robot: by seizure, and by a key that is no longer valid.
 
 use super::sessions::{OTHER, hello, of, operator, stop_of};
 use super::*;
@@ -181,4 +181,44 @@ fn what_was_left_moving_slows_down_when_the_robot_is_seized_and_the_next_session
         .send_on(OTHER, of("eva's", timed("wheel", "e", 2_500.0, script(ControlType::Speed, &[(0.0, 4.0)]))));
     bench.until(6_000);
     assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(4.0));
+}
+
+#[test]
+fn the_commands_of_an_operator_end_when_its_key_becomes_invalid_and_the_robot_is_free() {
+    let mut bench = anna_plays(Some(("operator bert", &DRIVES)));
+    bench.out.clear();
+    let why = || Input::Barred("the operator's key was revoked".to_owned());
+    bench.robot.handle(bench.now, LINK, why(), &mut bench.out);
+    let told = bench.statuses();
+    assert_eq!(told, ["Failed cancelled", "Failed cancelled"]);
+    assert!(bench.robot.is_idle());
+    bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+    bench.send_on(OTHER, of("bert's", timed("arm", "e", 1_300.0, script(ControlType::Position, &PAPER))));
+    assert_eq!(bench.last_said(), "2 Accepted ", "the robot belongs to no session");
+    bench.until(5_000);
+    let played: Vec<_> = bench.values().into_iter().filter(|(at, _)| *at >= 1_200).collect();
+    assert_eq!(played, [(1_300, 45.0), (2_300, 0.0), (3_300, 45.0)], "nothing of Anna's");
+}
+
+#[test]
+fn another_operator_keeps_the_robot_when_a_key_becomes_invalid() {
+    let mut bench = anna_plays(Some(("operator bert", &DRIVES)));
+    bench.robot.handle(bench.now, OTHER, Input::Barred("its key has expired".to_owned()), &mut bench.out);
+    bench.send_on(LINK, hello("anna's"));
+    assert_eq!(bench.last_said(), "1 OK ");
+    bench.until(5_000);
+    assert_eq!(bench.values().len(), 6, "the arm continues, and the ramp begins: {:?}", bench.values());
+}
+
+#[test]
+fn a_device_that_an_operator_left_moving_stops_when_its_key_becomes_invalid() {
+    let mut bench = Bench::new();
+    bench.robot = Robot::new(serde_json::from_str(TROLLEY).unwrap());
+    bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
+    bench.send_on(LINK, of("anna's", timed("wheel", "a", 100.0, script(ControlType::Speed, &[(0.0, 10.0)]))));
+    bench.until(1_000);
+    assert!(bench.robot.is_idle());
+    bench.robot.handle(bench.now, LINK, Input::Barred("its key has expired".to_owned()), &mut bench.out);
+    bench.until(6_000);
+    assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
 }

@@ -1,18 +1,27 @@
 //! Tests a robot that shares a secret with operators' passes: unproven peers, and altered data.
 
 use super::*;
-use downbeat_sealed::{Claim, Guard, Held, Secret, connect};
+use downbeat_sealed::{Claim, Guard, Held, RevokedSerials, Secret, connect};
 use urrcp::Role;
 
 /// Starts a robot that requires a pass. Returns its host, its address, and a pass.
 async fn sealed(patience: Patience) -> (Host, SocketAddr, Held) {
+    sealed_until(patience, 4_000_000_000, None).await
+}
+
+/// Like [`sealed`], with a pass that is valid until `expires`, and a list of revoked passes.
+async fn sealed_until(
+    patience: Patience,
+    expires: i64,
+    revoked: Option<&RevokedSerials>,
+) -> (Host, SocketAddr, Held) {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let secret = Secret::generate().unwrap();
     let robot = host.handle().robots()[0].clone();
     let roles = [Role::Observe, Role::Drive].into_iter().collect();
-    let claim = Claim { name: "anna".into(), roles, expires: 4_000_000_000, serial: "0a:1b".into() };
+    let claim = Claim { name: "anna".into(), roles, expires, serial: "0a:1b".into() };
     let held = Held { robot: robot.clone(), pass: secret.pass(&claim), claim };
-    let door = Door::Sealed(Arc::new(Guard::new(robot, secret, None)));
+    let door = Door::Sealed(Arc::new(Guard::new(robot, secret, revoked).unwrap()));
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     tokio::spawn(serve_with(listener, host.handle(), 0, patience, door));
@@ -56,4 +65,40 @@ async fn who_proves_nothing_is_hung_up_on_and_counted() {
     let mut silent = TcpStream::connect(address).await.unwrap();
     ended(&mut silent).await;
     assert_eq!(host.refusals().count(Reason::NotProven), 3);
+}
+
+const CLAIM: &[u8] = b"{\"availability_request\":{\"session\":\"s\"}}\n";
+
+#[tokio::test]
+async fn an_open_connection_is_closed_when_its_pass_is_revoked() {
+    let path = std::env::temp_dir().join(format!("downbeat-door-{}", std::process::id()));
+    std::fs::write(&path, "# none\n").unwrap();
+    let list = RevokedSerials::in_file(&path).unwrap();
+    let (host, address, held) = sealed_until(PATIENT, 4_000_000_000, Some(&list)).await;
+    let mut stream = TcpStream::connect(address).await.unwrap();
+    let mut spoken = connect(&mut stream, &held).await.unwrap();
+    spoken.write_all(CLAIM).await.unwrap();
+    spoken.flush().await.unwrap();
+    spoken.read_exact(&mut [0]).await.unwrap();
+    drop(spoken);
+    let mut owner = host.handle().owner(0).unwrap();
+    assert!(owner.wait_for(Option::is_some).await.is_ok());
+    std::fs::write(&path, "0a:1b\n").unwrap();
+    ended(&mut stream).await;
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(host.refusals().count(Reason::KeyInvalid), 1);
+    assert!(owner.wait_for(Option::is_none).await.is_ok(), "the robot is free");
+}
+
+#[tokio::test]
+#[expect(clippy::disallowed_methods, reason = "passes are valid by the calendar")]
+async fn an_open_connection_is_closed_when_its_pass_expires() {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
+    let expires = i64::try_from(now).unwrap() + 5;
+    let (host, address, held) = sealed_until(PATIENT, expires, None).await;
+    let mut stream = TcpStream::connect(address).await.unwrap();
+    drop(connect(&mut stream, &held).await.unwrap());
+    assert_eq!(host.refusals().count(Reason::KeyInvalid), 0);
+    ended(&mut stream).await;
+    assert_eq!(host.refusals().count(Reason::KeyInvalid), 1);
 }

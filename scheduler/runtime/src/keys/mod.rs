@@ -39,9 +39,8 @@ const REVOKED: &str = "revoked.pem";
 const REVOKED_SERIALS: &str = "revoked.serials";
 /// Validity of an authority in days.
 const AUTHORITY_DAYS: i64 = 3_650;
-/// A list of revoked certificates must state when the next list is due; this is the number of days. It is large, because a list is made
-/// only when a certificate is revoked.
-const LIST_DAYS: i64 = AUTHORITY_DAYS;
+/// A list of revoked certificates states when the next list is due: after this number of days. `keys push` makes a new one in time.
+const LIST_DAYS: i64 = 365;
 /// The validity of a certificate starts this number of seconds before its issue, because clocks differ.
 const BACKDATED: i64 = 300;
 const DAY: i64 = 24 * 3_600;
@@ -285,8 +284,21 @@ impl Authority {
         Ok(path)
     }
 
+    /// Returns the number of the next list. Robots accept a list only if its number is larger than that of the list in use, so it is larger
+    /// even if two lists are made within a second, or the clock was set back.
+    fn next_number(&self, now: i64) -> u64 {
+        u64::try_from(now).unwrap_or_default().max(self.last_number().saturating_add(1))
+    }
+
+    /// Returns the number of the current list; 0 if it cannot be read.
+    fn last_number(&self) -> u64 {
+        let list = RevokedSerials::in_file(&self.revoked_serials()).and_then(|list| list.read());
+        list.map_or(0, |list| list.number())
+    }
+
     fn write_revoked(&self, issued: &Issued, now: i64) -> Result<(), KeysError> {
         let (issuer, _) = self.issuer()?;
+        let number = self.next_number(now);
         let revoked = |(serial, at): (Vec<u8>, i64)| {
             Ok::<_, KeysError>(RevokedCertParams {
                 serial_number: SerialNumber::from(serial),
@@ -298,14 +310,13 @@ impl Authority {
         let list = CertificateRevocationListParams {
             this_update: instant(now - BACKDATED)?,
             next_update: instant(now + LIST_DAYS * DAY)?,
-            // Each list needs a larger number than the previous one.
-            crl_number: SerialNumber::from(u64::try_from(now).unwrap_or_default()),
+            crl_number: SerialNumber::from(number),
             issuing_distribution_point: None,
             revoked_certs: issued.revoked().map(revoked).collect::<Result<_, _>>()?,
             key_identifier_method: KeyIdMethod::Sha256,
         };
         files::write_public(&self.path(REVOKED), &list.signed_by(&issuer)?.pem()?)?;
-        self.write_revoked_serials(issued)
+        self.write_revoked_serials(issued, number)
     }
 }
 
@@ -335,7 +346,8 @@ pub fn door_of(folder: &Path, robot: &RobotId, protection: Protection) -> Result
                 Secret::read(&files::secret_path(folder, robot)).map_err(|error| error.to_string())?;
             let revoked = RevokedSerials::in_file(&folder.join(REVOKED_SERIALS));
             let revoked = revoked.map_err(|error| error.to_string())?;
-            Ok(Door::Sealed(Arc::new(sealed::Guard::new(robot.clone(), secret, Some(revoked)))))
+            let guard = sealed::Guard::new(robot.clone(), secret, Some(&revoked));
+            Ok(Door::Sealed(Arc::new(guard.map_err(|error| error.to_string())?)))
         }
     }
 }

@@ -44,7 +44,7 @@ impl Authority {
         let made = robots.iter().map(make).collect::<Result<_, KeysError>>();
         // The list is written even if one secret could not be written, because the other secrets exist.
         let issued = self.issued()?;
-        self.write_revoked_serials(&issued)?;
+        self.write_revoked_serials(&issued, self.last_number())?;
         self.write_passes(&issued)?;
         made
     }
@@ -94,9 +94,10 @@ impl Authority {
         Ok(())
     }
 
-    /// Writes the list of revoked passes: one serial number per line, for robots without TLS.
-    pub(super) fn write_revoked_serials(&self, issued: &Issued) -> Result<(), KeysError> {
-        let head = "# Numbers of revoked passes, written by `downbeat keys`.\n".to_owned();
+    /// Writes the list of revoked passes: one serial number per line, for robots without TLS. `number` is that of the list of revoked
+    /// certificates.
+    pub(super) fn write_revoked_serials(&self, issued: &Issued, number: u64) -> Result<(), KeysError> {
+        let head = format!("# Numbers of revoked passes, written by `downbeat keys`.\n# number {number}\n");
         let is_revoked = |entry: &&Entry| entry.kind == Kind::Operator && entry.revoked.is_some();
         let lines = issued.entries().iter().filter(is_revoked).map(|entry| format!("{}\n", entry.serial));
         files::write_public(&self.revoked_serials(), &std::iter::once(head).chain(lines).collect::<String>())

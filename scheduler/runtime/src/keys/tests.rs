@@ -58,8 +58,9 @@ fn meet(
     operator: &Credentials,
     revoked: Option<&Revoked>,
 ) -> (Result<Identity, String>, Result<Identity, String>) {
-    let server = Arc::new(server_config(robot, revoked).unwrap());
-    let client = Arc::new(client_config(operator, revoked).unwrap());
+    let list = revoked.map(|revoked| robot.list(revoked).unwrap());
+    let server = Arc::new(server_config(robot, list.as_ref()).unwrap());
+    let client = Arc::new(client_config(operator, list.as_ref()).unwrap());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let (near, far) = tokio::io::duplex(64 * 1024);

@@ -74,7 +74,9 @@ impl Site {
             ));
         }
         let revoked = revoked.map(Revoked::in_file).transpose().map_err(|error| error.to_string())?;
-        let config = client_config(&own, revoked.as_ref())?;
+        let list =
+            revoked.map(|revoked| own.list(&revoked)).transpose().map_err(|error| error.to_string())?;
+        let config = client_config(&own, list.as_ref())?;
         let passes = Passes::next_to(path);
         let passes = if passes.exists() { Passes::read(&passes) } else { Ok(Passes::default()) };
         let passes = Arc::new(passes.map_err(|error| error.to_string())?);
@@ -376,7 +378,7 @@ mod tests {
         let host = Host::start(robots, HostOptions::default()).unwrap();
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
-        let door = Door::Sealed(Arc::new(sealed::Guard::new("b".parse().unwrap(), secret, None)));
+        let door = Door::Sealed(Arc::new(sealed::Guard::new("b".parse().unwrap(), secret, None).unwrap()));
         tokio::spawn(serve_behind(listener, host.handle(), 0, door));
         (host, address)
     }
