@@ -77,8 +77,8 @@ pub use message::{
     API_VERSION, AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest,
     ControlResponse, ControlTypes, Device, DeviceReport, Devices, InitializationBlock, InitializationRequest,
     Inquiry, InquiryResponse, Interpolation, Latency, Limits, Message, RequestReport, RequestState,
-    RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step,
-    StopCondition,
+    RevocationList, RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue,
+    Step, StopCondition,
 };
 pub use role::{Proof, Role, Roles};
 #[cfg(feature = "schema")]

@@ -118,7 +118,7 @@ pub use confirmation::Ticket;
 pub use counts::Counts;
 pub use device::{Motion, MotionLimits};
 #[cfg(any(feature = "sealed", feature = "tls"))]
-pub use downbeat_key_file::KeyFileError;
+pub use downbeat_key_file::{KeyFileError, replace};
 #[cfg(feature = "host")]
 pub use downbeat_realtime as realtime;
 #[cfg(feature = "sealed")]

@@ -387,6 +387,7 @@ impl Robot {
                 timestamp: now,
                 status: Status::Failed,
                 error: Some(reason),
+                revocation_list: None,
             }),
         };
         out.push(Output::Send { link, message });

@@ -16,7 +16,6 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 
 use self::connection::{Patience, Shared, carry};
-use self::described::Described;
 pub use self::door::Door;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 use self::door::Key;
@@ -68,7 +67,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
     let Some(places) = Places::new(host.clone(), robot, patience.silence) else { return Ok(()) };
     let strangers = host.strangers();
     let shared =
-        Shared { host: host.clone(), described: Arc::new(Described::default()), strangers, patience };
+        Shared { host: host.clone(), described: Arc::default(), strangers, patience, door: Door::Open };
     loop {
         let stream = listener.accept().await?;
         let peer = Peer::through(&format!("zenoh:{}", stream.name()));
@@ -108,7 +107,7 @@ async fn serve_with(
     let Some(places) = Places::new(host.clone(), robot, patience.silence) else { return Ok(()) };
     let strangers = host.strangers();
     let shared =
-        Shared { host: host.clone(), described: Arc::new(Described::default()), strangers, patience };
+        Shared { host: host.clone(), described: Arc::default(), strangers, patience, door: door.clone() };
     loop {
         let (stream, address) = accept(&listener).await?;
         let peer = Peer::at(address);

@@ -24,6 +24,10 @@ pub struct AvailabilityRequest {
     #[serde(default, deserialize_with = "flag", skip_serializing_if = "is_off")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<bool>"))]
     pub seize: bool,
+    /// A list of revoked keys that the robot should use if it is newer than the robot's own (our extension): the text of the file that the
+    /// authority made. Only for robots that require a proven identity.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub revocation_list: Option<String>,
 }
 
 /// Deserializes a flag; `null` counts as omitted.
@@ -53,6 +57,20 @@ pub struct AvailabilityResponse {
     /// Why the status is `Failed`.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
+    /// The list of revoked keys that the robot uses (our extension). `None` if it has none.
+    #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
+    pub revocation_list: Option<RevocationList>,
+}
+
+/// Identifies the list of revoked keys that a robot uses.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RevocationList {
+    /// Number of the list. A later list has a larger number.
+    pub number: u64,
+    /// Why the robot did not accept the list of the last request on this connection that contained one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
 }
 
 impl AvailabilityResponse {
@@ -70,6 +88,7 @@ impl AvailabilityResponse {
             timestamp: sent,
             status,
             error: None,
+            revocation_list: None,
         }
     }
 }

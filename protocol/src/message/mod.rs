@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::object;
 
-pub use availability::{AvailabilityRequest, AvailabilityResponse};
+pub use availability::{AvailabilityRequest, AvailabilityResponse, RevocationList};
 pub(crate) use control_request::OfUnknownType;
 pub use control_request::{Command, ControlRequest};
 pub use control_response::{ControlResponse, Status, StatusValue};

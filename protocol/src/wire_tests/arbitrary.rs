@@ -9,8 +9,8 @@ use serde_json::{Value, json};
 use crate::{
     AvailabilityRequest, AvailabilityResponse, Command, ControlError, ControlRequest, ControlResponse,
     ControlType, DeviceId, DeviceReport, ErrorCode, InitializationBlock, InitializationRequest, Inquiry,
-    InquiryResponse, Label, Limits, Message, Millis, RequestId, RequestReport, RequestState, Script,
-    SessionId, Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
+    InquiryResponse, Label, Limits, Message, Millis, RequestId, RequestReport, RequestState, RevocationList,
+    Script, SessionId, Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
 };
 
 /// Generates any message.
@@ -149,20 +149,26 @@ fn control_response() -> impl Strategy<Value = ControlResponse> {
 }
 
 fn availability_request() -> impl Strategy<Value = AvailabilityRequest> {
-    (option::of(timestamp()), option::of(text()), any::<bool>()).prop_map(|(timestamp, session, seize)| {
+    let strategy = (option::of(timestamp()), option::of(text()), any::<bool>(), option::of(text()));
+    strategy.prop_map(|(timestamp, session, seize, revocation_list)| {
         let session = session.map(|id| SessionId::new(id).unwrap());
-        AvailabilityRequest { timestamp, session, seize }
+        AvailabilityRequest { timestamp, session, seize, revocation_list }
     })
 }
 
 fn availability_response() -> impl Strategy<Value = AvailabilityResponse> {
-    (option::of(timestamp()), timestamp(), timestamp(), status(), error()).prop_map(
-        |(originate_timestamp, receive_timestamp, timestamp, status, error)| AvailabilityResponse {
-            originate_timestamp,
-            receive_timestamp,
-            timestamp,
-            status,
-            error,
+    let list =
+        (0..1_u64 << 53, option::of(text())).prop_map(|(number, refused)| RevocationList { number, refused });
+    (option::of(timestamp()), timestamp(), timestamp(), status(), error(), option::of(list)).prop_map(
+        |(originate_timestamp, receive_timestamp, timestamp, status, error, revocation_list)| {
+            AvailabilityResponse {
+                originate_timestamp,
+                receive_timestamp,
+                timestamp,
+                status,
+                error,
+                revocation_list,
+            }
         },
     )
 }

@@ -204,7 +204,8 @@ impl Bench {
     fn ask(&mut self, link: u8, session: u8) -> Result<(), Violation> {
         let (link, session) = (self.link(link), operation::session(session));
         let timestamp = Some(Timestamp::from_nanos(BEGIN));
-        let request = AvailabilityRequest { timestamp, session: session.clone(), seize: false };
+        let request =
+            AvailabilityRequest { timestamp, session: session.clone(), seize: false, revocation_list: None };
         let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;
         self.judge.heard(self.now, link, session.as_ref());
         let answered = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
@@ -215,8 +216,12 @@ impl Bench {
     /// Checks that a peer without a proven identity cannot seize the robot, and that its attempt renews no lease.
     fn seize_in_vain(&mut self, link: u8, session: u8) -> Result<(), Violation> {
         let link = self.link(link);
-        let request =
-            AvailabilityRequest { timestamp: None, session: operation::session(session), seize: true };
+        let request = AvailabilityRequest {
+            timestamp: None,
+            session: operation::session(session),
+            seize: true,
+            revocation_list: None,
+        };
         let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;
         let refused = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
             if *to == link && r.status == Status::Failed && r.error.is_some());
@@ -226,7 +231,12 @@ impl Bench {
     /// Seizes the robot as an operator who may do so.
     fn seize(&mut self) -> Result<(), Violation> {
         let session = SessionId::new("an operator's").ok();
-        let request = AvailabilityRequest { timestamp: None, session: session.clone(), seize: true };
+        let request = AvailabilityRequest {
+            timestamp: None,
+            session: session.clone(),
+            seize: true,
+            revocation_list: None,
+        };
         let mut out = self.handle(OPERATOR, Input::Message(Message::AvailabilityRequest(request)))?;
         let answer = out.pop();
         let taken = matches!(&answer, Some(Output::Send { link: OPERATOR, message: Message::AvailabilityResponse(r) })

@@ -1,11 +1,13 @@
 //! Reads files that contain a key, and refuses those that other users can read. Watches files that are replaced while they are in use.
 
+mod replaced;
 mod watched;
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+pub use replaced::replace;
 use rustix::fs::{Mode, OFlags, Stat};
 pub use watched::Watched;
 

@@ -41,6 +41,18 @@ impl Guard {
         self.revoked.as_ref().map(CurrentSerials::list)
     }
 
+    /// Replaces the list of revoked passes with this one, if it is later. Its last line must contain the code that
+    /// [`Secret::proven_list`] adds.
+    ///
+    /// # Errors
+    /// A sentence with the reason why the list is not used.
+    pub fn replace_list(&self, text: &str) -> Result<(), String> {
+        let revoked = self.revoked.as_ref();
+        let revoked = revoked.ok_or("the robot has no list of revoked keys; start it with --revoked")?;
+        let list = self.secret.list(text).ok_or("the list is not for this robot, or was altered")?;
+        revoked.replace(list)
+    }
+
     /// Returns the pass with which the operator must prove its claim, or the reason for refusing the claim.
     fn judge(&self, hello: &Hello, now: i64) -> Result<Pass, Refused> {
         if hello.robot != self.robot {

@@ -47,7 +47,11 @@ pub struct Serials {
 impl Serials {
     fn read(path: &Path) -> Result<Self, KeyFileError> {
         let text = read_regular(path, BYTES_MAX)?;
-        let text = String::from_utf8_lossy(&text);
+        Self::of_text(&String::from_utf8_lossy(&text), path)
+    }
+
+    /// Reads a list from its text. `path` is the name of the file in errors.
+    fn of_text(text: &str, path: &Path) -> Result<Self, KeyFileError> {
         let number = text.lines().find_map(|line| line.strip_prefix(NUMBER)?.parse().ok());
         let lines = text.lines().filter(|line| !line.starts_with('#') && !line.is_empty());
         let is_serial =
@@ -78,12 +82,28 @@ impl Serials {
 /// A list that is read again when its file changes. An older list does not replace it.
 #[derive(Debug)]
 pub(super) struct CurrentSerials {
+    path: PathBuf,
     file: Watched<Serials>,
 }
 
 impl CurrentSerials {
     pub(super) fn new(revoked: &RevokedSerials) -> Result<Self, KeyFileError> {
-        Ok(Self { file: Watched::new(&revoked.path, Serials::read)? })
+        Ok(Self { path: revoked.path.clone(), file: Watched::new(&revoked.path, Serials::read)? })
+    }
+
+    /// Replaces the file with this list, unless the list in use is as new.
+    pub(super) fn replace(&self, text: &str) -> Result<(), String> {
+        let before = self.list();
+        let list = Serials::of_text(text, &self.path).map_err(|error| error.to_string())?;
+        if list.number < before.number {
+            return Err("the list is older than the one in use".to_owned());
+        }
+        if list.number > before.number {
+            downbeat_key_file::replace(&self.path, text.as_bytes(), 0o644)
+                .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
+            self.list();
+        }
+        Ok(())
     }
 
     /// Returns the current list. If the file contains no later list, this is the previous one.

@@ -16,6 +16,11 @@ const BYTES: usize = 32;
 /// Text that precedes the claim when a pass is computed, as a code over both.
 const OF_A_PASS: &[u8] = b"urrcp pass 1\n";
 
+/// Text that precedes a list of revoked passes when its code is computed.
+const OF_A_LIST: &[u8] = b"urrcp revoked 1\n";
+/// Text before the code in the last line of a list of revoked passes.
+const CODE: &str = "# code ";
+
 /// Returns a code over the concatenation of several parts.
 pub(super) fn code(key: &[u8; BYTES], parts: &[&[u8]]) -> Hmac<Sha256> {
     // RFC 2104 pads a shorter key with zeros to the block size of the hash function.
@@ -82,6 +87,20 @@ impl Secret {
     pub fn text(&self, robot: &RobotId) -> String {
         let robot = super::claim::encoded(robot.as_str());
         format!("# The secret of robot {robot}. Copy it to this robot alone.\n{}\n", hex::hex(&self.0))
+    }
+
+    /// Returns a list of revoked passes with a last line that proves to the robot with this secret that the authority made the list.
+    #[must_use]
+    pub fn proven_list(&self, list: &str) -> String {
+        let proof = code(&self.0, &[OF_A_LIST, list.as_bytes()]).finalize().into_bytes();
+        format!("{list}{CODE}{}\n", hex::hex(&proof))
+    }
+
+    /// Returns the list from a text that [`Secret::proven_list`] made with this secret; `None` for any other text.
+    pub(super) fn list<'a>(&self, proven: &'a str) -> Option<&'a str> {
+        let (list, proof) = proven.strip_suffix('\n')?.rsplit_once(CODE)?;
+        let proof = hex::bytes::<BYTES>(proof)?;
+        code(&self.0, &[OF_A_LIST, list.as_bytes()]).verify(&proof.into()).is_ok().then_some(list)
     }
 
     /// Returns the pass with which an operator proves this claim to the robot that has this secret.

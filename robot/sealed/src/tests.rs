@@ -396,3 +396,32 @@ fn a_pass_counts_up_to_the_second_in_which_it_expires() {
     assert!(guard.judge(&hello, 1_000).is_ok());
     assert!(matches!(guard.judge(&hello, 1_001), Err(Refused::Expired)));
 }
+
+#[test]
+fn a_list_that_a_peer_sends_is_stored_only_with_the_code_of_the_authority() {
+    let path = std::env::temp_dir().join(format!("downbeat-sent-{}", std::process::id()));
+    std::fs::write(&path, "# number 5\n").unwrap();
+    let secret = Secret::generate().unwrap();
+    let list = RevokedSerials::in_file(&path).unwrap();
+    let guard = Guard::new("cf1".parse().unwrap(), secret.clone(), Some(&list)).unwrap();
+    let stored = || std::fs::read_to_string(&path).unwrap();
+    let later = "# number 6\n0a:1b\n";
+    let proven = secret.proven_list(later);
+    let altered = proven.replace("0a:1b", "0a:1c");
+    let other = Secret::generate().unwrap().proven_list(later);
+    let without_end = proven.trim_end();
+    for refused in [later, altered.as_str(), other.as_str(), without_end, "", "# code \n"] {
+        let error = guard.replace_list(refused).unwrap_err();
+        assert_eq!(
+            (error.as_str(), stored().as_str()),
+            ("the list is not for this robot, or was altered", "# number 5\n")
+        );
+    }
+    assert_eq!(
+        guard.replace_list(&secret.proven_list("# number 4\n")).unwrap_err(),
+        "the list is older than the one in use"
+    );
+    guard.replace_list(&proven).unwrap();
+    assert_eq!((stored().as_str(), guard.list().unwrap().contains("0a:1b")), (later, true));
+    std::fs::remove_file(&path).unwrap();
+}

@@ -88,6 +88,7 @@ impl Robot {
                 timestamp: now,
                 status: Status::Failed,
                 error: Some(error),
+                revocation_list: None,
             }),
         };
         out.push(Output::Send { link, message });

@@ -4,19 +4,20 @@
 
 use std::future::poll_fn;
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use urrcp::{
-    Command, DecodeError, Decoder, Encoding, InitializationBlock, LINE_BYTES_MAX, Message, SessionId,
-    encode_as,
+    Command, DecodeError, Decoder, Encoding, InitializationBlock, LINE_BYTES_MAX, Message, RevocationList,
+    SessionId, encode_as,
 };
 
 use super::described::Described;
+use super::door::Door;
 use super::places::Ticket;
 use crate::budget::{Budget, Strangers};
 use crate::hardware::Standing;
@@ -72,6 +73,7 @@ pub(super) struct Shared {
     pub(super) host: HostHandle,
     pub(super) described: Arc<Described>,
     pub(super) strangers: Arc<Strangers>,
+    pub(super) door: Door,
     pub(super) patience: Patience,
 }
 
@@ -94,6 +96,7 @@ where
     // Responses use the encoding of the peer's last message.
     let (heard, encoding) = watch::channel(Encoding::Json);
     let being_written = AtomicBool::new(false);
+    let list_refused = Mutex::new(None);
     let reading = Reading {
         reader,
         decoder: Decoder::new(LINE_BYTES_MAX).that_knows(shared.host.scripts().clone()),
@@ -109,8 +112,9 @@ where
         long_line: None,
         longest,
         being_written: &being_written,
+        list_refused: &list_refused,
     };
-    let mut writing = Writing { writer, peer, shared, bytes: Vec::new() };
+    let mut writing = Writing { writer, peer, shared, bytes: Vec::new(), list_refused: &list_refused };
     // Both directions must always make progress: when it is the peer's turn among strangers, its input must take the turn at once, or it
     // would block the others.
     let writing = async {
@@ -142,14 +146,16 @@ where
 }
 
 /// Sends the robot's messages to a peer.
-struct Writing<W> {
+struct Writing<'a, W> {
     writer: W,
     peer: Peer,
     shared: Shared,
     bytes: Vec<u8>,
+    /// Why the last list of revoked keys that the peer sent is not used.
+    list_refused: &'a Mutex<Option<String>>,
 }
 
-impl<W: AsyncWrite + Unpin> Writing<W> {
+impl<W: AsyncWrite + Unpin> Writing<'_, W> {
     /// Writes an event and all further available messages of the robot. Returns false once the robot has closed the link.
     async fn tell(
         &mut self,
@@ -163,7 +169,12 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
                 Some(LinkEvent::Message(Message::InitializationBlock(block))) => {
                     self.describe(block, encoding).await?;
                 }
-                Some(LinkEvent::Message(message)) => encode_as(encoding, &message, &mut self.bytes),
+                Some(LinkEvent::Message(mut message)) => {
+                    if let Message::AvailabilityResponse(response) = &mut message {
+                        response.revocation_list = self.revocation_list();
+                    }
+                    encode_as(encoding, &message, &mut self.bytes);
+                }
                 Some(LinkEvent::Closed) | None => return Ok(false),
             }
             if self.bytes.len() >= WRITE_BATCH {
@@ -174,6 +185,13 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
                 more => more,
             };
         }
+    }
+
+    fn revocation_list(&self) -> Option<RevocationList> {
+        let refused = self.list_refused.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let number = self.shared.door.list_number();
+        (number.is_some() || refused.is_some())
+            .then(|| RevocationList { number: number.unwrap_or_default(), refused })
     }
 
     /// Sends the robot's description. It is encoded once for all connections, and not copied.
@@ -230,6 +248,7 @@ struct Reading<'a, R> {
     longest: usize,
     /// Whether messages of the robot are being written to the peer.
     being_written: &'a AtomicBool,
+    list_refused: &'a Mutex<Option<String>>,
 }
 
 type Decoded = Result<Message, DecodeError>;
@@ -401,7 +420,22 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         decoded
     }
 
-    async fn deliver(&mut self, decoded: Decoded) {
+    /// Takes over a list of revoked keys that the peer sends with a request.
+    async fn take_list(&self, decoded: &mut Decoded) {
+        let Ok(Message::AvailabilityRequest(request)) = decoded else { return };
+        let Some(list) = request.revocation_list.take() else { return };
+        let door = self.shared.door.clone();
+        // Storing the list waits for the disk.
+        let taken = tokio::task::spawn_blocking(move || door.replace_list(&list)).await;
+        let refused = taken.ok().and_then(Result::err);
+        if let Some(reason) = &refused {
+            tracing::warn!(peer = %self.peer, "the previous list of revoked keys remains in use: {reason}");
+        }
+        *self.list_refused.lock().unwrap_or_else(PoisonError::into_inner) = refused;
+    }
+
+    async fn deliver(&mut self, mut decoded: Decoded) {
+        self.take_list(&mut decoded).await;
         if let Ok(message) = &decoded {
             if let Some(session) = session_of(message) {
                 let peer = self.peer.name().cloned();

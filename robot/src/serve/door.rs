@@ -32,6 +32,31 @@ pub enum Door {
     Sealed(Arc<sealed::Guard>),
 }
 
+impl Door {
+    /// Replaces the robot's list of revoked keys with this one, if it is later.
+    #[cfg_attr(not(any(feature = "sealed", feature = "tls")), expect(unused_variables))]
+    pub(super) fn replace_list(&self, text: &str) -> Result<(), String> {
+        match self {
+            Self::Open => Err("the robot accepts all peers, and has no list of revoked keys".to_owned()),
+            #[cfg(feature = "tls")]
+            Self::Tls(guard) => guard.replace_list(text),
+            #[cfg(feature = "sealed")]
+            Self::Sealed(guard) => guard.replace_list(text),
+        }
+    }
+
+    /// Returns the number of the robot's list of revoked keys. `None` if it has no list.
+    pub(super) fn list_number(&self) -> Option<u64> {
+        match self {
+            Self::Open => None,
+            #[cfg(feature = "tls")]
+            Self::Tls(guard) => guard.list()?.number(),
+            #[cfg(feature = "sealed")]
+            Self::Sealed(guard) => guard.list().map(|list| list.number()),
+        }
+    }
+}
+
 /// The key with which a peer has proven its identity.
 #[cfg(any(feature = "sealed", feature = "tls"))]
 #[derive(Clone, Debug)]

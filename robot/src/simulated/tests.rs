@@ -64,6 +64,7 @@ fn ping(sent: i64) -> Input {
         timestamp,
         session: None,
         seize: false,
+        revocation_list: None,
     }))
 }
 

@@ -13,6 +13,8 @@ use super::credentials::Credentials;
 use super::identity::Identity;
 use super::revoked::{CurrentList, List, Revoked};
 
+const NO_LIST: &str = "the robot has no list of revoked keys; start it with --revoked";
+
 /// Proves a robot's identity and checks that of its peers. Admits operators with a certificate that the robot's authority issued and that
 /// is not revoked.
 #[derive(Debug)]
@@ -45,6 +47,15 @@ impl Guard {
     #[must_use]
     pub fn list(&self) -> Option<Arc<List>> {
         self.revoked.as_ref().map(CurrentList::list)
+    }
+
+    /// Replaces the list of revoked certificates with this one, in PEM, if it is later.
+    ///
+    /// # Errors
+    /// A sentence with the reason why the list is not used.
+    pub fn replace_list(&self, text: &str) -> Result<(), String> {
+        let revoked = self.revoked.as_ref().ok_or(NO_LIST)?;
+        revoked.replace(text)
     }
 
     /// Returns the TLS configuration with the current list of revoked certificates.

@@ -30,7 +30,7 @@ impl Revoked {
     /// # Errors
     /// The file cannot be read now.
     pub fn in_file(path: &Path) -> Result<Self, CredentialsError> {
-        der(path)?;
+        der(&read_regular(path, BYTES_MAX)?, path)?;
         Ok(Self { path: path.into() })
     }
 
@@ -59,7 +59,12 @@ pub struct List {
 
 impl List {
     fn read(path: &Path, authority: &CertificateDer<'_>) -> Result<Self, CredentialsError> {
-        let der = der(path)?;
+        Self::of_pem(&read_regular(path, BYTES_MAX)?, path, authority)
+    }
+
+    /// Reads a list from its text. `path` is the name of the file in errors.
+    fn of_pem(text: &[u8], path: &Path, authority: &CertificateDer<'_>) -> Result<Self, CredentialsError> {
+        let der = der(text, path)?;
         let no_list = || CredentialsError::NoList { path: path.into() };
         let (_, list) = CertificateRevocationList::from_der(&der).map_err(|_| no_list())?;
         if !is_signed_by(&list, authority) {
@@ -105,9 +110,8 @@ impl List {
     }
 }
 
-fn der(path: &Path) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
-    let text = read_regular(path, BYTES_MAX)?;
-    CertificateRevocationListDer::from_pem_slice(&text)
+fn der(text: &[u8], path: &Path) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
+    CertificateRevocationListDer::from_pem_slice(text)
         .map_err(|_| CredentialsError::NoList { path: path.into() })
 }
 
@@ -125,6 +129,7 @@ fn is_signed_by(list: &CertificateRevocationList<'_>, authority: &CertificateDer
 /// A list that is read again when its file changes. Only a later list of the same authority replaces it.
 #[derive(Debug)]
 pub(super) struct CurrentList {
+    path: PathBuf,
     authority: CertificateDer<'static>,
     file: Watched<List>,
     /// Whether a warning about the overdue list was logged.
@@ -135,7 +140,24 @@ impl CurrentList {
     pub(super) fn new(revoked: &Revoked, authority: &CertificateDer<'static>) -> Result<Self, String> {
         let file = Watched::new(&revoked.path, |path| List::read(path, authority));
         let file = file.map_err(|error| error.to_string())?;
-        Ok(Self { authority: authority.clone(), file, warned: AtomicBool::new(false) })
+        let path = revoked.path.clone();
+        Ok(Self { path, authority: authority.clone(), file, warned: AtomicBool::new(false) })
+    }
+
+    /// Replaces the file with this list, unless the list in use is as new.
+    pub(super) fn replace(&self, text: &str) -> Result<(), String> {
+        let before = self.list();
+        let list = List::of_pem(text.as_bytes(), &self.path, &self.authority);
+        let list = list.map_err(|error| error.to_string())?;
+        if list.is_older_than(&before) {
+            return Err("the list is older than the one in use".to_owned());
+        }
+        if before.is_older_than(&list) {
+            downbeat_key_file::replace(&self.path, text.as_bytes(), 0o644)
+                .map_err(|error| format!("cannot write {}: {error}", self.path.display()))?;
+            self.list();
+        }
+        Ok(())
     }
 
     /// Returns the current list. If the file contains no later list of the authority, this is the previous one: it neither admits revoked

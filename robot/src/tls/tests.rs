@@ -234,3 +234,26 @@ fn a_list_knows_whom_it_revokes_and_when_the_next_one_is_due() {
     let in_2026 = 1_795_000_000;
     assert_eq!([&none, &one, &overdue].map(|list| list.is_overdue(in_2026)), [false, false, true]);
 }
+
+#[test]
+fn a_list_that_a_peer_sends_is_stored_only_if_it_is_a_later_one_of_the_authority() {
+    let folder = Folder::new();
+    let guard = Guard::new(folder.credentials("robot"), Some(folder.list())).unwrap();
+    let text = |name: &str| std::fs::read_to_string(folder.copy(name, "sent")).unwrap();
+    let stored = || std::fs::read_to_string(folder.0.join("revoked.pem")).unwrap();
+    let none = stored();
+    for refused in ["of-another-authority.pem", "forged.pem", "anna.pem"] {
+        assert!(guard.replace_list(&text(refused)).is_err(), "{refused}");
+        assert_eq!(stored(), none, "{refused}");
+    }
+    guard.replace_list(&text("anna-revoked.pem")).unwrap();
+    assert_eq!((stored(), guard.list().unwrap().number()), (text("anna-revoked.pem"), Some(2)));
+    guard.replace_list(&text("anna-revoked.pem")).unwrap();
+    let older = guard.replace_list(&text("none-revoked.pem")).unwrap_err();
+    assert_eq!(
+        (older.as_str(), stored()),
+        ("the list is older than the one in use", text("anna-revoked.pem"))
+    );
+    let without = Guard::new(folder.credentials("robot"), None).unwrap();
+    assert!(without.replace_list(&text("anna-revoked.pem")).unwrap_err().contains("--revoked"));
+}

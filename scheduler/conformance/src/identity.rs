@@ -231,8 +231,12 @@ pub(super) fn claim(
     line: &mut Line,
     name: &SessionId,
 ) -> Result<(String, Received<AvailabilityResponse>), Unmet> {
-    let request =
-        AvailabilityRequest { timestamp: Some(trial.stamp()), session: Some(name.clone()), seize: false };
+    let request = AvailabilityRequest {
+        timestamp: Some(trial.stamp()),
+        session: Some(name.clone()),
+        seize: false,
+        revocation_list: None,
+    };
     let sent = line.say(&Message::AvailabilityRequest(request))?;
     match line.other(trial.patience())? {
         Some(Received { at, text, message: Message::AvailabilityResponse(message) }) => {

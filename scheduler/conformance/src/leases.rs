@@ -299,7 +299,12 @@ fn chatter(trial: &Trial, line: &mut Line, bytes: &dyn Fn() -> Vec<u8>, span: Sp
 
 fn presence(trial: &Trial) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let request = AvailabilityRequest { timestamp: Some(trial.stamp()), session: None, seize: false };
+    let request = AvailabilityRequest {
+        timestamp: Some(trial.stamp()),
+        session: None,
+        seize: false,
+        revocation_list: None,
+    };
     urrcp::encode(&Message::AvailabilityRequest(request), &mut bytes);
     bytes
 }
@@ -370,7 +375,12 @@ fn sends_rejected_requests(trial: &Trial, session: &SessionId) -> Result<Vec<u8>
     let actor = trial.actor()?;
     let (named, timestamp) = (Some(session.clone()), Some(trial.stamp()));
     let mut messages = vec![
-        Message::AvailabilityRequest(AvailabilityRequest { timestamp, session: named.clone(), seize: false }),
+        Message::AvailabilityRequest(AvailabilityRequest {
+            timestamp,
+            session: named.clone(),
+            seize: false,
+            revocation_list: None,
+        }),
         Message::ControlRequest(ControlRequest { session: named.clone(), ..trial.pending(actor) }),
         Message::ControlRequest(trial.cancel(actor)),
     ];

@@ -340,8 +340,12 @@ impl<'a> Line<'a> {
     pub(super) fn availability(
         &mut self,
     ) -> Result<(String, Timestamp<Server>, Received<AvailabilityResponse>), Unmet> {
-        let request =
-            AvailabilityRequest { timestamp: Some(self.trial.stamp()), session: None, seize: false };
+        let request = AvailabilityRequest {
+            timestamp: Some(self.trial.stamp()),
+            session: None,
+            seize: false,
+            revocation_list: None,
+        };
         let sent_at = self.trial.now();
         let sent = self.say(&Message::AvailabilityRequest(request))?;
         let until = self.trial.patience();

@@ -117,7 +117,12 @@ fn held(trial: &Trial) -> Result<&Held, Unmet> {
 }
 
 fn availability() -> Message {
-    Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None, seize: false })
+    Message::AvailabilityRequest(AvailabilityRequest {
+        timestamp: None,
+        session: None,
+        seize: false,
+        revocation_list: None,
+    })
 }
 
 /// Opens a connection without proving an identity.

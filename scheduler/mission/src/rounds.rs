@@ -131,7 +131,8 @@ impl Mission {
         state.exchanges.asked(now, named.len().max(1));
         let session = self.options.session_on_the_wire();
         if !state.takes_inquiries() {
-            let request = AvailabilityRequest { timestamp: Some(now), session, seize: false };
+            let request =
+                AvailabilityRequest { timestamp: Some(now), session, seize: false, revocation_list: None };
             return self.post(now, robot, Message::AvailabilityRequest(request));
         }
         let plain = Inquiry { timestamp: Some(now), session, ..Inquiry::default() };
@@ -153,7 +154,7 @@ impl Mission {
         self.robots[robot].exchanges.asked(now, 1);
         let session = self.options.session_on_the_wire();
         let seize = self.robots[robot].ownership == Ownership::Seizing;
-        let request = AvailabilityRequest { timestamp: Some(now), session, seize };
+        let request = AvailabilityRequest { timestamp: Some(now), session, seize, revocation_list: None };
         self.post(now, robot, Message::AvailabilityRequest(request));
     }
 

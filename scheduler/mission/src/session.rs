@@ -213,7 +213,12 @@ mod tests {
     fn messages_are_kept_without_the_key() {
         let key = SessionKey::random().unwrap();
         let session = Session::with_key(name(), &key).unwrap().on_the_wire().clone();
-        let asked = AvailabilityRequest { timestamp: None, session: Some(session.clone()), seize: false };
+        let asked = AvailabilityRequest {
+            timestamp: None,
+            session: Some(session.clone()),
+            seize: false,
+            revocation_list: None,
+        };
         let inquiry = Inquiry { session: Some(session), ..Inquiry::default() };
         for message in [Message::AvailabilityRequest(asked), Message::Inquiry(inquiry)] {
             let kept = serde_json::to_string(&without_key(message)).unwrap();

@@ -192,6 +192,7 @@ impl RobotDialogue {
             timestamp: Some(sent),
             session,
             seize: false,
+            revocation_list: None,
         }))?;
         let until = sent + self.patience;
         while let Some((at, event)) = self.next(until).await? {

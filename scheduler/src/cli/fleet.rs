@@ -6,12 +6,13 @@ use clap::{Args, Subcommand};
 use downbeat_robot::HostOptions;
 use downbeat_robot::driver::describe_thrift;
 use downbeat_scripts::{
-    Address, ClockMode, Fleet, FleetRobot, Protection, Source, address_fault, init_of, init_text,
+    Address, ClockMode, Fleet, FleetRobot, Protection, Source, address_fault, counted, init_of, init_text,
 };
 use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{
-    AvailabilityRequest, InitializationBlock, InitializationRequest, Message, RobotId, Span, Status,
+    AvailabilityRequest, InitializationBlock, InitializationRequest, Message, RevocationList, RobotId, Span,
+    Status,
 };
 
 use super::drivers::DriverArgs;
@@ -20,6 +21,7 @@ use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::fleet::{self, Drivers, StartPrograms};
+use crate::keys::calendar;
 use crate::link::{Endpoint, Link, LinkEncoding, Security};
 use crate::mission::Event;
 use crate::server_clock::ServerClock;
@@ -117,11 +119,14 @@ const SAMPLES: u32 = 8;
 
 /// The response of one robot, or the reason for its absence.
 #[derive(Debug, Serialize)]
-struct Answer {
-    robot: RobotId,
+pub(super) struct Answer {
+    pub(super) robot: RobotId,
     reachable: bool,
     clock: Option<ClockReading>,
-    problem: Option<String>,
+    pub(super) problem: Option<String>,
+    /// The list of revoked keys that the robot uses.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) revocation_list: Option<RevocationList>,
     #[serde(skip_serializing_if = "Option::is_none")]
     block: Option<InitializationBlock>,
 }
@@ -137,7 +142,9 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     super::with_runtime(async {
-        let mut answers = match ask_all(&fleet, args.drivers.of(args.programs.asked()), args.patience).await {
+        let robots: Vec<Asked<'_>> = fleet.robots.iter().map(|robot| (robot, None)).collect();
+        let drivers = args.drivers.of(args.programs.asked());
+        let mut answers = match ask_all(&fleet, robots, drivers, args.patience).await {
             Ok(answers) => answers,
             Err(message) => {
                 console::error(&message);
@@ -147,6 +154,7 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         for (answer, robot) in answers.iter_mut().zip(&fleet.robots) {
             answer.problem = answer.problem.take().or_else(|| wrong_with(answer, robot, tolerance));
         }
+        note_older_lists(&mut answers);
         let all_well = answers.iter().all(|answer| answer.problem.is_none());
         match (format, command) {
             (Format::Json, _) => console::print_json(&answers),
@@ -242,7 +250,7 @@ fn ask_block(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, 
         let clock = ServerClock::anchored(Span::ZERO);
         let (events, happened) = mpsc::channel(64);
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
-        let answer = ask(unnamed(), link, happened, clock, patience).await;
+        let answer = ask((unnamed(), None), link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
         told = answer.block.ok_or(problem);
         Exit::Done
@@ -255,19 +263,28 @@ fn unnamed() -> RobotId {
     "robot".parse().expect("a constant below every limit")
 }
 
-async fn ask_all(fleet: &Fleet, drivers: Drivers, patience: Span) -> Result<Vec<Answer>, String> {
+/// A robot that is asked, and the list of revoked keys that is sent to it, if any.
+pub(super) type Asked<'a> = (&'a FleetRobot, Option<String>);
+
+/// Asks these robots of a fleet for their descriptions and clocks, and sends each the list of revoked keys next to it, if there is one.
+pub(super) async fn ask_all(
+    fleet: &Fleet,
+    asked: Vec<Asked<'_>>,
+    drivers: Drivers,
+    patience: Span,
+) -> Result<Vec<Answer>, String> {
     let clock = ServerClock::anchored(Span::ZERO);
-    let robots: Vec<&FleetRobot> = fleet.robots.iter().collect();
+    let (robots, lists): (Vec<&FleetRobot>, Vec<Option<String>>) = asked.into_iter().unzip();
     let site = identity::site(fleet)?;
     let (host, endpoints) =
         fleet::endpoints(&robots, fleet.handshake, &site, HostOptions::default(), drivers)
             .map_err(|error| error.to_string())?;
-    let asked = robots.iter().zip(endpoints).map(|(robot, endpoint)| {
+    let asked = robots.iter().zip(lists).zip(endpoints).map(|((robot, list), endpoint)| {
         let (events, happened) = mpsc::channel(64);
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let id = robot.id.clone();
         // Each robot has its own task, so that a silent robot does not delay others. The task ends after `patience`.
-        tokio::spawn(ask(id, link, happened, clock, patience))
+        tokio::spawn(ask((id, list), link, happened, clock, patience))
     });
     let mut answers = Vec::new();
     for task in asked.collect::<Vec<_>>() {
@@ -280,13 +297,14 @@ async fn ask_all(fleet: &Fleet, drivers: Drivers, patience: Span) -> Result<Vec<
 }
 
 async fn ask(
-    robot: RobotId,
+    (robot, mut list): (RobotId, Option<String>),
     link: Link,
     mut happened: mpsc::Receiver<Happened>,
     clock: ServerClock,
     patience: Span,
 ) -> Answer {
-    let mut answer = Answer { robot, reachable: false, clock: None, problem: None, block: None };
+    let mut answer =
+        Answer { robot, reachable: false, clock: None, problem: None, revocation_list: None, block: None };
     let mut estimate = ClockEstimate::default();
     let talk = async {
         while let Some(Happened::OnLink { at, event, .. }) = happened.recv().await {
@@ -295,9 +313,10 @@ async fn ask(
                     answer.reachable = true;
                     let request = InitializationRequest { timestamp: Some(clock.now()) };
                     let _never_full = link.send(Message::InitializationRequest(request), Urgency::InOrder);
-                    ping(&link, &clock);
+                    ping(&link, &clock, list.take());
                 }
                 Event::Received { message: Message::AvailabilityResponse(response), .. } => {
+                    answer.revocation_list = response.revocation_list;
                     if response.status == Status::Failed {
                         return Some(
                             response.error.map_or("not available".to_owned(), |error| error.to_string()),
@@ -313,7 +332,7 @@ async fn ask(
                         estimate.add(sample);
                     }
                     match estimate.samples() < SAMPLES {
-                        true => ping(&link, &clock),
+                        true => ping(&link, &clock, None),
                         false if answer.block.is_some() => return None,
                         false => {}
                     }
@@ -337,13 +356,16 @@ async fn ask(
     answer
 }
 
-fn ping(link: &Link, clock: &ServerClock) {
-    let request = AvailabilityRequest { timestamp: Some(clock.now()), session: None, seize: false };
+fn ping(link: &Link, clock: &ServerClock, revocation_list: Option<String>) {
+    let timestamp = Some(clock.now());
+    let request = AvailabilityRequest { timestamp, session: None, seize: false, revocation_list };
     let _never_full = link.send(Message::AvailabilityRequest(request), Urgency::InOrder);
 }
 
 fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
-    let header = ["robot", "address", "answers", "least delay", "clock offset", "uncertainty"];
+    let has_lists = answers.iter().any(|answer| answer.revocation_list.is_some());
+    let mut header = vec!["robot", "address", "answers", "least delay", "clock offset", "uncertainty"];
+    header.extend(has_lists.then_some("list of revoked keys"));
     let mut table = Rows::new(&header, 3);
     for (answer, robot) in answers.iter().zip(&fleet.robots) {
         let state = match (answer.reachable, &answer.problem) {
@@ -354,17 +376,49 @@ fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
         let clock = |value: fn(&ClockReading) -> Span| {
             answer.clock.as_ref().map_or_else(|| "-".to_owned(), |reading| value(reading).to_string())
         };
-        table.add([
+        let mut row = vec![
             answer.robot.to_string(),
             robot.address.to_string(),
             state.to_owned(),
             clock(|reading| reading.delay_min),
             clock(|reading| reading.offset),
             clock(|reading| reading.uncertainty),
-        ]);
+        ];
+        row.extend(has_lists.then(|| {
+            answer.revocation_list.as_ref().map_or_else(|| "none".to_owned(), |list| shown_list(list.number))
+        }));
+        table.add(row);
     }
     let wrong = |row: usize| answers[row].problem.is_some();
     table.painted(console::columns(), |row, line| if wrong(row) { console::red(&line) } else { line })
+}
+
+/// Returns the number of a list of revoked keys, with its age if `downbeat keys` made it: its number is then the second in which it was
+/// made.
+pub(super) fn shown_list(number: u64) -> String {
+    const OLDEST: u64 = 1_700_000_000;
+    const DAY: u64 = 24 * 3_600;
+    let now = u64::try_from(calendar()).unwrap_or_default();
+    if !(OLDEST..=now + DAY).contains(&number) {
+        return number.to_string();
+    }
+    match now.saturating_sub(number) / DAY {
+        0 => format!("{number}, less than a day old"),
+        days => format!("{number}, {} old", counted(usize::try_from(days).unwrap_or(usize::MAX), "day")),
+    }
+}
+
+/// Adds a problem to each robot that uses an older list of revoked keys than another one.
+fn note_older_lists(answers: &mut [Answer]) {
+    let number = |answer: &Answer| answer.revocation_list.as_ref().map(|list| list.number);
+    let Some(newest) = answers.iter().filter_map(number).max() else { return };
+    for answer in answers.iter_mut().filter(|answer| answer.problem.is_none()) {
+        if number(answer).is_some_and(|number| number < newest) {
+            answer.problem = Some(format!(
+                "its list of revoked keys is older than list {newest} of another robot; send it the latest list with `downbeat keys push`"
+            ));
+        }
+    }
 }
 
 fn show_table(answers: &[Answer]) -> String {

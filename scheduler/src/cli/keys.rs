@@ -6,10 +6,12 @@ use std::path::PathBuf;
 use clap::Subcommand;
 use downbeat_robot::tls::Name;
 use downbeat_robot::{Role, Roles};
+use downbeat_scripts::counted;
 use downbeat_scripts::shown::shown;
 use urrcp::RobotId;
 
-use super::{Exit, Format, console};
+use super::push::{self, PushArgs};
+use super::{Exit, Format, ProjectArgs, console};
 use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, calendar};
 use crate::show::table::Rows;
 
@@ -44,7 +46,9 @@ pub(super) enum KeysCommand {
     /// Make a new key for a robot or an operator. The old one remains valid until it expires or is revoked.
     Renew(RenewArgs),
     /// Revoke all keys of a robot or an operator, including its secret and passes.
-    Revoke(NamedArgs),
+    Revoke(RevokeArgs),
+    /// Send the list of revoked keys to the robots of a fleet.
+    Push(PushArgs),
     /// List all certificates and secrets.
     List(FolderArgs),
 }
@@ -54,7 +58,7 @@ pub(super) enum KeysCommand {
 pub(super) struct FolderArgs {
     /// The folder of the authority.
     #[arg(long, value_name = "FOLDER", default_value = "keys")]
-    keys: PathBuf,
+    pub(super) keys: PathBuf,
 }
 
 #[derive(Debug, clap::Args)]
@@ -137,6 +141,20 @@ impl NamedArgs {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  downbeat keys revoke cf2
+  downbeat keys revoke --operator anna --fleet fleet.yaml")]
+pub(super) struct RevokeArgs {
+    #[command(flatten)]
+    named: NamedArgs,
+    /// Then send the list of revoked keys to the robots of this fleet, as `downbeat keys push` does.
+    #[arg(long, value_name = "FILE")]
+    fleet: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
+}
+
+#[derive(Debug, clap::Args)]
 pub(super) struct RenewArgs {
     #[command(flatten)]
     named: NamedArgs,
@@ -169,7 +187,11 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
         }
         KeysCommand::Secret(args) => secret(args, format),
         KeysCommand::Renew(args) => renew(args, format),
-        KeysCommand::Revoke(args) => revoke(args, format),
+        KeysCommand::Revoke(args) => match revoke(args, format) {
+            Ok(exit) => return exit,
+            Err(error) => Err(error),
+        },
+        KeysCommand::Push(args) => return push::push(args, format),
         KeysCommand::List(args) => list(args, format),
     };
     match done {
@@ -261,23 +283,31 @@ fn tell<'a>(made: impl Iterator<Item = (&'a Name, &'a PathBuf)>, days: i64, form
     }
 }
 
-fn revoke(args: &NamedArgs, format: Format) -> Result<(), KeysError> {
-    let authority = Authority::open(&args.folder.keys)?;
-    let Some(name) = args.name() else { return Ok(()) };
+fn revoke(args: &RevokeArgs, format: Format) -> Result<Exit, KeysError> {
+    let RevokeArgs { named, fleet, project } = args;
+    let authority = Authority::open(&named.folder.keys)?;
+    let Some(name) = named.name() else { return Ok(Exit::Done) };
     let revoked = authority.revoke(&name, calendar())?;
     let (list, serials) = (authority.revoked(), authority.revoked_serials());
     match format {
         Format::Json => console::print_json(
             &serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list, "serials": serials }),
         ),
-        Format::Text => console::print(&format!(
-            "revoked {revoked} of {}; now copy {} to every robot, and {} to robots with a secret: a robot with an old list still accepts what was revoked\n",
-            shown(&name.to_string()),
-            shown(&list.display().to_string()),
-            shown(&serials.display().to_string())
-        )),
+        Format::Text => {
+            console::print(&format!("revoked {} of {}\n", counted(revoked, "key"), shown(&name.to_string())));
+            if fleet.is_none() {
+                console::print(&format!(
+                    "next: `downbeat keys push FLEET`, or copy {} to every robot, and {} to every robot with a secret; a robot with an old list still accepts revoked keys\n",
+                    shown(&list.display().to_string()),
+                    shown(&serials.display().to_string())
+                ));
+            }
+        }
     }
-    Ok(())
+    // The folder is locked while the authority is open.
+    drop(authority);
+    let push = |fleet| push::push_to(fleet, project, &named.folder, PushArgs::PATIENCE, format);
+    Ok(fleet.as_deref().map_or(Exit::Done, push))
 }
 
 fn list(args: &FolderArgs, format: Format) -> Result<(), KeysError> {

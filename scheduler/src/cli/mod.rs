@@ -37,6 +37,7 @@ mod missions;
 mod moves;
 mod outlet;
 mod plan;
+mod push;
 mod realtime;
 mod report;
 mod resume;

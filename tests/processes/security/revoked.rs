@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use stage::session::Ran;
+use stage::site::Site;
 
 use super::seize::anna_plays;
 
@@ -50,4 +51,71 @@ fn a_list_of_another_authority_shuts_nobody_out() {
     assert!(site.logged(0).contains("signed by another authority"), "{}", site.logged(0));
     let _report = playing.wait().unwrap();
     session.run(&["run", "test.yaml"]).says(2, &["signed by another authority"]);
+}
+
+#[test]
+fn a_list_is_sent_to_all_robots_of_a_fleet_and_each_states_which_one_it_uses() {
+    for scheme in ["tls", "hmac"] {
+        let site = Site::with(scheme);
+        let session = &site.session;
+        // Each robot has its own copy of the list, as on its own machine.
+        let list = if scheme == "tls" { "revoked.pem" } else { "revoked.serials" };
+        let copy = |robot: usize| session.path(&format!("copy-{robot}"));
+        let (own, mut robots) = (session.path(&format!("keys/{list}")), Vec::new());
+        let mut addresses = Vec::new();
+        for robot in 0..3 {
+            std::fs::copy(&own, copy(robot)).unwrap();
+            let (address, process) = site.another(robot, &format!("copy-{robot}"));
+            addresses.push(address);
+            robots.push(process);
+        }
+        site.fleet(&addresses, "anna");
+        session.run(&["fleet", "ping"]).says(0, &["list of revoked keys", "less than a day old"]);
+        session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &["downbeat keys push FLEET"]);
+        // One robot is off.
+        robots.pop();
+        session
+            .run(&["keys", "push"])
+            .says(1, &["r0: uses the latest list", "r1: uses the latest list", "r2: "]);
+        assert_eq!(std::fs::read(copy(0)).unwrap(), std::fs::read(&own).unwrap());
+        assert_ne!(std::fs::read(copy(2)).unwrap(), std::fs::read(&own).unwrap());
+        let (address, process) = site.another(2, "copy-2");
+        addresses[2] = address;
+        robots.push(process);
+        site.fleet(&addresses, "anna");
+        session
+            .run(&["fleet", "ping"])
+            .says(1, &["r2: its list of revoked keys is older", "downbeat keys push"]);
+        session
+            .run(&["keys", "revoke", "--operator", "bert", "--fleet", "fleet.yaml"])
+            .says(0, &["r2: uses the latest list"]);
+        session.run(&["fleet", "ping"]).says(0, &[]);
+        session.run(&["keys", "push"]).says(0, &["r0: uses the latest list"]);
+        site.fleet(&addresses, "bert");
+        session.run(&["fleet", "ping"]).says(1, &[if scheme == "tls" { "revoked" } else { "no pass" }]);
+    }
+}
+
+#[test]
+fn a_robot_without_a_list_or_that_cannot_store_one_is_reported() {
+    let site = Site::new();
+    let session = &site.session;
+    let none = session.run(&["keys", "push", "--keys", "others"]);
+    none.says(2, &["contains no authority"]);
+    // The folder of the list does not permit to replace it.
+    let folder = session.path("fixed");
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::copy(session.path("keys/revoked.pem"), folder.join("revoked.pem")).unwrap();
+    let (address, _robot) = site.another(0, "fixed/revoked.pem");
+    std::fs::create_dir(folder.join("revoked.part")).unwrap();
+    session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &[]);
+    session.file(
+        "fleet.yaml",
+        format!(
+            "identity: keys/operators/anna.pem\nrobots:\n  r0: {{init: arm.yaml, address: '{address}'}}\n"
+        ),
+    );
+    session.run(&["keys", "push"]).says(1, &["r0: uses the older list", "cannot write fixed/revoked.pem"]);
+    session.file("fleet.yaml", "robots:\n  r0: {init: arm.yaml, address: sim}\n");
+    session.run(&["keys", "push"]).says(2, &["no robot has a tls:// or hmac:// address"]);
 }

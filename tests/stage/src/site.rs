@@ -47,6 +47,19 @@ impl Site {
     }
 
     fn start(&mut self, id: usize) {
+        let list = if self.scheme == "tls" { "keys/revoked.pem" } else { "keys/revoked.serials" };
+        let (port, robot) = self.spawn(id, list);
+        self.ports.push(port);
+        self.robots.push(robot);
+    }
+
+    /// Starts another process of a robot, with its own list of revoked keys. Returns its address.
+    pub fn another(&self, id: usize, list: &str) -> (String, Process) {
+        let (port, robot) = self.spawn(id, list);
+        (format!("{}://127.0.0.1:{port}", self.scheme), robot)
+    }
+
+    fn spawn(&self, id: usize, list: &str) -> (u16, Process) {
         let port = free_port();
         let mut command = Command::new(program());
         let listen = format!("127.0.0.1:{port}");
@@ -65,14 +78,12 @@ impl Site {
             "tls" => command.args(["--identity", &format!("keys/robots/r{id}.pem")]),
             _ => command.args(["--secret", &format!("keys/secrets/r{id}.secret")]),
         };
-        let list = if self.scheme == "tls" { "keys/revoked.pem" } else { "keys/revoked.serials" };
         command.args(["--revoked", list, "--log-file", &format!("r{id}.jsonl")]);
         command.current_dir(self.session.path(""));
         command.stderr(std::fs::File::create(self.session.path(&format!("r{id}.log"))).unwrap());
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         listens(&mut child);
-        self.ports.push(port);
-        self.robots.push(Process(child));
+        (port, Process(child))
     }
 
     pub fn addresses(&self, scheme: &str) -> Vec<String> {

@@ -329,7 +329,12 @@ fn an_inquiry_claims_nothing_also_not_for_a_session_that_is_over() {
     let mut bench = Bench::new();
     bench.inquire(Inquiry { session: session("show-1"), ..Inquiry::default() });
     let claim = |bench: &mut Bench, link, name| {
-        let request = AvailabilityRequest { session: session(name), timestamp: None, seize: false };
+        let request = AvailabilityRequest {
+            session: session(name),
+            timestamp: None,
+            seize: false,
+            revocation_list: None,
+        };
         bench.robot.handle(
             bench.now,
             link,

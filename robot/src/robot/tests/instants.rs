@@ -335,6 +335,7 @@ fn an_availability_request_is_answered_with_its_own_time_and_the_robots() {
         session: None,
         timestamp: Some(Timestamp::from_nanos(7)),
         seize: false,
+        revocation_list: None,
     }));
     let Some(Output::Send { message: Message::AvailabilityResponse(response), .. }) = bench.out.last() else {
         panic!()

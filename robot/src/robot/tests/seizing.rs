@@ -13,7 +13,12 @@ type Proven<'a> = Option<(&'a str, &'a [Role])>;
 
 fn seize(session: Option<&str>) -> Message {
     let session = session.map(|session| SessionId::new(session).unwrap());
-    Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session, seize: true })
+    Message::AvailabilityRequest(AvailabilityRequest {
+        timestamp: None,
+        session,
+        seize: true,
+        revocation_list: None,
+    })
 }
 
 /// Returns a robot on which Anna's command for the arm runs and another one for the device `ramp` waits. The other link belongs to an

@@ -15,6 +15,7 @@ pub(super) fn hello(session: &str) -> Message {
         timestamp: None,
         session: SessionId::new(session).ok(),
         seize: false,
+        revocation_list: None,
     })
 }
 
@@ -303,7 +304,12 @@ fn a_stranger_learns_the_sessions_name_by_no_question() {
     bench.send_on(LINK, of("a-secret", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.out.clear();
     for session in [None, SessionId::new("guess").ok()] {
-        let availability = AvailabilityRequest { timestamp: None, session: session.clone(), seize: false };
+        let availability = AvailabilityRequest {
+            timestamp: None,
+            session: session.clone(),
+            seize: false,
+            revocation_list: None,
+        };
         bench.send_on(OTHER, Message::AvailabilityRequest(availability));
         let inquiry = urrcp::Inquiry {
             session: session.clone(),
@@ -469,8 +475,14 @@ pub(super) fn stop_of(device: &str) -> ControlRequest {
 
 #[test]
 fn an_operator_does_what_its_roles_allow_and_nothing_else() {
-    let ask =
-        || Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None, seize: false });
+    let ask = || {
+        Message::AvailabilityRequest(AvailabilityRequest {
+            timestamp: None,
+            session: None,
+            seize: false,
+            revocation_list: None,
+        })
+    };
     let set = || {
         of(
             "s",
@@ -530,7 +542,12 @@ fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question(
     let timestamp = Some(Timestamp::from_nanos(7));
     let session = SessionId::new("show").ok();
     bench.send(Message::Inquiry(urrcp::Inquiry { timestamp, ..urrcp::Inquiry::default() }));
-    bench.send(Message::AvailabilityRequest(AvailabilityRequest { timestamp, session, seize: false }));
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest {
+        timestamp,
+        session,
+        seize: false,
+        revocation_list: None,
+    }));
     bench.send(Message::InitializationRequest(urrcp::InitializationRequest::default()));
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
     let told = |output: &Output| match output {

@@ -25,6 +25,7 @@ fn where_robots_are_not_asked_for_their_names_whatever_comes_is_from_the_one_tha
         timestamp: by_robot(at(1)),
         status: Status::Ok,
         error: None,
+        revocation_list: None,
     };
     let message = Message::AvailabilityResponse(response);
     for (greeting, up, counts) in
@@ -72,6 +73,7 @@ fn a_robot_that_gives_its_reason_instead_of_its_name_is_not_waited_for() {
         timestamp: by_robot(at(1)),
         status: Status::Failed,
         error: Some(error.clone()),
+        revocation_list: None,
     };
     mission.receive(at(1), 0, Message::AvailabilityResponse(response));
     let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
@@ -484,6 +486,7 @@ fn a_robot_that_comes_later_and_cannot_join_yet_or_ever_stops_nobody() {
         timestamp: by_robot(at(1_000)),
         status: Status::Failed,
         error: Some(ControlError::new(ErrorCode::Internal, "its hardware is away")),
+        revocation_list: None,
     };
     let asked = asks_of(&played, 1);
     played.happens(Event::Received { robot: 1, message: Message::AvailabilityResponse(away) });

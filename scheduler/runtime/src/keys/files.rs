@@ -1,8 +1,8 @@
 //! The files of an authority. Files that contain a key are private. A file is never changed in part: a new version replaces it.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use downbeat_robot::tls::Name;
@@ -97,22 +97,9 @@ pub(super) fn check_private(path: &Path) -> Result<(), KeysError> {
 }
 
 pub(super) fn write_private(path: &Path, text: &str) -> Result<(), KeysError> {
-    write(path, text, 0o600)
+    downbeat_robot::replace(path, text.as_bytes(), 0o600).map_err(at(path))
 }
 
 pub(super) fn write_public(path: &Path, text: &str) -> Result<(), KeysError> {
-    write(path, text, 0o644)
-}
-
-/// Writes a file so that a reader sees the old version or the new one, never a part.
-fn write(path: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
-    let part = path.with_extension("part");
-    let _left_by_an_interrupted_one = fs::remove_file(&part);
-    let written =
-        OpenOptions::new().write(true).create_new(true).mode(mode).open(&part).and_then(|mut file| {
-            file.write_all(text.as_bytes())?;
-            file.sync_all()?;
-            fs::rename(&part, path)
-        });
-    written.map_err(at(path))
+    downbeat_robot::replace(path, text.as_bytes(), 0o644).map_err(at(path))
 }

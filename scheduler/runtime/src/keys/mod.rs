@@ -238,6 +238,33 @@ impl Authority {
         self.path(REVOKED_SERIALS)
     }
 
+    /// Makes new lists of revoked keys if the current ones are older than half of the time after which the next ones are due.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`].
+    pub fn renew_lists(&self, now: i64) -> Result<(), KeysError> {
+        let made = i64::try_from(self.list_number()).unwrap_or(i64::MAX);
+        if now.saturating_sub(made) > LIST_DAYS * DAY / 2 {
+            self.write_revoked(&self.issued()?, now)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Returns the text of the list of revoked keys that this robot accepts from `downbeat keys push`.
+    ///
+    /// # Errors
+    /// Returns [`KeysError`], also if the robot has no secret but should.
+    pub fn list_for(&self, robot: &RobotId, protection: Protection) -> Result<String, KeysError> {
+        match protection {
+            Protection::Open | Protection::Tls => files::read(&self.revoked()),
+            Protection::Hmac => {
+                let secret = Secret::read(&files::secret_path(&self.folder, robot))?;
+                Ok(secret.proven_list(&files::read(&self.revoked_serials())?))
+            }
+        }
+    }
+
     fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
@@ -287,11 +314,12 @@ impl Authority {
     /// Returns the number of the next list. Robots accept a list only if its number is larger than that of the list in use, so it is larger
     /// even if two lists are made within a second, or the clock was set back.
     fn next_number(&self, now: i64) -> u64 {
-        u64::try_from(now).unwrap_or_default().max(self.last_number().saturating_add(1))
+        u64::try_from(now).unwrap_or_default().max(self.list_number().saturating_add(1))
     }
 
-    /// Returns the number of the current list; 0 if it cannot be read.
-    fn last_number(&self) -> u64 {
+    /// Returns the number of the current lists of revoked keys; 0 if it cannot be read.
+    #[must_use]
+    pub fn list_number(&self) -> u64 {
         let list = RevokedSerials::in_file(&self.revoked_serials()).and_then(|list| list.read());
         list.map_or(0, |list| list.number())
     }

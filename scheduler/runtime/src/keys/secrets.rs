@@ -44,7 +44,7 @@ impl Authority {
         let made = robots.iter().map(make).collect::<Result<_, KeysError>>();
         // The list is written even if one secret could not be written, because the other secrets exist.
         let issued = self.issued()?;
-        self.write_revoked_serials(&issued, self.last_number())?;
+        self.write_revoked_serials(&issued, self.list_number())?;
         self.write_passes(&issued)?;
         made
     }

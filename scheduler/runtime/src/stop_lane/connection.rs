@@ -123,6 +123,7 @@ impl Connection {
             timestamp: None,
             session: None,
             seize: false,
+            revocation_list: None,
         });
         loop {
             let asked = self.send(std::iter::once(&ask)).await.is_ok();

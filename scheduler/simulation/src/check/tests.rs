@@ -184,7 +184,12 @@ fn is_carried_over(sent_late: i64, slow: impl Fn(usize, usize) -> usize, stands_
         let place = ran.history.partition_point(|(when, _)| *when <= at);
         ran.history.insert(place, (at, happened));
     };
-    let question = urrcp::AvailabilityRequest { timestamp: Some(sent), session: None, seize: false };
+    let question = urrcp::AvailabilityRequest {
+        timestamp: Some(sent),
+        session: None,
+        seize: false,
+        revocation_list: None,
+    };
     let takes = Span::from_millis(120);
     add(sent, Happened::Slow(slow(robot, other), takes));
     add(sent + takes, Happened::AtRobot(robot, Message::AvailabilityRequest(question)));
@@ -253,7 +258,8 @@ fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stan
         let place = ran.history.partition_point(|(when, _)| *when <= at);
         ran.history.insert(place, (at, happened));
     };
-    let question = urrcp::AvailabilityRequest { timestamp: None, session: None, seize: false };
+    let question =
+        urrcp::AvailabilityRequest { timestamp: None, session: None, seize: false, revocation_list: None };
     for number in 1..=questions {
         let question = Message::AvailabilityRequest(question.clone());
         add(sent + takes / (questions + 1) * number, Happened::AtRobot(robot, question));

@@ -363,7 +363,12 @@ impl World {
             return;
         }
         let session = SessionId::new("another").ok();
-        let ask = AvailabilityRequest { timestamp: Some(now), session: session.clone(), seize };
+        let ask = AvailabilityRequest {
+            timestamp: Some(now),
+            session: session.clone(),
+            seize,
+            revocation_list: None,
+        };
         self.receive(robot, link, Input::Message(Message::AvailabilityRequest(ask)));
         if let Some(request) = foreign_script(&self.drawn.robots[robot].block, now, session) {
             self.receive(robot, link, Input::Message(Message::ControlRequest(request)));

@@ -293,8 +293,12 @@ async fn a_robot_that_does_not_read_fills_its_queue_and_the_sender_is_told() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (link, _happened) = linked(listener.local_addr().unwrap().port());
     let (mut stream, _) = listener.accept().await.unwrap();
-    let request =
-        urrcp::AvailabilityRequest { timestamp: None, session: "s".repeat(250).parse().ok(), seize: false };
+    let request = urrcp::AvailabilityRequest {
+        timestamp: None,
+        session: "s".repeat(250).parse().ok(),
+        seize: false,
+        revocation_list: None,
+    };
     let mut sent = 0;
     while link.send(Message::AvailabilityRequest(request.clone()), Urgency::InOrder).is_ok() {
         sent += 1;
